@@ -1,0 +1,9 @@
+#include "bindings.h"
+
+#include "parallel.h"
+
+NB_MODULE(_native, m) {
+  m.doc() = "The native kernels of segloc.";
+  m.attr("__version__") = SEGLOC_VERSION;
+  m.def("resolve_threads", &segloc::resolve_threads, nanobind::arg("threads"));
+}

@@ -1,0 +1,3 @@
+__version__: str
+
+def resolve_threads(threads: int) -> int: ...

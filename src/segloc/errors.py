@@ -1,0 +1,38 @@
+"""The one exception family of segloc: catch :class:`SeglocError` to catch them all."""
+
+from __future__ import annotations
+
+
+class SeglocError(Exception):
+    """Base of every error that segloc raises on purpose."""
+
+
+class InvalidScan(SeglocError, ValueError):
+    """A point cloud has the wrong shape or dtype."""
+
+
+class DatasetError(SeglocError):
+    """A scan, trajectory or sequence cannot be read; names the file and the place in it."""
+
+
+class MapFormatError(SeglocError):
+    """A map file is truncated, corrupt, of a newer version, or not a map at all."""
+
+
+class MapMismatch(SeglocError):
+    """Two maps, or a map and a localizer, were made by different descriptors."""
+
+
+class WeightsError(SeglocError):
+    """Network weights are missing, corrupt, or do not fit the network."""
+
+
+class ConfigError(SeglocError, ValueError):
+    """A configuration value is unknown or out of range."""
+
+
+class MissingDependency(SeglocError, ImportError):
+    """An optional package is needed; the message says how to install it."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(f"{purpose} needs {package}: pip install 'segloc[{extra}]'")
