@@ -2,8 +2,15 @@
 
 #include "parallel.h"
 
+namespace segloc::bindings {
+
+void bind_geometry(nb::module_& m);
+
+}  // namespace segloc::bindings
+
 NB_MODULE(_native, m) {
   m.doc() = "The native kernels of segloc.";
   m.attr("__version__") = SEGLOC_VERSION;
   m.def("resolve_threads", &segloc::resolve_threads, nanobind::arg("threads"));
+  segloc::bindings::bind_geometry(m);
 }

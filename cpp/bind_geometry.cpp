@@ -1,0 +1,134 @@
+// Segmentation, pose and verification kernels.
+#include "bindings.h"
+
+#include "cluster.h"
+#include "consensus.h"
+#include "ground.h"
+#include "point_index.h"
+#include "voxel.h"
+
+namespace segloc::bindings {
+namespace {
+
+void require_points(const In2<float>& points) {
+  require(points.shape(1) == 3, "points must have shape (N, 3)");
+}
+
+Out<float> voxel_grid_(const In2<float>& points, double size) {
+  require_points(points);
+  std::vector<float> means;
+  {
+    nb::gil_scoped_release release;
+    means = voxel_grid(points.data(), points.shape(0), size);
+  }
+  const std::size_t count = means.size() / 3;
+  return to_numpy(std::move(means), {count, 3});
+}
+
+Out<float> heights_above_ground_(const In2<float>& points, double cell, double max_slope,
+                                 double outlier) {
+  require_points(points);
+  std::vector<float> heights;
+  {
+    nb::gil_scoped_release release;
+    heights = heights_above_ground(points.data(), points.shape(0), {cell, max_slope, outlier});
+  }
+  return to_numpy(std::move(heights));
+}
+
+auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t min_points,
+                         std::size_t max_points) {
+  require_points(points);
+  Clusters clusters;
+  {
+    nb::gil_scoped_release release;
+    clusters = euclidean_clusters(points.data(), points.shape(0), radius, min_points, max_points);
+  }
+  return std::make_tuple(to_numpy(std::move(clusters.points)), to_numpy(std::move(clusters.offsets)));
+}
+
+auto pair_consensus_(const In2<double>& query, const In2<double>& map,
+                     const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                     double edge_tolerance, double inlier_tolerance, double height_tolerance,
+                     double min_edge, double distinct_radius, double separation,
+                     std::size_t max_pivots, std::size_t max_hypotheses, int threads) {
+  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  const std::size_t n = match_query.shape(0);
+  require(match_map.shape(0) == n, "match_query and match_map must have the same length");
+  for (std::size_t k = 0; k < n; ++k) {
+    const std::int64_t q = match_query.data()[k], m = match_map.data()[k];
+    require(q >= 0 && static_cast<std::size_t>(q) < query.shape(0) && m >= 0 &&
+                static_cast<std::size_t>(m) < map.shape(0),
+            "a match names a segment that does not exist");
+  }
+  const ConsensusOptions options{edge_tolerance,  inlier_tolerance, height_tolerance, min_edge,
+                                 distinct_radius, separation,       max_pivots,       max_hypotheses};
+  std::vector<PoseHypothesis> found;
+  {
+    nb::gil_scoped_release release;
+    found = pair_consensus(query.data(), query.shape(0), map.data(), match_query.data(),
+                           match_map.data(), n, options, threads);
+  }
+  std::vector<double> poses, scores;
+  std::vector<std::int64_t> inliers;
+  for (const PoseHypothesis& h : found) {
+    const double c = std::cos(h.yaw), s = std::sin(h.yaw);
+    poses.insert(poses.end(), {c, -s, 0, h.t[0], s, c, 0, h.t[1], 0, 0, 1, h.t[2], 0, 0, 0, 1});
+    inliers.push_back(static_cast<std::int64_t>(h.inliers));
+    scores.push_back(h.score);
+  }
+  return std::make_tuple(to_numpy(std::move(poses), {found.size(), 4, 4}),
+                         to_numpy(std::move(inliers)), to_numpy(std::move(scores)));
+}
+
+auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
+              double radius) {
+  require_points(points);
+  require(poses.shape(1) == 4 && poses.shape(2) == 4, "poses must have shape (H, 4, 4)");
+  require(radius > 0 && radius <= index.radius(), "radius must be positive and at most the index's");
+  std::vector<double> share(poses.shape(0)), rmse(poses.shape(0));
+  {
+    nb::gil_scoped_release release;
+    const std::size_t m = points.shape(0);
+    for (std::size_t h = 0; h < share.size(); ++h) {
+      const auto found = index.overlap(points.data(), m, poses.data() + 16 * h, radius);
+      share[h] = m == 0 ? 0.0 : double(found.near) / double(m);
+      rmse[h] = std::sqrt(found.squared_sum / double(found.near));  // NaN where nothing is near
+    }
+  }
+  return std::make_tuple(to_numpy(std::move(share)), to_numpy(std::move(rmse)));
+}
+
+}  // namespace
+
+void bind_geometry(nb::module_& m) {
+  m.def("voxel_grid", &voxel_grid_, nb::arg("points").noconvert(), nb::arg("size"));
+  m.def("heights_above_ground", &heights_above_ground_, nb::arg("points").noconvert(),
+        nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));
+  m.def("euclidean_clusters", &euclidean_clusters_, nb::arg("points").noconvert(),
+        nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
+  m.def("pair_consensus", &pair_consensus_, nb::arg("query").noconvert(),
+        nb::arg("map").noconvert(), nb::arg("match_query").noconvert(),
+        nb::arg("match_map").noconvert(), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
+        nb::arg("height_tolerance"), nb::arg("min_edge"), nb::arg("distinct_radius"),
+        nb::arg("separation"), nb::arg("max_pivots"), nb::arg("max_hypotheses"),
+        nb::arg("threads"));
+
+  nb::class_<PointIndex>(m, "PointIndex")
+      .def("__init__",
+           [](PointIndex* self, const In2<float>& points, double radius) {
+             require_points(points);
+             new (self) PointIndex(points.data(), points.shape(0), radius);
+           },
+           nb::arg("points").noconvert(), nb::arg("radius"))
+      .def("__len__", &PointIndex::size)
+      .def("overlap", &overlap_, nb::arg("points").noconvert(), nb::arg("poses").noconvert(),
+           nb::arg("radius"))
+      .def("within",
+           [](const PointIndex& index, double x, double y, double radius) {
+             return to_numpy(index.within(x, y, radius));
+           },
+           nb::arg("x"), nb::arg("y"), nb::arg("radius"));
+}
+
+}  // namespace segloc::bindings

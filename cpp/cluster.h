@@ -1,0 +1,21 @@
+// Exact Euclidean clustering.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace segloc {
+
+struct Clusters {
+  std::vector<std::uint32_t> points;  // point indices, cluster after cluster
+  std::vector<std::int64_t> offsets;  // cluster i is points[offsets[i] .. offsets[i + 1])
+};
+
+// Connected components of the graph that links any two points within `radius` metres. Clusters with
+// fewer than min_points or more than max_points are left out. Clusters come in the order of their
+// lowest point index, and so do the points inside.
+Clusters euclidean_clusters(const float* points, std::size_t n, double radius,
+                            std::size_t min_points, std::size_t max_points);
+
+}  // namespace segloc

@@ -1,0 +1,48 @@
+// Fixed-radius nearest points in a map's cloud, for verification.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace segloc {
+
+class PointIndex {
+ public:
+  // Copies n points, (n, 3) row-major. Queries may ask for any radius up to `radius`.
+  PointIndex(const float* points, std::size_t n, double radius);
+
+  struct Overlap {
+    std::size_t near = 0;    // points with a map point within the radius
+    double squared_sum = 0;  // of the distances of those
+  };
+
+  // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
+  Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
+
+  // Indices, rising, of the points within a horizontal distance of (x, y).
+  std::vector<std::int64_t> within(double x, double y, double radius) const;
+
+  std::size_t size() const { return points_.size(); }
+  double radius() const { return cell_; }
+
+ private:
+  struct Slot {
+    std::uint64_t key;
+    std::uint32_t begin, end;
+  };
+  using Point = std::array<float, 3>;
+
+  std::uint64_t key(std::int64_t x, std::int64_t y, std::int64_t z) const;
+  const Slot* find(std::uint64_t key) const;
+  float nearest_squared(const Point& p, float limit) const;
+
+  double cell_;
+  std::vector<Point> points_;
+  std::vector<std::uint32_t> original_;
+  std::vector<Slot> table_;  // open addressing; a slot with begin == end is free
+  std::size_t mask_ = 0;
+};
+
+}  // namespace segloc

@@ -1,0 +1,68 @@
+"""Rigid transforms. ``T_a_b`` takes points from frame b to frame a."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .types import Pose
+
+
+def rigid(R: NDArray[np.floating[Any]], t: NDArray[np.floating[Any]]) -> Pose:
+    """The (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = t
+    return T
+
+
+def yaw_transform(yaw: float, t: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Pose:
+    """A turn by ``yaw`` radians about z, then a translation by ``t`` metres."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0, t[0]], [s, c, 0, t[1]], [0, 0, 1, t[2]], [0, 0, 0, 1.0]])
+
+
+def inverse(T: Pose) -> Pose:
+    """The inverse of a rigid (4, 4) transform."""
+    R = T[:3, :3]
+    return rigid(R.T, -R.T @ T[:3, 3])
+
+
+def transform(T: Pose, points: NDArray[Any]) -> NDArray[np.float64]:
+    """Take (N, 3) points through T; computed in float64."""
+    moved: NDArray[np.float64] = points[:, :3] @ T[:3, :3].T + T[:3, 3]
+    return moved
+
+
+def rotation_angle(T: Pose) -> float:
+    """The angle of T's rotation in radians, in [0, pi]; exact for small angles too."""
+    R = T[:3, :3]
+    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return math.atan2(float(np.linalg.norm(skew)) / 2.0, (float(np.trace(R)) - 1.0) / 2.0)
+
+
+def heading(T: Pose) -> float:
+    """The yaw, in radians, of the direction in which T's x axis points horizontally."""
+    return math.atan2(T[1, 0], T[0, 0])
+
+
+def levelled(T_world_sensor: Pose) -> Pose:
+    """The frame at the same place with the same heading and its z axis up."""
+    x, y, z = (float(v) for v in T_world_sensor[:3, 3])
+    return yaw_transform(heading(T_world_sensor), (x, y, z))
+
+
+def orthonormal(T: Pose) -> Pose:
+    """T with its rotation replaced by the nearest true one (rounding errors removed)."""
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return rigid(R, T[:3, 3])
+
+
+def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance travelled up to each of (N, 4, 4) poses, metres, (N,)."""
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])[: len(poses)]

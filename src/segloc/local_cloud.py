@@ -1,0 +1,112 @@
+"""Scan(s) -> local cloud: what lies around one pose, seen over a short way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from . import geometry
+from .errors import InvalidScan
+from .types import LocalCloud, Pose, Scan
+
+
+class LocalCloudConfig(BaseModel):
+    """How scans are gathered."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    radius_m: float = Field(
+        50.0, gt=0, description="points farther away (horizontally) are left out"
+    )
+    window_m: float = Field(40.0, ge=0, description="travelled distance that a query's cloud spans")
+    max_gap_m: float = Field(10.0, gt=0, description="a longer step between scans ends the window")
+
+
+def window(
+    poses: NDArray[np.float64], index: int, length_m: float, *, centred: bool, max_gap_m: float
+) -> range:
+    """The scans around ``index`` that a local cloud is gathered from.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        Poses of consecutive scans.
+    length_m : float
+        Travelled distance that the window spans.
+    centred : bool
+        Half of the way before and half behind the scan (maps); otherwise all of it before the
+        scan (a robot that localizes has no future).
+    max_gap_m : float
+        A longer step between two scans is a break in the recording: the window ends there.
+    """
+    behind, ahead = (length_m / 2, length_m / 2) if centred else (length_m, 0.0)
+    positions = poses[:, :3, 3]
+    first = _walk(positions, index, -1, behind, max_gap_m)
+    last = _walk(positions, index, +1, ahead, max_gap_m)
+    return range(first, last + 1)
+
+
+def _walk(positions: NDArray[Any], index: int, step: int, length: float, max_gap: float) -> int:
+    way = 0.0
+    while 0 <= index + step < len(positions):
+        stride = float(np.linalg.norm(positions[index + step] - positions[index]))
+        if stride > max_gap or way + stride > length:
+            break
+        way += stride
+        index += step
+    return index
+
+
+class Accumulator:
+    """Gathers scans into a local cloud."""
+
+    def __init__(self, config: LocalCloudConfig | None = None) -> None:
+        self.config = config or LocalCloudConfig()
+
+    def gather(self, scans: Scan | Sequence[Scan], reference: int = -1) -> LocalCloud:
+        """The local cloud of one scan or of several posed ones.
+
+        Parameters
+        ----------
+        scans : Scan or sequence of Scan
+            With more than one scan, each needs its ``T_odom_sensor``. A single scan without a pose
+            is taken as level.
+        reference : int
+            The scan whose pose is asked for; the last one by default.
+
+        Raises
+        ------
+        InvalidScan
+            If there is no scan, or one of several has no pose.
+        """
+        if isinstance(scans, Scan):
+            scans = [scans]
+        if not scans:
+            raise InvalidScan("no scan given")
+        anchor = scans[reference]
+        T_odom_local = _levelled_pose(anchor)
+        clouds = [self._crop(scan, T_odom_local, single=len(scans) == 1) for scan in scans]
+        T_local_sensor = np.eye(4)
+        if anchor.T_odom_sensor is not None:
+            T_local_sensor = geometry.inverse(T_odom_local) @ anchor.T_odom_sensor
+        return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
+
+    def _crop(self, scan: Scan, T_odom_local: Pose, *, single: bool) -> NDArray[np.float32]:
+        if scan.T_odom_sensor is None:
+            if not single:
+                raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
+            points = scan.points
+        else:
+            T_local_sensor = geometry.inverse(T_odom_local) @ scan.T_odom_sensor
+            points = geometry.transform(T_local_sensor, scan.points).astype(np.float32)
+        radius = self.config.radius_m
+        near = (points[:, 0] ** 2 + points[:, 1] ** 2 < radius**2) & (np.abs(points[:, 2]) < radius)
+        return np.ascontiguousarray(points[near])
+
+
+def _levelled_pose(scan: Scan) -> Pose:
+    return np.eye(4) if scan.T_odom_sensor is None else geometry.levelled(scan.T_odom_sensor)

@@ -1,0 +1,70 @@
+"""Matches -> candidate poses."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from . import _native
+from .types import Float64, Hypothesis, Matches
+
+
+class PoseConfig(BaseModel):
+    """How candidate poses are found."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    estimator: Literal["consensus", "prosac", "ransac"] = Field(
+        "consensus", description="consensus: yaw and translation, exhaustive; the others: SE(3)"
+    )
+    edge_tolerance: float = Field(0.5, gt=0, description="two matches agree below this, metres")
+    inlier_tolerance: float = Field(0.6, gt=0, description="a match fits a pose below this, metres")
+    height_tolerance: float = Field(1.0, gt=0, description="the same along z, metres")
+    min_edge: float = Field(3.0, gt=0, description="pairs closer than this are not used, metres")
+    distinct_radius: float = Field(
+        1.0, ge=0, description="segments closer than this count as one inlier, metres"
+    )
+    separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
+    max_pivots: int = Field(128, ge=1, description="candidates refined by consensus")
+    max_hypotheses: int = Field(8, ge=1, description="candidates handed to verification")
+
+
+class PoseEstimator:
+    """Finds poses on which many matches agree; several, at different places, best first."""
+
+    def __init__(
+        self, config: PoseConfig | None = None, *, threads: int = 0, seed: int = 0
+    ) -> None:
+        self.config = config or PoseConfig()
+        self._threads = threads
+        self._seed = seed
+
+    def estimate(self, query: Float64, site: Float64, matches: Matches) -> list[Hypothesis]:
+        """Candidate poses T_map_local.
+
+        Parameters
+        ----------
+        query : (P, 3) float64
+            Segment centroids of the live cloud, local frame (z up).
+        site : (M, 3) float64
+            Segment centroids of the map, map frame (z up).
+        matches : Matches
+        """
+        config = self.config
+        poses, inliers, _ = _native.pair_consensus(
+            query,
+            site,
+            matches.query,
+            matches.map,
+            edge_tolerance=config.edge_tolerance,
+            inlier_tolerance=config.inlier_tolerance,
+            height_tolerance=config.height_tolerance,
+            min_edge=config.min_edge,
+            distinct_radius=config.distinct_radius,
+            separation=config.separation,
+            max_pivots=config.max_pivots,
+            max_hypotheses=config.max_hypotheses,
+            threads=self._threads,
+        )
+        return [Hypothesis(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
