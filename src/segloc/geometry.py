@@ -66,3 +66,17 @@ def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance travelled up to each of (N, 4, 4) poses, metres, (N,)."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])[: len(poses)]
+
+
+def rotated_covariance(
+    covariance: NDArray[np.float64] | None, T_a_b: Pose
+) -> NDArray[np.float64] | None:
+    """A (6, 6) covariance of (rotation, translation) given in frame a, seen from frame b.
+
+    The two frames must share their origin.
+    """
+    if covariance is None:
+        return None
+    turn = np.kron(np.eye(2), T_a_b[:3, :3].T)
+    rotated: NDArray[np.float64] = turn @ covariance @ turn.T
+    return rotated

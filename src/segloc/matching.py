@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
-from .types import Descriptors, Float32, Matches
+from .map import SegmentMap
+from .types import Descriptors, Float32, Int64, Matches
 
 
 class MatchingConfig(BaseModel):
@@ -20,19 +21,34 @@ class MatchingConfig(BaseModel):
 class Matcher:
     """Finds, for every query descriptor, its nearest map descriptors (exactly)."""
 
-    def __init__(self, vectors: Float32, threads: int = 0) -> None:
-        self._tree = cKDTree(vectors)
-        self._vectors = vectors
+    def __init__(
+        self, site: SegmentMap, config: MatchingConfig | None = None, *, threads: int = 0
+    ) -> None:
+        self.config = config or MatchingConfig()
+        self._quality = site.quality
+        self._tree = cKDTree(site.vectors)
         self._threads = threads
 
-    def match(self, query: Descriptors, neighbours: int) -> Matches:
-        """The ``neighbours`` nearest map segments of every query segment, best match first."""
-        k = min(neighbours, len(self._vectors))
-        distance, index = self._tree.query(query.vectors, k=k)
+    def match(self, query: Descriptors) -> Matches:
+        """The nearest map segments of every query segment, best match first.
+
+        A match's score is the likelihood exp(-distance), times the quality of both descriptors
+        where they have one.
+        """
+        k = min(self.config.neighbours, self._tree.n)
+        if len(query) == 0 or k == 0:
+            nothing = np.empty(0, np.int64)
+            return Matches(nothing, nothing, np.empty(0, np.float32), np.empty(0, np.float32))
+        distances, indices = self._tree.query(query.vectors, k=np.arange(1, k + 1))
         rows = np.repeat(np.arange(len(query), dtype=np.int64), k)
-        return _ordered(rows, index.reshape(-1), distance.reshape(-1).astype(np.float32))
+        columns = np.asarray(indices, np.int64).reshape(-1)
+        distance = np.asarray(distances, np.float32).reshape(-1)
+        score = np.exp(-distance)
+        if query.quality is not None and self._quality is not None:
+            score *= query.quality[rows] * self._quality[columns]
+        return _ordered(rows, columns, distance, score)
 
 
-def _ordered(query: np.ndarray, site: np.ndarray, distance: Float32) -> Matches:
-    order = np.lexsort((site, query, distance))
-    return Matches(query[order], site[order], distance[order], -distance[order])
+def _ordered(query: Int64, site: Int64, distance: Float32, score: Float32) -> Matches:
+    order = np.lexsort((site, query, -score))
+    return Matches(query[order], site[order], distance[order], score[order])

@@ -1,1 +1,5 @@
+"""Descriptors, found by name."""
 
+from .base import Descriptor as Descriptor
+from .base import available as available
+from .base import create as create

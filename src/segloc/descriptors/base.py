@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any
 
 from ..errors import ConfigError
 from ..types import Descriptors, Segments
 
 
-class Descriptor(Protocol):
+class Descriptor(ABC):
     """Turns segments into vectors that lie close together for views of the same object.
 
     Attributes
@@ -19,7 +20,7 @@ class Descriptor(Protocol):
     name : str
         The name it is registered under.
     dim : int
-        Length of a vector.
+        Length of a vector; vectors are compared by Euclidean distance.
     fingerprint : str
         Hash of weights and preprocessing: maps and queries must agree on it.
     """
@@ -28,9 +29,21 @@ class Descriptor(Protocol):
     dim: int
     fingerprint: str
 
+    def prepare(self, segments: Segments) -> Any:
+        """What :meth:`encode` works on; the segments themselves where nothing is to be prepared.
+
+        Alignment and reduction to a fixed number of points, for a network: the paper counts them
+        as preprocessing.
+        """
+        return segments
+
+    @abstractmethod
+    def encode(self, prepared: Any) -> Descriptors:
+        """Describe prepared segments."""
+
     def describe(self, segments: Segments) -> Descriptors:
-        """Describe all segments; deterministic, and the same for any number of threads."""
-        ...
+        """Describe segments; deterministic, and the same for any number of threads."""
+        return self.encode(self.prepare(segments))
 
 
 Factory = Callable[[int], Descriptor]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..types import Descriptors, Float32, Float64, Segments
-from .base import register
+from .base import Descriptor, register
 
 # Typical value and spread of each number over segments of simulated towns.
 CENTRE = np.array([1.0, 0.2, 0.6, 0.0, -0.9, -1.8, 1.8], np.float32)
@@ -14,7 +14,7 @@ MIN_LENGTH_M = 0.05
 
 
 @register("geo")
-class GeoDescriptor:
+class GeoDescriptor(Descriptor):
     """Log extents, log spreads and height above ground, standardised.
 
     The extents are measured along the horizontal principal axis, across it, and along z; the
@@ -30,12 +30,12 @@ class GeoDescriptor:
     def __init__(self, threads: int = 0) -> None:
         del threads  # a few array operations over all segments at once
 
-    def describe(self, segments: Segments) -> Descriptors:
+    def encode(self, segments: Segments) -> Descriptors:
         """(P, 7) vectors; see the class."""
         if len(segments) == 0:
             return Descriptors(np.empty((0, self.dim), np.float32))
         starts, counts = segments.offsets[:-1], segments.sizes
-        centred = segments.points - np.repeat(segments.centroids, counts, axis=0)
+        centred: Float64 = segments.points - np.repeat(segments.centroids, counts, axis=0)
         covariance = _covariances(centred, starts, counts)
         spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[:, ::-1], 0.0))
         lengths = np.concatenate([_extents(centred, covariance, starts, counts), spreads], axis=1)
@@ -49,7 +49,8 @@ class GeoDescriptor:
 def _covariances(centred: Float64, starts: np.ndarray, counts: np.ndarray) -> Float64:
     products = centred[:, [0, 0, 0, 1, 1, 2]] * centred[:, [0, 1, 2, 1, 2, 2]]
     sums = np.add.reduceat(products, starts) / counts[:, None]
-    return sums[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    covariances: Float64 = sums[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return covariances
 
 
 def _extents(
@@ -59,4 +60,5 @@ def _extents(
     c, s = np.repeat(np.cos(angle), counts), np.repeat(np.sin(angle), counts)
     x, y = centred[:, 0], centred[:, 1]
     axes = np.stack([c * x + s * y, c * y - s * x, centred[:, 2]], axis=1)
-    return np.maximum.reduceat(axes, starts) - np.minimum.reduceat(axes, starts)
+    extents: Float64 = np.maximum.reduceat(axes, starts) - np.minimum.reduceat(axes, starts)
+    return extents

@@ -1,0 +1,95 @@
+"""The whole configuration: the stages' own sections, composed, and one preset a method."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .errors import ConfigError
+from .local_cloud import LocalCloudConfig
+from .mapping import MappingConfig
+from .matching import MatchingConfig
+from .pose import PoseConfig
+from .segmentation import SegmentationConfig
+from .verification import VerificationConfig
+
+METHODS = ("geo", "dsm", "dsm-fq")
+"""Names that ``--method`` accepts."""
+
+
+class Config(BaseModel):
+    """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: str = Field("geo", description="how segments are described: " + ", ".join(METHODS))
+    threads: int = Field(0, ge=0, description="0: all cores; results do not depend on it")
+    seed: int = Field(0, ge=0, description="of the estimators that draw samples")
+    local_cloud: LocalCloudConfig = LocalCloudConfig()
+    segmentation: SegmentationConfig = SegmentationConfig()
+    mapping: MappingConfig = MappingConfig()
+    matching: MatchingConfig = MatchingConfig()
+    pose: PoseConfig = PoseConfig()
+    verification: VerificationConfig = VerificationConfig()
+
+    @classmethod
+    def preset(cls, method: str) -> Config:
+        """The configuration a method is at its best with.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such method.
+        """
+        if method not in METHODS:
+            raise ConfigError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        return cls(method=method)
+
+    @classmethod
+    def load(cls, path: str | Path | None, method: str | None = None) -> Config:
+        """Read a YAML file; what it leaves out comes from the preset of its method.
+
+        Raises
+        ------
+        ConfigError
+            If the file is no YAML mapping, or a key or value is wrong; names file and key.
+        """
+        values = {} if path is None else _read_yaml(Path(path))
+        preset = cls.preset(method or str(values.get("method", "geo")))
+        try:
+            return cls.model_validate(_merged(preset.model_dump(), {**values, "method": preset.method}))
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ConfigError(f"{path}: {where}: {first['msg']}") from error
+
+    def to_yaml(self) -> str:
+        """The whole configuration as YAML, with every default written out."""
+        text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        return text
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: not YAML ({str(error).splitlines()[0]})") from error
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: expected a mapping of sections")
+    return values
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        both = isinstance(old, dict) and isinstance(value, dict)
+        merged[key] = _merged(old, value) if both else value  # type: ignore[arg-type]
+    return merged

@@ -1,0 +1,115 @@
+"""A posed sequence of scans -> a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from . import geometry
+from .descriptors import create
+from .errors import DatasetError
+from .local_cloud import Accumulator, window
+from .map import SegmentMap
+from .segmentation import Segmenter
+
+if TYPE_CHECKING:
+    from .config import Config
+    from .datasets import Sequence
+
+
+class ViewConfig(BaseModel):
+    """One length of local cloud that a map is built from."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    length_m: float = Field(ge=0, description="travelled distance a view spans; 0: single scans")
+    every_m: float = Field(gt=0, description="distance between views")
+
+
+class MappingConfig(BaseModel):
+    """What a map keeps: views of several lengths, since short ones match single scans best."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    views: tuple[ViewConfig, ...] = (
+        ViewConfig(length_m=40, every_m=8),
+        ViewConfig(length_m=16, every_m=8),
+    )
+    cloud_voxel: float = Field(0.3, gt=0, description="voxel of the cloud kept for verification")
+
+
+def build_map(
+    sequence: Sequence,
+    config: Config,
+    *,
+    every_m: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> SegmentMap:
+    """Build a map from scans with poses.
+
+    Parameters
+    ----------
+    sequence : Sequence
+        With poses: they define the map frame, whose z axis must point up.
+    config : Config
+    every_m : float, optional
+        Distance between views; overrides the configuration.
+    progress : callable, optional
+        Called with (views done, views in all).
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses, or nothing that could be segmented.
+    """
+    poses = sequence.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{sequence.name}: building a map needs a pose for every scan")
+    descriptor = create(config.method, config.threads)
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    site = SegmentMap.empty(
+        descriptor.name,
+        descriptor.fingerprint,
+        descriptor.dim,
+        poses[0, :3, 3],
+        cloud_voxel=config.mapping.cloud_voxel,
+    )
+    plan = list(_plan(poses, config, every_m))
+    for done, (index, scans) in enumerate(plan):
+        cloud = accumulator.gather([sequence.scan(i) for i in scans], index - scans.start)
+        scene = segmenter.segment(cloud)
+        T_map_local = geometry.levelled(poses[index])
+        site.add(
+            descriptor.describe(scene.segments),
+            geometry.transform(T_map_local, scene.segments.centroids),
+            scene.segments.sizes,
+            session=0,
+            stamp=float(sequence.indices[index]),
+            cloud=geometry.transform(T_map_local, scene.structure),
+            T_map_local=T_map_local,
+        )
+        if progress:
+            progress(done + 1, len(plan))
+    if len(site) == 0:
+        raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
+    site.metadata["config"] = config.to_yaml()
+    site.metadata["sequence"] = sequence.name
+    return site
+
+
+def _plan(
+    poses: np.ndarray, config: Config, every_m: float | None
+) -> Iterator[tuple[int, range]]:
+    """The views of a map: (index of the reference scan, scans it gathers), along the way."""
+    way = geometry.travelled(poses)
+    plan: list[tuple[int, range]] = []
+    for view in config.mapping.views:
+        marks = np.arange(0.0, way[-1] + 1e-9, every_m or view.every_m)
+        for index in np.unique(np.searchsorted(way, marks - 1e-9)):
+            gap = config.local_cloud.max_gap_m
+            scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
+            plan.append((int(index), scans))
+    return iter(sorted(plan, key=lambda item: item[0]))

@@ -1,0 +1,196 @@
+"""Candidate poses -> one verified pose, or the reason why there is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import small_gicp
+from pydantic import BaseModel, ConfigDict, Field
+
+from . import _native, geometry
+from .segmentation import Segmentation
+from .types import Float32, Float64, Hypothesis, Pose
+
+
+class VerificationConfig(BaseModel):
+    """When a pose is believed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    min_inliers: int = Field(6, ge=2, description="distinct segments that must agree")
+    min_overlap: float = Field(
+        0.55, ge=0, le=1, description="share of the live cloud that must lie on the map"
+    )
+    min_confidence: float = Field(0.5, ge=0, le=1, description="calibrated probability needed")
+    ambiguity: float = Field(
+        0.85, gt=0, description="a second place with this share of the support is one too many"
+    )
+    separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
+    coarse_radius: float = Field(0.5, gt=0, description="neighbourhood before ICP, metres")
+    overlap_radius: float = Field(0.3, gt=0, description="neighbourhood after ICP, metres")
+    max_refined: int = Field(2, ge=1, description="candidates that ICP is spent on")
+    refine: bool = Field(True, description="refine the pose by ICP")
+    icp_voxel: float = Field(0.5, gt=0, description="clouds are thinned to this for ICP, metres")
+    icp_reach: float = Field(1.5, gt=0, description="longest ICP correspondence, metres")
+    icp_radius: float = Field(60.0, gt=0, description="map around the candidate used, metres")
+    sample: int = Field(2000, ge=1, description="points of the live cloud that overlap is taken of")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome: ``best`` is believed exactly when ``reason`` is empty."""
+
+    reason: str
+    best: Hypothesis | None
+    runner_up: Hypothesis | None
+    confidence: float
+
+
+class Verifier:
+    """Compares candidate poses with the map's own cloud.
+
+    Parameters
+    ----------
+    cloud : (N, 3) float32
+        The map's voxelised cloud, relative to ``origin``.
+    origin : (3,) float64
+        Added to the cloud it gives map coordinates.
+    """
+
+    def __init__(
+        self, cloud: Float32, origin: Float64, config: VerificationConfig | None = None
+    ) -> None:
+        self.config = config or VerificationConfig()
+        self._cloud = cloud
+        self._origin = origin
+        self._index = _native.PointIndex(
+            cloud, max(self.config.coarse_radius, self.config.overlap_radius)
+        )
+
+    def verify(self, scene: Segmentation, hypotheses: list[Hypothesis]) -> Verdict:
+        """Rank the candidates, refine the best and decide.
+
+        A pose is believed when enough distinct segments agree with it, enough of the live cloud
+        lies on the map after ICP, and no different place explains the scan about as well.
+        """
+        if not hypotheses:
+            return Verdict("no consistent matches", None, None, 0.0)
+        sample = _thinned(scene.structure, self.config.sample)
+        ranked = self._ranked(hypotheses, sample)
+        verdicts = [self._judge(ranked, i, scene, sample) for i in range(self._worth_refining(ranked))]
+        accepted = [v for v in verdicts if not v.reason]
+        return max(accepted or verdicts[:1], key=lambda v: v.confidence)
+
+    def _ranked(self, hypotheses: list[Hypothesis], sample: Float32) -> list[Hypothesis]:
+        poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
+        overlap, rmse = self._index.overlap(sample, poses, self.config.coarse_radius)
+        scored = [
+            replace(h, overlap=float(o), rmse=float(r))
+            for h, o, r in zip(hypotheses, overlap, rmse, strict=True)
+        ]
+        return sorted(scored, key=_support, reverse=True)
+
+    def _worth_refining(self, ranked: list[Hypothesis]) -> int:
+        """ICP is not spent on candidates far below the best; the best one is always judged."""
+        best = _support(ranked[0])
+        worth = [h for h in ranked[: self.config.max_refined] if _support(h) >= 0.5 * best]
+        return max(len(worth), 1)
+
+    def _judge(
+        self, ranked: list[Hypothesis], chosen: int, scene: Segmentation, sample: Float32
+    ) -> Verdict:
+        config, coarse = self.config, ranked[chosen]
+        if coarse.inliers < config.min_inliers:
+            reason = f"too few inliers ({coarse.inliers} < {config.min_inliers})"
+            return Verdict(reason, coarse, _elsewhere(ranked, coarse, config.separation), 0.0)
+        best = self._refined(coarse, scene, sample)
+        runner_up = _elsewhere(ranked, best, config.separation)
+        p = confidence(best)
+        if best.overlap < config.min_overlap:
+            reason = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
+        elif runner_up and _support(runner_up) > config.ambiguity * _support(coarse):
+            reason = "ambiguous"
+        elif p < config.min_confidence:
+            reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
+        else:
+            reason = ""
+        return Verdict(reason, best, runner_up, p)
+
+    def _refined(self, coarse: Hypothesis, scene: Segmentation, sample: Float32) -> Hypothesis:
+        config = self.config
+        T = self._relative(coarse.T_map_local)
+        covariance = None
+        if config.refine:
+            T, covariance = self._icp(T, scene)
+        overlap, rmse = self._index.overlap(sample, T[None], config.overlap_radius)
+        return Hypothesis(
+            geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
+            coarse.inliers,
+            float(overlap[0]),
+            float(rmse[0]),
+            covariance,
+        )
+
+    def _icp(self, T: Pose, scene: Segmentation) -> tuple[Pose, Float64 | None]:
+        """Generalised ICP against the map around the candidate; unchanged where it fails."""
+        config = self.config
+        near = self._index.within(float(T[0, 3]), float(T[1, 3]), config.icp_radius)
+        if len(near) < 20 or len(scene.structure) < 20:
+            return T, None
+        target, tree = small_gicp.preprocess_points(
+            self._cloud[near].astype(np.float64), config.icp_voxel
+        )
+        source, _ = small_gicp.preprocess_points(
+            scene.structure.astype(np.float64), config.icp_voxel
+        )
+        result = small_gicp.align(
+            target, source, tree, T, "GICP", max_correspondence_distance=config.icp_reach
+        )
+        refined = np.array(result.T_target_source)
+        moved = geometry.inverse(T) @ refined
+        if not np.isfinite(refined).all() or np.linalg.norm(moved[:3, 3]) > config.separation:
+            return T, None
+        return geometry.orthonormal(refined), _covariance(result)
+
+    def _relative(self, T_map_local: Pose) -> Pose:
+        return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
+
+
+def confidence(hypothesis: Hypothesis) -> float:
+    """Probability that a refined hypothesis is right, from its inliers and its overlap."""
+    score = -14.0 + 2.5 * math.log(max(hypothesis.inliers, 1)) + 17.0 * hypothesis.overlap
+    return 1.0 / (1.0 + math.exp(-score))
+
+
+def _support(hypothesis: Hypothesis) -> float:
+    return hypothesis.inliers * hypothesis.overlap
+
+
+def _elsewhere(
+    ranked: list[Hypothesis], best: Hypothesis, separation: float
+) -> Hypothesis | None:
+    """The best hypothesis at a different place or with a different heading."""
+    for other in ranked:
+        delta = geometry.inverse(best.T_map_local) @ other.T_map_local
+        turned = abs(geometry.heading(delta)) > math.radians(15)
+        if turned or np.linalg.norm(delta[:2, 3]) > separation:
+            return other
+    return None
+
+
+def _thinned(points: Float32, count: int) -> Float32:
+    """At most ``count`` of the points, evenly spread over their (spatially sorted) order."""
+    step = max(1, -(-len(points) // count))
+    return np.ascontiguousarray(points[::step])
+
+
+def _covariance(result: small_gicp.RegistrationResult) -> Float64 | None:
+    """Covariance of (rotation, translation) from the curvature of the ICP cost."""
+    degrees = 3 * result.num_inliers - 6
+    H = np.array(result.H)
+    if degrees <= 0 or not np.isfinite(H).all() or np.linalg.cond(H) > 1e12:
+        return None
+    covariance: Float64 = np.linalg.inv(H) * (2.0 * result.error / degrees)
+    return (covariance + covariance.T) / 2
