@@ -5,6 +5,7 @@
 namespace segloc::bindings {
 
 void bind_geometry(nb::module_& m);
+void bind_io(nb::module_& m);
 
 }  // namespace segloc::bindings
 
@@ -13,4 +14,5 @@ NB_MODULE(_native, m) {
   m.attr("__version__") = SEGLOC_VERSION;
   m.def("resolve_threads", &segloc::resolve_threads, nanobind::arg("threads"));
   segloc::bindings::bind_geometry(m);
+  segloc::bindings::bind_io(m);
 }

@@ -60,7 +60,9 @@ class Config(BaseModel):
         values = {} if path is None else _read_yaml(Path(path))
         preset = cls.preset(method or str(values.get("method", "geo")))
         try:
-            return cls.model_validate(_merged(preset.model_dump(), {**values, "method": preset.method}))
+            return cls.model_validate(
+                _merged(preset.model_dump(), {**values, "method": preset.method})
+            )
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])

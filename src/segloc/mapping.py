@@ -100,9 +100,7 @@ def build_map(
     return site
 
 
-def _plan(
-    poses: np.ndarray, config: Config, every_m: float | None
-) -> Iterator[tuple[int, range]]:
+def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> Iterator[tuple[int, range]]:
     """The views of a map: (index of the reference scan, scans it gathers), along the way."""
     way = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []

@@ -79,7 +79,9 @@ class Verifier:
             return Verdict("no consistent matches", None, None, 0.0)
         sample = _thinned(scene.structure, self.config.sample)
         ranked = self._ranked(hypotheses, sample)
-        verdicts = [self._judge(ranked, i, scene, sample) for i in range(self._worth_refining(ranked))]
+        verdicts = [
+            self._judge(ranked, i, scene, sample) for i in range(self._worth_refining(ranked))
+        ]
         accepted = [v for v in verdicts if not v.reason]
         return max(accepted or verdicts[:1], key=lambda v: v.confidence)
 
@@ -168,9 +170,7 @@ def _support(hypothesis: Hypothesis) -> float:
     return hypothesis.inliers * hypothesis.overlap
 
 
-def _elsewhere(
-    ranked: list[Hypothesis], best: Hypothesis, separation: float
-) -> Hypothesis | None:
+def _elsewhere(ranked: list[Hypothesis], best: Hypothesis, separation: float) -> Hypothesis | None:
     """The best hypothesis at a different place or with a different heading."""
     for other in ranked:
         delta = geometry.inverse(best.T_map_local) @ other.T_map_local
@@ -192,5 +192,6 @@ def _covariance(result: small_gicp.RegistrationResult) -> Float64 | None:
     H = np.array(result.H)
     if degrees <= 0 or not np.isfinite(H).all() or np.linalg.cond(H) > 1e12:
         return None
-    covariance: Float64 = np.linalg.inv(H) * (2.0 * result.error / degrees)
-    return (covariance + covariance.T) / 2
+    inverse = np.linalg.inv(H) * (2.0 * result.error / degrees)
+    covariance: Float64 = (inverse + inverse.T) / 2
+    return covariance

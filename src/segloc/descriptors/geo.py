@@ -35,7 +35,8 @@ class GeoDescriptor(Descriptor):
         if len(segments) == 0:
             return Descriptors(np.empty((0, self.dim), np.float32))
         starts, counts = segments.offsets[:-1], segments.sizes
-        centred: Float64 = segments.points - np.repeat(segments.centroids, counts, axis=0)
+        points = segments.points.astype(np.float64)
+        centred = points - np.repeat(segments.centroids, counts, axis=0)
         covariance = _covariances(centred, starts, counts)
         spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[:, ::-1], 0.0))
         lengths = np.concatenate([_extents(centred, covariance, starts, counts), spreads], axis=1)

@@ -1,0 +1,62 @@
+"""Headerless float32 rows: KITTI's ``.bin`` and nuScenes' ``.pcd.bin``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..types import Float32, Scan
+
+_WIDTHS = (4, 3, 5)  # KITTI's own first
+_FEWEST_ROWS = 100
+_MANY_ROWS = 30_000
+_STEP = 61  # prime to all widths, so that sampled rows of a wrong width still mix all columns
+_LEAST_RATIO = 1.5
+
+
+def parse_kitti(data: bytes) -> Scan:
+    """Rows of x, y, z, reflectance; zero bytes are zero points, as there is no header to miss.
+
+    Files called .bin are also found with three columns (no reflectance) and with five (a ring).
+    Nothing in them says so, but read in rows of a wrong width, each column is the same mixture
+    of all: 3 or 5 are taken where rows of 4 look mixed and those do not.
+    """
+    if len(data) % 4:
+        raise DatasetError(f"{len(data)} bytes are not a whole number of float32")
+    values = _values(data)
+    fitting = [width for width in _WIDTHS if len(values) % width == 0]
+    default = fitting[:1] if fitting[:1] == [4] else []
+    widths = [width for width in fitting if _columns_differ(values.reshape(-1, width))] + default
+    if not widths:
+        raise DatasetError(f"{len(data)} bytes are not rows of 4 float32")
+    return Scan(values.reshape(-1, widths[0]))
+
+
+def parse_nuscenes(data: bytes) -> Scan:
+    """Rows of x, y, z, intensity, ring."""
+    if len(data) % 20:
+        raise DatasetError(f"{len(data)} bytes are not rows of 5 float32")
+    return Scan(_values(data).reshape(-1, 5))
+
+
+def _values(data: bytes) -> Float32:
+    return np.frombuffer(data, dtype="<f4") if data else np.empty(0, dtype=np.float32)
+
+
+def _columns_differ(rows: Float32) -> bool:
+    """Whether the widest column spreads clearly wider than the narrowest."""
+    sample = rows[:: _STEP if len(rows) > _MANY_ROWS else 1]
+    with np.errstate(all="ignore"):
+        sample = sample[np.isfinite(sample).all(axis=1)]
+        if len(sample) < _FEWEST_ROWS:
+            return False
+        low, high = np.percentile(sample.astype(np.float64), [10, 90], axis=0)
+    spreads = high - low
+    return bool(spreads.max() > _LEAST_RATIO * spreads.min())
+
+
+def format_kitti(points: Float32) -> bytes:
+    """Rows of x, y, z and a reflectance of 0."""
+    rows = np.zeros((len(points), 4), dtype="<f4")
+    rows[:, :3] = points
+    return rows.tobytes()

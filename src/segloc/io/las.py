@@ -1,0 +1,146 @@
+"""ASPRS ``.las`` and ``.laz``, by laspy."""
+
+from __future__ import annotations
+
+import io
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DatasetError, MissingDependency
+from ..types import Float32, Scan
+from ._columns import scan_from_columns
+
+if TYPE_CHECKING:
+    import laspy
+
+RESOLUTION = 0.001
+"""Metres to which written coordinates are rounded."""
+
+_RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # of point formats 0 to 10
+_COMPRESSED = 0x80
+_CHUNK = 1 << 18  # points decompressed at a time: no header's count is believed
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The part of the public header that laspy takes on trust."""
+
+    points_start: int
+    num_vlrs: int
+    point_format: int
+    record_size: int
+    points: int
+    compressed: bool
+
+
+def parse_las(data: bytes) -> Scan:
+    """The points, scaled to metres, and GPS times where any is not zero."""
+    header = _parse_header(data)
+    if header.points == 0:
+        return Scan(np.empty((0, 3), dtype=np.float32))
+    laspy = _import_laspy("reading .las and .laz files")
+    try:
+        with laspy.open(
+            io.BytesIO(data), read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs
+        ) as reader:
+            _check_items(reader, header)
+            columns = _read_columns(reader)
+    except DatasetError:
+        raise
+    except Exception as error:  # laspy and lazrs let many kinds through where bytes are wrong
+        raise DatasetError(f"cannot decode the points: {' '.join(str(error).split())}") from error
+    if len(columns[0]) != header.points:
+        raise DatasetError(f"{header.points} points announced, {len(columns[0])} found")
+    return scan_from_columns(columns)
+
+
+def _import_laspy(purpose: str) -> Any:
+    try:
+        import laspy
+        import lazrs  # noqa: F401
+    except ImportError as error:
+        raise MissingDependency("laspy[lazrs]", "io", purpose) from error
+    return laspy
+
+
+def _parse_header(data: bytes) -> _Header:
+    if len(data) < 227 or data[:4] != b"LASF":
+        raise DatasetError("not a LAS file")
+    minor = data[25]
+    header_size, points_start, num_vlrs = struct.unpack_from("<HII", data, 94)
+    format_byte, record_size, points = struct.unpack_from("<BHI", data, 104)
+    if data[24] != 1 or minor > 4 or header_size < (375 if minor == 4 else 227):
+        raise DatasetError(f"not a LAS file of version 1.0 to 1.4: {data[24]}.{minor}")
+    if minor == 4 and len(data) >= 375:
+        points = struct.unpack_from("<Q", data, 247)[0] or points
+    header = _Header(
+        points_start, num_vlrs, format_byte & 0x3F, record_size, points, format_byte >= _COMPRESSED
+    )
+    _check_header(header, header_size, len(data))
+    return header
+
+
+def _check_header(header: _Header, header_size: int, file_size: int) -> None:
+    if not header_size + 54 * header.num_vlrs <= header.points_start <= file_size:
+        raise DatasetError("the header is cut off or corrupt")
+    if header.point_format >= len(_RECORD_SIZES):
+        raise DatasetError(f"unknown point format {header.point_format}")
+    if header.record_size < _RECORD_SIZES[header.point_format]:
+        raise DatasetError(f"point records of {header.record_size} bytes are too short")
+    needed = header.points * header.record_size
+    if not header.compressed and needed > file_size - header.points_start:
+        raise DatasetError(f"{header.points} points need {needed} bytes; the file is cut off")
+
+
+def _check_items(reader: laspy.LasReader, header: _Header) -> None:
+    """The decompressor must fill records of the size that the header gives."""
+    if not header.compressed:
+        return
+    import lazrs
+
+    items = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
+    if items.item_size() != header.record_size:
+        raise DatasetError("the compressed records have another size than the header says")
+
+
+def _read_columns(reader: laspy.LasReader) -> list[NDArray[np.float64]]:
+    header = reader.header
+    timed = "gps_time" in header.point_format.dimension_names
+    chunks: list[list[NDArray[np.float64]]] = []
+    with np.errstate(all="ignore"):
+        for chunk in reader.chunk_iterator(_CHUNK):
+            columns = [
+                chunk.array[axis] * header.scales[i] + header.offsets[i]
+                for i, axis in enumerate("XYZ")
+            ]
+            chunks.append(columns + ([chunk.array["gps_time"]] if timed else []))
+    stacked = [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
+    # Most point formats have room for a time whether or not the writer knew one.
+    return stacked if timed and stacked[3].any() else stacked[:3]
+
+
+def format_laz(points: Float32) -> bytes:
+    """A LAZ file of point format 0 with coordinates in steps of ``RESOLUTION``.
+
+    Raises
+    ------
+    DatasetError
+        If a coordinate is beyond what 32 bits of such steps can hold, about 2147 km.
+    """
+    laspy = _import_laspy("writing .laz files")
+    steps = np.rint(points.astype(np.float64) / RESOLUTION)
+    if np.abs(steps).max(initial=0) > np.iinfo(np.int32).max:
+        raise DatasetError("coordinates beyond 2147 km do not fit a .laz file")
+    header = laspy.LasHeader(version="1.2", point_format=0)
+    header.scales = np.full(3, RESOLUTION)
+    header.offsets = np.zeros(3)
+    header.creation_date = None  # the same points make the same bytes
+    las = laspy.LasData(header)
+    las.X, las.Y, las.Z = steps.astype(np.int32).T
+    buffer = io.BytesIO()
+    las.write(buffer, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+    return buffer.getvalue()

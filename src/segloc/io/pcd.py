@@ -1,0 +1,177 @@
+"""The Point Cloud Library's ``.pcd``: ASCII, binary and binary_compressed, any field layout."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _native
+from ..errors import DatasetError
+from ..types import Float32, Scan
+from ._columns import (
+    column,
+    header_lines,
+    parse_count,
+    require_bytes,
+    scan_from_columns,
+    wanted_columns,
+)
+from .text import parse_table
+
+_KINDS = {"F": ("f", (4, 8)), "I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8))}
+
+
+@dataclass(frozen=True)
+class _Field:
+    """One field of a point: ``count`` values of ``size`` bytes."""
+
+    name: str
+    size: int
+    kind: str
+    count: int
+
+    @property
+    def num_bytes(self) -> int:
+        return self.size * self.count
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        letter, sizes = _KINDS.get(self.kind, ("", ()))
+        if self.size not in sizes:
+            raise DatasetError(f"field {self.name} has type {self.kind!r} of size {self.size}")
+        return np.dtype(f"<{letter}{self.size}")
+
+
+@dataclass(frozen=True)
+class _Header:
+    fields: tuple[_Field, ...]
+    points: int
+    encoding: str
+    start: int
+    """Where the points start."""
+
+    @property
+    def stride(self) -> int:
+        return sum(field.num_bytes for field in self.fields)
+
+    @property
+    def wanted(self) -> list[int]:
+        # A field of several values is no coordinate.
+        return wanted_columns([field.name if field.count == 1 else "" for field in self.fields])
+
+    @property
+    def integer_times(self) -> bool:
+        return self.fields[self.wanted[-1]].kind in ("I", "U")
+
+
+def parse_pcd(data: bytes) -> Scan:
+    """Read a PCD file; VIEWPOINT is ignored, so points stay in the frame they are stored in."""
+    header = _parse_header(data)
+    if header.encoding == "ascii":
+        return _parse_ascii(data, header)
+    if header.encoding == "binary":
+        return _parse_binary(data, header)
+    if header.encoding == "binary_compressed":
+        return _parse_compressed(data, header)
+    raise DatasetError(f"DATA is {header.encoding[:40]!r}, not ascii, binary or binary_compressed")
+
+
+def _parse_header(data: bytes) -> _Header:
+    entries: dict[str, list[str]] = {}
+    for words, start in header_lines(data):
+        if words and not words[0].startswith("#"):
+            entries[words[0]] = words[1:]
+        if "DATA" in entries:
+            fields, points = _parse_fields(entries), _parse_num_points(entries)
+            return _Header(fields, points, " ".join(entries["DATA"]), start)
+    raise DatasetError("not a PCD file: its header has no DATA line")
+
+
+def _parse_fields(entries: dict[str, list[str]]) -> tuple[_Field, ...]:
+    names = entries.get("FIELDS", entries.get("COLUMNS", []))  # COLUMNS: before version 0.6
+    rows = {"SIZE": entries.get("SIZE", []), "TYPE": entries.get("TYPE", [])}
+    rows["COUNT"] = entries.get("COUNT", ["1"] * len(names))
+    for key, values in rows.items():
+        if len(values) != len(names):
+            raise DatasetError(f"{len(names)} FIELDS but {len(values)} in the {key} line")
+    return tuple(
+        _Field(name, parse_count(size, "a SIZE"), kind, parse_count(count, "a COUNT"))
+        for name, size, kind, count in zip(
+            names, rows["SIZE"], rows["TYPE"], rows["COUNT"], strict=True
+        )
+    )
+
+
+def _parse_num_points(entries: dict[str, list[str]]) -> int:
+    def count(key: str, default: str | None = None) -> int:
+        words = entries.get(key, [] if default is None else [default])
+        if len(words) != 1:
+            raise DatasetError(f"the header needs one {key}")
+        return parse_count(words[0], key)
+
+    if "WIDTH" not in entries:
+        return count("POINTS")
+    grid = count("WIDTH") * count("HEIGHT", "1")
+    if count("POINTS", str(grid)) != grid:
+        raise DatasetError(f"POINTS is {entries['POINTS'][0]}, but WIDTH x HEIGHT is {grid}")
+    return grid
+
+
+def _parse_ascii(data: bytes, header: _Header) -> Scan:
+    firsts = np.cumsum([0] + [field.count for field in header.fields], dtype=object)
+    table = parse_table(
+        data[header.start :],
+        columns=[int(firsts[position]) for position in header.wanted],
+        width=int(firsts[-1]),
+        rows=header.points,
+    )
+    return scan_from_columns(list(table.T), nanoseconds=header.integer_times)
+
+
+def _parse_binary(data: bytes, header: _Header) -> Scan:
+    needed = header.points * header.stride
+    require_bytes(len(data) - header.start, needed, f"{header.points} points")
+    columns = []
+    for position in header.wanted:
+        offset = sum(field.num_bytes for field in header.fields[:position])
+        dtype = header.fields[position].dtype
+        columns.append(column(data, dtype, header.points, header.start + offset, header.stride))
+    return scan_from_columns(columns)
+
+
+def _parse_compressed(data: bytes, header: _Header) -> Scan:
+    """Two sizes, then LZF over the fields one after another rather than point by point."""
+    fields = _decompress(data, header.start, header.points * header.stride)
+    columns: list[NDArray[Any]] = []
+    for position in header.wanted:
+        start = header.points * sum(field.num_bytes for field in header.fields[:position])
+        dtype = header.fields[position].dtype
+        columns.append(column(fields, dtype, header.points, start, dtype.itemsize))
+    return scan_from_columns(columns)
+
+
+def _decompress(data: bytes, start: int, expected: int) -> NDArray[np.uint8]:
+    require_bytes(len(data) - start, 8, "the sizes of the compressed data")
+    compressed, size = struct.unpack_from("<II", data, start)
+    if size != expected:
+        raise DatasetError(f"the points need {expected} bytes, but {size} were compressed")
+    require_bytes(len(data) - start - 8, compressed, "the compressed points")
+    try:
+        return _native.lzf_decompress(column(data, np.uint8, compressed, start + 8, 1), size)
+    except ValueError as error:
+        raise DatasetError(str(error)) from error
+
+
+def format_pcd(points: Float32) -> bytes:
+    """A binary PCD with the fields x, y, z as float32."""
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
+        "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"POINTS {len(points)}\nDATA binary\n"
+    )
+    return header.encode("ascii") + points.astype("<f4").tobytes()

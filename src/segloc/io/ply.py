@@ -1,0 +1,158 @@
+"""Stanford's ``.ply``: ASCII and binary of either byte order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..types import Float32, Scan
+from ._columns import (
+    column,
+    header_lines,
+    parse_count,
+    require_bytes,
+    scan_from_columns,
+    wanted_columns,
+)
+from .text import parse_table
+
+_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    type: str
+    length_type: str | None = None
+    """Type of the length in front of the values, where the property is a list."""
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property] = field(default_factory=list)
+
+    @property
+    def has_lists(self) -> bool:
+        return any(prop.length_type for prop in self.properties)
+
+    @property
+    def stride(self) -> int:
+        """Bytes of one row without lists."""
+        return sum(np.dtype(prop.type).itemsize for prop in self.properties)
+
+
+def parse_ply(data: bytes) -> Scan:
+    """The vertices; elements before and after them may hold anything, lists too."""
+    order, elements, start = _parse_header(data)
+    names = [element.name for element in elements]
+    if names.count("vertex") != 1:
+        raise DatasetError(f"{names.count('vertex')} vertex elements, not 1")
+    before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
+    if vertex.has_lists:
+        raise DatasetError("a list among the properties of a vertex is not supported")
+    if order == "":
+        return _parse_ascii(data[start:], before, vertex)
+    for element in before:
+        start = _skip(data, start, element, order)
+    return _parse_binary(data, start, vertex, order)
+
+
+def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
+    lines = header_lines(data)
+    if next(lines, ([], 0))[0] != ["ply"]:
+        raise DatasetError("not a PLY file: the first line is not 'ply'")
+    order: str | None = None
+    elements: list[_Element] = []
+    for words, start in lines:
+        if words[:1] == ["format"] and len(words) > 1:
+            order = _ORDERS.get(words[1])
+        elif words[:1] == ["element"] and len(words) == 3:
+            elements.append(_Element(words[1], parse_count(words[2], f"count of {words[1]}")))
+        elif words[:1] == ["property"] and elements:
+            elements[-1].properties.append(_parse_property(words))
+        elif words == ["end_header"]:
+            if order is None:
+                raise DatasetError("the header names no known format")
+            return order, elements, start
+        elif words and words[0] not in ("comment", "obj_info"):
+            raise DatasetError(f"unknown line in the header: {' '.join(words)[:60]!r}")
+    raise DatasetError("the header has no end_header line")
+
+
+def _parse_property(words: list[str]) -> _Property:
+    types = words[2:4] if words[1:2] == ["list"] else words[1:2]
+    codes = [_TYPES.get(word) for word in types]
+    if len(words) != len(types) + (3 if len(types) == 2 else 2) or None in codes:
+        raise DatasetError(f"unknown property: {' '.join(words)[:60]!r}")
+    if len(codes) == 1:
+        return _Property(words[-1], str(codes[0]))
+    if codes[0] in ("f4", "f8"):
+        raise DatasetError(f"the length of list {words[-1]} is not an integer")
+    return _Property(words[-1], str(codes[1]), codes[0])
+
+
+def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
+    names = [prop.name for prop in vertex.properties]
+    columns = wanted_columns(names)
+    lines = [line for line in data.split(b"\n") if line.strip()]
+    start = sum(element.count for element in before)
+    rows = lines[start : start + vertex.count]
+    table = parse_table(b"\n".join(rows), columns=columns, width=len(names), rows=vertex.count)
+    integer_times = vertex.properties[columns[-1]].type[0] in "iu"
+    return scan_from_columns(list(table.T), nanoseconds=integer_times)
+
+
+def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> Scan:
+    require_bytes(len(data) - start, vertex.count * vertex.stride, f"{vertex.count} vertices")
+    columns = []
+    for position in wanted_columns([prop.name for prop in vertex.properties]):
+        dtype = np.dtype(order + vertex.properties[position].type)
+        offset = sum(np.dtype(prop.type).itemsize for prop in vertex.properties[:position])
+        columns.append(column(data, dtype, vertex.count, start + offset, vertex.stride))
+    return scan_from_columns(columns)
+
+
+def _skip(data: bytes, start: int, element: _Element, order: str) -> int:
+    """Where the rows of ``element`` end."""
+    what = f"{element.count} rows of {element.name}"
+    if not element.has_lists:
+        require_bytes(len(data) - start, element.count * element.stride, what)
+        return start + element.count * element.stride
+    # Each row has the byte of a list's length at least, which bounds the loop.
+    require_bytes(len(data) - start, element.count, what)
+    for _ in range(element.count):
+        for prop in element.properties:
+            values = 1
+            if prop.length_type:
+                values, start = _list_length(data, start, order + prop.length_type)
+            start += values * np.dtype(prop.type).itemsize
+        require_bytes(len(data), start, what)
+    return start
+
+
+def _list_length(data: bytes, start: int, dtype: str) -> tuple[int, int]:
+    size = np.dtype(dtype).itemsize
+    require_bytes(len(data) - start, size, "a list's length")
+    length = int(np.frombuffer(data, dtype, count=1, offset=start)[0])
+    if length < 0:
+        raise DatasetError(f"a list has the length {length}")
+    return length, start + size
+
+
+def format_ply(points: Float32) -> bytes:
+    """A binary little endian PLY with the properties x, y, z as float."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    return header.encode("ascii") + points.astype("<f4").tobytes()

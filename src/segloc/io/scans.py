@@ -1,0 +1,140 @@
+"""Point clouds from and to files; the suffix of a file's name picks its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import DatasetError
+from ..types import Float32, Scan
+from ._atomic import write_atomically
+from .kitti_bin import format_kitti, parse_kitti, parse_nuscenes
+from .las import format_laz, parse_las
+from .npy import format_npy, parse_npy, parse_npz
+from .pcd import format_pcd, parse_pcd
+from .ply import format_ply, parse_ply
+from .text import format_csv, parse_csv, parse_txt
+from .vtk import parse_vtk
+
+_PARSERS: dict[str, Callable[[bytes], Scan]] = {
+    ".pcd.bin": parse_nuscenes,
+    ".bin": parse_kitti,
+    ".pcd": parse_pcd,
+    ".ply": parse_ply,
+    ".csv": parse_csv,
+    ".vtk": parse_vtk,
+    ".las": parse_las,
+    ".laz": parse_las,
+    ".npy": parse_npy,
+    ".npz": parse_npz,
+    ".txt": parse_txt,
+    ".xyz": parse_txt,
+}
+_FORMATTERS: dict[str, Callable[[Float32], bytes]] = {
+    ".bin": format_kitti,
+    ".pcd": format_pcd,
+    ".ply": format_ply,
+    ".csv": format_csv,
+    ".laz": format_laz,
+    ".npy": format_npy,
+}
+
+
+def scan_suffix(path: Path) -> str | None:
+    """The readable suffix that a file's name ends with, in lower case, or None."""
+    name = path.name.lower()
+    return next((suffix for suffix in _PARSERS if name.endswith(suffix)), None)
+
+
+def read_scan(path: str | Path) -> Scan:
+    """Read one point cloud.
+
+    ============== ==================================================================
+    suffix         format
+    ============== ==================================================================
+    .bin           KITTI: float32 x, y, z, reflectance
+    .pcd.bin       nuScenes: float32 x, y, z, intensity, ring
+    .pcd           PCL: ascii, binary, binary_compressed
+    .ply           ascii, binary of either byte order
+    .csv           named columns (libpointmatcher), or the first three
+    .txt .xyz      the same between white space, commas or semicolons, with comments
+    .vtk           legacy, ASCII and BINARY
+    .las .laz      needs the extra ``io``
+    .npy .npz      (N, >= 3); the key ``points`` or the only one, and ``times``
+    ============== ==================================================================
+
+    Times come from a field named t, time, timestamp or time_stamp, or from LAS GPS times: a number
+    with a fractional type is in seconds, an integer in nanoseconds. An empty file is a scan of no
+    points where the format has no header (.bin, .txt, .xyz), and an error elsewhere.
+
+    Raises
+    ------
+    DatasetError
+        If the file is missing, of an unknown format, cut off or malformed: one line that names the
+        file and the fault.
+    MissingDependency
+        If the format needs a package that is not installed.
+    """
+    path = Path(path)
+    suffix = scan_suffix(path)
+    if suffix is None:
+        raise DatasetError(f"{path}: unknown format; known are {', '.join(_PARSERS)}")
+    try:
+        return _PARSERS[suffix](read_file(path))
+    except DatasetError as error:
+        raise DatasetError(f"{path}: {error}") from error
+
+
+def read_file(path: Path) -> bytes:
+    """All bytes of a regular file.
+
+    Raises
+    ------
+    DatasetError
+        If there is none or it cannot be read.
+    """
+    try:
+        if not path.exists():
+            raise DatasetError("no such file")
+        if not path.is_file():  # a pipe or a device might never end
+            raise DatasetError("not a file")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"cannot read: {error}") from error
+
+
+def write_scan(path: str | Path, points: ArrayLike) -> None:
+    """Write x, y, z to a ``.bin``, ``.pcd``, ``.ply``, ``.npy``, ``.laz`` or ``.csv`` file.
+
+    All but ``.laz`` (steps of 1 mm) keep every bit of float32 coordinates. The file appears whole
+    or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Its folder must exist; a file of that name is replaced.
+    points : (N, >=3) array of any float dtype
+        Metres. Points that are not finite are left out.
+
+    Raises
+    ------
+    DatasetError
+        If the suffix is unknown or the file cannot be written.
+    InvalidScan
+        If the points have the wrong shape or dtype.
+    MissingDependency
+        If the format needs a package that is not installed.
+    """
+    path = Path(path)
+    suffix = scan_suffix(path)
+    if suffix not in _FORMATTERS:
+        raise DatasetError(f"{path}: cannot write this format; known are {', '.join(_FORMATTERS)}")
+    xyz = Scan(np.asarray(points)).points
+    try:
+        data = _FORMATTERS[suffix](xyz)
+    except DatasetError as error:
+        raise DatasetError(f"{path}: {error}") from error
+    write_atomically(path, data)

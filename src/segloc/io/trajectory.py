@@ -1,0 +1,215 @@
+"""Posed paths, and the two kinds of file that hold them: TUM and KITTI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from ..errors import DatasetError
+from ..types import Float64, Pose
+from ._atomic import write_atomically
+from .scans import read_file
+
+_UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals
+_ROTATION_TOLERANCE = 1e-3
+_KINDS: dict[int, Literal["tum", "kitti"]] = {8: "tum", 12: "kitti"}
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of a sensor over time.
+
+    Attributes
+    ----------
+    stamps : (N,) float64
+        Seconds, or any index; strictly rising.
+    poses : (N, 4, 4) float64
+        T_world_sensor.
+
+    Raises
+    ------
+    DatasetError
+        If a shape is wrong, a value is not finite, a pose is not rigid, or stamps do not rise.
+    """
+
+    stamps: Float64
+    poses: Float64
+
+    def __post_init__(self) -> None:
+        stamps = np.array(self.stamps, dtype=np.float64)
+        poses = np.array(self.poses, dtype=np.float64)
+        if stamps.ndim != 1 or poses.shape != (len(stamps), 4, 4):
+            raise DatasetError(f"stamps {stamps.shape} and poses {poses.shape} do not fit")
+        fault = _first_fault(stamps, poses)
+        if fault is not None:
+            raise DatasetError(f"pose {fault[0]}: {fault[1]}")
+        for name, array in (("stamps", stamps), ("poses", poses)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def at(self, stamp: float) -> Pose | None:
+        """The (4, 4) pose of exactly this stamp, or None."""
+        position = int(np.searchsorted(self.stamps, stamp))
+        if position == len(self) or self.stamps[position] != stamp:
+            return None
+        return np.array(self.poses[position])
+
+    def interpolate(self, stamp: float) -> Pose:
+        """The (4, 4) pose between two neighbours: linear in position, slerp in rotation.
+
+        Raises
+        ------
+        DatasetError
+            If the stamp lies before the first or after the last: nothing is extrapolated.
+        """
+        exact = self.at(stamp)
+        if exact is not None:
+            return exact
+        after = int(np.searchsorted(self.stamps, stamp))
+        if not 0 < after < len(self):  # NaN sorts behind everything
+            raise DatasetError(f"no poses around stamp {stamp}")
+        pair = slice(after - 1, after + 1)
+        start, end = self.stamps[pair]
+        share = (stamp - start) / (end - start)
+        T = np.eye(4)
+        T[:3, :3] = Slerp([0.0, 1.0], Rotation.from_matrix(self.poses[pair, :3, :3]))(
+            share
+        ).as_matrix()
+        T[:3, 3] = (1 - share) * self.poses[after - 1, :3, 3] + share * self.poses[after, :3, 3]
+        return T
+
+
+def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
+    """Position of the first pose that is wrong, and what is wrong with it."""
+    R = poses[:, :3, :3]
+    finite = np.isfinite(poses).all(axis=(1, 2))
+    with np.errstate(all="ignore"):
+        error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0)
+        rigid = (error <= _ROTATION_TOLERANCE) & (np.linalg.det(R) > 0)
+        rising = np.diff(stamps, prepend=-np.inf) > 0
+    rigid &= (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
+    faults = {
+        "a stamp that is not finite": ~np.isfinite(stamps),
+        "a value that is not finite": ~finite,
+        "not a rigid transform": ~rigid,
+        "stamps that do not rise": ~rising,
+    }
+    bad = np.logical_or.reduce(list(faults.values()))
+    if not bad.any():
+        return None
+    first = int(bad.argmax())
+    return first, next(what for what, where in faults.items() if where[first])
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read a TUM file (8 columns) or a KITTI file (12 columns); lines with # are comments.
+
+    TUM: ``stamp tx ty tz qx qy qz qw``, stamps rising, quaternions normalised. KITTI: the upper
+    three rows of each pose; the stamps are 0, 1, 2, ... A file of comments alone has no poses.
+
+    Raises
+    ------
+    DatasetError
+        Naming file and line: a wrong number of columns, text, NaN, a quaternion that is not of
+        unit length, a matrix that is not a rotation, stamps that do not rise.
+    """
+    return read_trajectory_and_kind(path)[0]
+
+
+def read_trajectory_and_kind(path: str | Path) -> tuple[Trajectory, Literal["tum", "kitti"]]:
+    """As :func:`read_trajectory`, and which of the two kinds the file was."""
+    path = Path(path)
+    try:
+        numbers, lines = _parse_rows(read_file(path))
+        kind = _KINDS[numbers.shape[1]]
+        stamps, poses = _from_tum(numbers, lines) if kind == "tum" else _from_kitti(numbers)
+        fault = _first_fault(stamps, poses)
+        if fault is not None:
+            raise DatasetError(f"line {lines[fault[0]]}: {fault[1]}")
+    except DatasetError as error:
+        raise DatasetError(f"{path}: {error}") from error
+    return Trajectory(stamps, poses), kind
+
+
+def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
+    """The numbers, (N, 8 or 12), and the number of the line that each row stands on."""
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for number, line in enumerate(data.decode("utf-8-sig", "replace").split("\n"), start=1):
+        words = line.split("#", 1)[0].split()
+        if not words:
+            continue
+        if len(words) not in _KINDS or (rows and len(words) != len(rows[0])):
+            expected = len(rows[0]) if rows else "8 (TUM) or 12 (KITTI)"
+            raise DatasetError(f"line {number}: {len(words)} columns, not {expected}")
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError as error:
+            raise DatasetError(f"line {number}: {str(error)[:80]}") from error
+        lines.append(number)
+    if not data.strip():
+        raise DatasetError("empty file")
+    return (np.array(rows) if rows else np.empty((0, 8))), lines
+
+
+def _from_tum(numbers: Float64, lines: list[int]) -> tuple[Float64, Float64]:
+    with np.errstate(all="ignore"):
+        norms = np.linalg.norm(numbers[:, 4:], axis=1)
+        unit = np.abs(norms - 1) <= _UNIT_TOLERANCE  # False for NaN
+    if not unit.all():
+        first = int(unit.argmin())
+        raise DatasetError(f"line {lines[first]}: a quaternion of length {norms[first]:g}, not 1")
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    if len(numbers):
+        poses[:, :3, :3] = Rotation.from_quat(numbers[:, 4:]).as_matrix()
+    poses[:, :3, 3] = numbers[:, 1:4]
+    return numbers[:, 0], poses
+
+
+def _from_kitti(numbers: Float64) -> tuple[Float64, Float64]:
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3] = numbers.reshape(-1, 3, 4)
+    return np.arange(len(numbers), dtype=np.float64), poses
+
+
+def write_tum(path: str | Path, trajectory: Trajectory) -> None:
+    """Write ``stamp tx ty tz qx qy qz qw`` with 9 decimals and qw >= 0; all of it or nothing.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be written, or two stamps are the same to 9 decimals.
+    """
+    path = Path(path)
+    if (np.diff(np.round(trajectory.stamps, 9)) <= 0).any():
+        raise DatasetError(f"{path}: two stamps are the same to 9 decimals")
+    rows = np.empty((len(trajectory), 8))
+    rows[:, 0] = trajectory.stamps
+    rows[:, 1:4] = trajectory.poses[:, :3, 3]
+    if len(trajectory):
+        rows[:, 4:] = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
+    rows[:, 4:] *= np.where(rows[:, 7:] < 0, -1.0, 1.0)  # q and -q are the same rotation
+    write_atomically(path, _format_rows(rows, "%.9f", "# stamp tx ty tz qx qy qz qw\n"))
+
+
+def write_kitti(path: str | Path, trajectory: Trajectory) -> None:
+    """Write the upper three rows of each pose, 12 numbers a line; stamps are not kept.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be written.
+    """
+    write_atomically(Path(path), _format_rows(trajectory.poses[:, :3].reshape(-1, 12), "%.12e", ""))
+
+
+def _format_rows(rows: Float64, number: str, header: str) -> bytes:
+    row = " ".join([number] * rows.shape[1]) + "\n"
+    return (header + "".join(row % tuple(values) for values in rows)).encode("ascii")

@@ -1,0 +1,71 @@
+"""The POINTS of legacy ``.vtk`` files, ASCII and BINARY (which is big endian)."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..types import Scan
+from ._columns import column, header_lines, parse_count, require_bytes, scan_from_columns
+
+_TYPES = {
+    "float": "f4", "double": "f8",
+    "char": "i1", "short": "i2", "int": "i4", "long": "i8", "vtktypeint64": "i8",
+    "unsigned_char": "u1", "unsigned_short": "u2", "unsigned_int": "u4", "unsigned_long": "u8",
+}  # fmt: skip
+_POINTS = re.compile(rb"^POINTS[ \t]+(\S{1,40})[ \t]+(\w{1,40})[ \t]*\r?\n", re.M | re.I)
+
+_LONGEST_NUMBER = 64
+
+
+def parse_vtk(data: bytes) -> Scan:
+    """The points of any dataset that lists them (poly data, unstructured and structured grids)."""
+    encoding, start = _parse_header(data)
+    found = _POINTS.search(data, start)
+    if found is None:
+        raise DatasetError("no POINTS line")
+    count = parse_count(found[1].decode("ascii", "replace"), "the number of POINTS")
+    name = found[2].decode("ascii").lower()
+    if name not in _TYPES:
+        raise DatasetError(f"points of unknown type {name!r}")
+    if encoding == "BINARY":
+        return _parse_binary(data, found.end(), count, np.dtype(f">{_TYPES[name]}"))
+    return _parse_ascii(data[found.end() :], count)
+
+
+def _parse_header(data: bytes) -> tuple[str, int]:
+    lines = header_lines(data)
+    magic, _ = next(lines, ([], 0))
+    if [word.lower() for word in magic[:3]] != ["#", "vtk", "datafile"]:
+        raise DatasetError("not a legacy VTK file: the first line is not '# vtk DataFile'")
+    next(lines, None)  # the title, any text
+    words, start = next(lines, ([], 0))
+    encoding = " ".join(words).upper()
+    if encoding not in ("ASCII", "BINARY"):
+        raise DatasetError(f"the third line is {encoding[:40]!r}, not ASCII or BINARY")
+    return encoding, start
+
+
+def _parse_binary(data: bytes, start: int, count: int, dtype: np.dtype[np.generic]) -> Scan:
+    size = dtype.itemsize
+    require_bytes(len(data) - start, 3 * size * count, f"{count} points")
+    return scan_from_columns(
+        [column(data, dtype, count, start + axis * size, 3 * size) for axis in range(3)]
+    )
+
+
+def _parse_ascii(data: bytes, count: int) -> Scan:
+    """Numbers in any number of columns: VTK itself writes three points to a line."""
+    require_bytes(len(data) + 1, 6 * count, f"{count} points")  # a digit and a space each at least
+    words = data.split(None, 3 * count)[: 3 * count]
+    if len(words) < 3 * count:
+        raise DatasetError(f"{count} points need {3 * count} numbers, but there are {len(words)}")
+    if max(map(len, words), default=0) > _LONGEST_NUMBER:  # an array is as wide as its longest
+        raise DatasetError(f"a number of more than {_LONGEST_NUMBER} digits")
+    try:
+        values = np.array(words, dtype=np.bytes_).astype(np.float64)
+    except ValueError as error:
+        raise DatasetError(f"cannot parse the points: {str(error)[:80]}") from error
+    return scan_from_columns(list(values.reshape(-1, 3).T))
