@@ -5,6 +5,7 @@
 #include "consensus.h"
 #include "ground.h"
 #include "point_index.h"
+#include "prosac.h"
 #include "voxel.h"
 
 namespace segloc::bindings {
@@ -47,20 +48,26 @@ auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t mi
   return std::make_tuple(to_numpy(std::move(clusters.points)), to_numpy(std::move(clusters.offsets)));
 }
 
+void require_matches(const In1<std::int64_t>& match_query, std::size_t queries,
+                     const In1<std::int64_t>& match_map, std::size_t segments) {
+  require(match_map.shape(0) == match_query.shape(0),
+          "match_query and match_map must have the same length");
+  for (std::size_t k = 0; k < match_query.shape(0); ++k) {
+    const std::int64_t q = match_query.data()[k], m = match_map.data()[k];
+    require(q >= 0 && static_cast<std::size_t>(q) < queries && m >= 0 &&
+                static_cast<std::size_t>(m) < segments,
+            "a match names a segment that does not exist");
+  }
+}
+
 auto pair_consensus_(const In2<double>& query, const In2<double>& map,
                      const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
                      double edge_tolerance, double inlier_tolerance, double height_tolerance,
                      double min_edge, double distinct_radius, double separation,
                      std::size_t max_pivots, std::size_t max_hypotheses, int threads) {
   require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  require_matches(match_query, query.shape(0), match_map, map.shape(0));
   const std::size_t n = match_query.shape(0);
-  require(match_map.shape(0) == n, "match_query and match_map must have the same length");
-  for (std::size_t k = 0; k < n; ++k) {
-    const std::int64_t q = match_query.data()[k], m = match_map.data()[k];
-    require(q >= 0 && static_cast<std::size_t>(q) < query.shape(0) && m >= 0 &&
-                static_cast<std::size_t>(m) < map.shape(0),
-            "a match names a segment that does not exist");
-  }
   const ConsensusOptions options{edge_tolerance,  inlier_tolerance, height_tolerance, min_edge,
                                  distinct_radius, separation,       max_pivots,       max_hypotheses};
   std::vector<PoseHypothesis> found;
@@ -79,6 +86,49 @@ auto pair_consensus_(const In2<double>& query, const In2<double>& map,
   }
   return std::make_tuple(to_numpy(std::move(poses), {found.size(), 4, 4}),
                          to_numpy(std::move(inliers)), to_numpy(std::move(scores)));
+}
+
+auto prosac_(const In2<double>& query, const In2<double>& map,
+             const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map, bool ordered,
+             bool yaw_only, double edge_tolerance, double inlier_tolerance, double min_edge,
+             double chance, double separation, std::size_t max_draws, std::size_t max_hypotheses,
+             std::uint64_t seed) {
+  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  ProsacOptions options;
+  options.ordered = ordered;
+  options.yaw_only = yaw_only;
+  options.edge_tolerance = edge_tolerance;
+  options.inlier_tolerance = inlier_tolerance;
+  options.min_edge = min_edge;
+  options.chance = chance;
+  options.separation = separation;
+  options.max_draws = max_draws;
+  options.max_hypotheses = max_hypotheses;
+  options.seed = seed;
+  std::vector<double> poses;
+  std::vector<std::int64_t> inliers;
+  {
+    nb::gil_scoped_release release;
+    const std::size_t n = match_query.shape(0);
+    std::vector<double> source, target;
+    for (std::size_t k = 0; k < n; ++k) {
+      const double *a = query.data() + 3 * match_query.data()[k];
+      const double *b = map.data() + 3 * match_map.data()[k];
+      source.insert(source.end(), a, a + 3);
+      target.insert(target.end(), b, b + 3);
+    }
+    for (const SampledHypothesis& h : prosac(source.data(), target.data(), match_query.data(),
+                                             match_map.data(), n, options)) {
+      for (int row = 0; row < 3; ++row) {
+        poses.insert(poses.end(), {h.T.R[3 * row], h.T.R[3 * row + 1], h.T.R[3 * row + 2], h.T.t[row]});
+      }
+      poses.insert(poses.end(), {0, 0, 0, 1});
+      inliers.push_back(static_cast<std::int64_t>(h.inliers));
+    }
+  }
+  const std::size_t found = inliers.size();
+  return std::make_tuple(to_numpy(std::move(poses), {found, 4, 4}), to_numpy(std::move(inliers)));
 }
 
 auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
@@ -113,6 +163,12 @@ void bind_geometry(nb::module_& m) {
         nb::arg("height_tolerance"), nb::arg("min_edge"), nb::arg("distinct_radius"),
         nb::arg("separation"), nb::arg("max_pivots"), nb::arg("max_hypotheses"),
         nb::arg("threads"));
+
+  m.def("prosac", &prosac_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("ordered"),
+        nb::arg("yaw_only"), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
+        nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("max_draws"),
+        nb::arg("max_hypotheses"), nb::arg("seed"));
 
   nb::class_<PointIndex>(m, "PointIndex")
       .def("__init__",

@@ -36,8 +36,8 @@ def add_view(
         session=session,
         stamp=float(seed),
         cloud=pose[:3, 3] + rng.normal(size=(300, 3)) * 5,
-        T_map_local=pose,
     )
+    site.add_trajectory(pose[None])
 
 
 def make_map(*seeds: int, session: int = 0, **options: Any) -> SegmentMap:
@@ -116,7 +116,7 @@ def test_views_are_added_in_order() -> None:
     assert site.quality is None and make_map(1, quality=True).quality is not None
     assert site.memory_bytes == 15 * (16 + 24 + 4 + 4 + 8) + len(site.cloud) * 12 + 24 + 3 * 128
     info = site.info()
-    assert (info["segments"], info["views"], info["sessions"]) == (15, 3, 1)
+    assert (info["segments"], info["poses"], info["sessions"]) == (15, 3, 1)
 
 
 def test_a_view_without_segments_still_adds_its_cloud() -> None:
@@ -211,7 +211,6 @@ GOOD: dict[str, Any] = {
         ({"cloud": np.zeros((5, 2))}, "cloud"),
         ({"cloud": np.zeros((5, 3), int)}, "cloud"),
         ({"cloud": np.full((5, 3), np.nan)}, "cloud"),
-        ({"T_map_local": np.eye(3)}, "T_map_local"),
     ],
 )
 def test_wrong_input_is_named_and_changes_nothing(change: dict[str, Any], fault: str) -> None:
@@ -256,3 +255,11 @@ def test_inputs_are_never_modified_or_kept(seed: int) -> None:
     copies = site.vectors.copy(), site.centroids.copy()
     vectors[:], centroids[:] = 0, 0
     assert np.array_equal(site.vectors, copies[0]) and np.array_equal(site.centroids, copies[1])
+
+
+@pytest.mark.parametrize("poses", [np.eye(4), np.eye(3)[None], 2 * np.eye(4)[None]])
+def test_a_wrong_trajectory_is_named_and_changes_nothing(poses: Any) -> None:
+    site = make_map(1)
+    with pytest.raises(SeglocError, match="poses"):
+        site.add_trajectory(poses)
+    assert_same(site, make_map(1))

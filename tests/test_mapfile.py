@@ -56,8 +56,8 @@ def make_map(
             session=view,
             stamp=view / 7,
             cloud=site.origin + rng.normal(size=(20, 3)),
-            T_map_local=np.eye(4),
         )
+        site.add_trajectory(np.eye(4)[None])
     return site
 
 

@@ -26,6 +26,22 @@ def pair_consensus(
     max_hypotheses: int,
     threads: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]: ...
+def prosac(
+    query: NDArray[np.float64],
+    map: NDArray[np.float64],
+    match_query: NDArray[np.int64],
+    match_map: NDArray[np.int64],
+    ordered: bool,
+    yaw_only: bool,
+    edge_tolerance: float,
+    inlier_tolerance: float,
+    min_edge: float,
+    chance: float,
+    separation: float,
+    max_draws: int,
+    max_hypotheses: int,
+    seed: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
 
 class PointIndex:
     def __init__(self, points: NDArray[np.float32], radius: float) -> None: ...

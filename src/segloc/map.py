@@ -146,7 +146,7 @@ class SegmentMap:
 
     @property
     def trajectory(self) -> Float64:
-        """Poses T_map_local of the views that the map was built from, (V, 4, 4) float64."""
+        """Poses T_map_sensor along which the map was recorded, (V, 4, 4) float64."""
         return _joined(self._trajectory)
 
     @property
@@ -164,7 +164,7 @@ class SegmentMap:
             "dim": self.dim,
             "segments": len(self),
             "sessions": len(np.unique(self.session)),
-            "views": len(self.trajectory),
+            "poses": len(self.trajectory),
             "has_quality": self.quality is not None,
             "cloud_points": len(self.cloud),
             "cloud_voxel_m": self.cloud_voxel,
@@ -185,7 +185,6 @@ class SegmentMap:
         session: int,
         stamp: float,
         cloud: ArrayLike,
-        T_map_local: ArrayLike | None = None,
     ) -> None:
         """Add one view.
 
@@ -202,8 +201,6 @@ class SegmentMap:
         stamp : float
         cloud : (N, 3) float32 or float64
             The view's points above the ground, map frame.
-        T_map_local : (4, 4) array, optional
-            The view's pose, appended to the trajectory.
 
         Raises
         ------
@@ -229,15 +226,27 @@ class SegmentMap:
             raise SeglocError(
                 f"cloud must be (N, 3) floating point, not {points.shape} {points.dtype}"
             )
-        pose = None if T_map_local is None else checked_pose(T_map_local, "T_map_local")
         if count and len(self) and ("quality" in columns) != ("quality" in self._columns):
             raise MapMismatch("either all views of a map have descriptor quality or none")
         self._cloud.add(points)
-        if pose is not None:
-            self._trajectory.append(pose[None])
         if count:
             for name, array in columns.items():
                 self._columns.setdefault(name, []).append(array)
+
+    def add_trajectory(self, poses: ArrayLike) -> None:
+        """Add the way of the sensor: (V, 4, 4) poses T_map_sensor.
+
+        It tells which places the map covers, and it is drawn in pictures.
+
+        Raises
+        ------
+        SeglocError
+            If the shape is wrong or a pose is not a rigid transform.
+        """
+        array = _checked(poses, "poses", (len(np.asarray(poses)), 4, 4), np.float64)
+        self._trajectory.append(
+            np.array([checked_pose(T, "poses") for T in array]).reshape(-1, 4, 4)
+        )
 
     def merge(self, other: SegmentMap) -> SegmentMap:
         """A new map of everything that either map holds.

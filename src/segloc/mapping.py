@@ -89,12 +89,12 @@ def build_map(
             session=0,
             stamp=float(sequence.indices[index]),
             cloud=geometry.transform(T_map_local, scene.structure),
-            T_map_local=T_map_local,
         )
         if progress:
             progress(done + 1, len(plan))
     if len(site) == 0:
         raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
+    site.add_trajectory(poses)
     site.metadata["config"] = config.to_yaml()
     site.metadata["sequence"] = sequence.name
     return site

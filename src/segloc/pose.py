@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import _native
-from .types import Float64, Hypothesis, Matches
+from .types import Float64, Hypothesis, Int64, Matches
 
 
 class PoseConfig(BaseModel):
@@ -27,6 +27,10 @@ class PoseConfig(BaseModel):
     )
     separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
     max_pivots: int = Field(128, ge=1, description="candidates refined by consensus")
+    max_draws: int = Field(2_000_000, ge=1, description="samples of prosac and ransac at most")
+    chance: float = Field(
+        0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"
+    )
     max_hypotheses: int = Field(8, ge=1, description="candidates handed to verification")
 
 
@@ -51,6 +55,11 @@ class PoseEstimator:
             Segment centroids of the map, map frame (z up).
         matches : Matches
         """
+        find = self._consensus if self.config.estimator == "consensus" else self._sampled
+        poses, inliers = find(query, site, matches)
+        return [Hypothesis(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
+
+    def _consensus(self, query: Float64, site: Float64, matches: Matches) -> tuple[Float64, Int64]:
         config = self.config
         poses, inliers, _ = _native.pair_consensus(
             query,
@@ -67,4 +76,23 @@ class PoseEstimator:
             max_hypotheses=config.max_hypotheses,
             threads=self._threads,
         )
-        return [Hypothesis(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
+        return poses, inliers
+
+    def _sampled(self, query: Float64, site: Float64, matches: Matches) -> tuple[Float64, Int64]:
+        config = self.config
+        return _native.prosac(
+            query,
+            site,
+            matches.query,
+            matches.map,
+            ordered=config.estimator == "prosac",
+            yaw_only=False,
+            edge_tolerance=config.edge_tolerance,
+            inlier_tolerance=config.inlier_tolerance,
+            min_edge=config.min_edge,
+            chance=config.chance,
+            separation=config.separation,
+            max_draws=config.max_draws,
+            max_hypotheses=config.max_hypotheses,
+            seed=self._seed,
+        )
