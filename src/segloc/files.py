@@ -25,7 +25,7 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     SeglocError
         If the file cannot be written; names it and the fault.
     """
-    target = _checked_target(Path(path))
+    target = checked_target(Path(path))
     temporary = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("xb") as stream:
@@ -48,7 +48,14 @@ def write_text(path: str | Path, text: str) -> None:
         stream.write(text.encode())
 
 
-def _checked_target(path: Path) -> Path:
+def checked_target(path: Path) -> Path:
+    """The file that ``path`` stands for, if one can be written there.
+
+    Raises
+    ------
+    SeglocError
+        If it is a folder or a device, or its folder does not exist.
+    """
     target = Path(os.path.realpath(path))  # a link keeps pointing to the file
     if target.is_dir():
         raise SeglocError(f"{path}: cannot be written: is a directory")

@@ -1,1 +1,64 @@
+"""The command line: one module a verb. Heavy imports happen inside the verbs."""
 
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from ..errors import SeglocError
+from . import config, demo, localize, map_build, map_info, map_merge
+
+_CONTEXT = {"help_option_names": ["-h", "--help"]}
+
+app = typer.Typer(
+    name="segloc",
+    help="Global LiDAR localization: a pose in a prior map from one point cloud.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings=_CONTEXT,
+)
+maps = typer.Typer(help="Build, inspect and merge maps.", no_args_is_help=True)
+app.add_typer(maps, name="map", context_settings=_CONTEXT)
+app.command("demo")(demo.demo)
+app.command("localize")(localize.localize)
+app.command("config")(config.config)
+maps.command("build")(map_build.build)
+maps.command("info")(map_info.info)
+maps.command("merge")(map_merge.merge)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from .._native import __version__  # also proves that the native module loads
+
+        print(f"segloc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print it."),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line. What is the user's to mend ends as one line and exit status 1."""
+    try:
+        app()
+    except (SeglocError, OSError) as error:
+        print(f"segloc: error: {_one_line(error)}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _one_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror.lower()}"
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,48 @@
+"""What a verb shows: progress on stderr, tables on stdout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+Update = Callable[[int, int], None]
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Update]:
+    """A bar on stderr that is moved by calling ``update(done, total)``; none without a terminal."""
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with Progress(
+        *columns,
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bars:
+        task = bars.add_task(label, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+def note(text: str) -> None:
+    """A remark on stderr."""
+    Console(stderr=True).print(f"segloc: note: {text}", markup=False, highlight=False)
+
+
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table whose first column is text and whose others are numbers."""
+    shown = Table(title=title, title_justify="left", title_style="bold", show_header=any(header))
+    for i, name in enumerate(header):
+        shown.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
+    for row in rows:
+        shown.add_row(*row)
+    Console().print(shown)
+
+
+def number(value: float | None, unit: str = "", digits: int = 2) -> str:
+    """A number with its unit, or a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"

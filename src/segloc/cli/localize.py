@@ -1,0 +1,117 @@
+"""``segloc localize``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import (
+    ConfigFile,
+    Every,
+    Poses,
+    Recording,
+    Select,
+    Threads,
+    check_every,
+    load_config,
+)
+
+if TYPE_CHECKING:
+    from ..datasets import Sequence
+    from ..types import Float64, Int64
+
+
+def localize(
+    sequence: Recording,
+    site: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
+    poses: Poses = None,
+    select: Select = None,
+    every: Every = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="True poses in the map's frame, to score against.")
+    ] = None,
+    tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 3.0,
+    tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 5.0,
+    config: ConfigFile = None,
+    threads: Threads = 0,
+) -> None:
+    """Find the scans of a recording in a map, each by itself and without an initial guess.
+
+    With --poses, a query is a cloud gathered over the way behind it; otherwise one scan.
+    """
+    from ..datasets import open_sequence
+    from ..evaluation.localization import Evaluation, Tolerance, localize_sequence
+    from ..localizer import Localizer
+    from ..map import SegmentMap
+    from .console import progress
+    from .results import check_folder, write_results
+
+    check_every(every)
+    check_folder(out)
+    prior = SegmentMap.load(site)
+    localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
+    recording = open_sequence(sequence, poses, select)
+    truths = None if truth is None else open_sequence(sequence, truth, select).poses
+    gap = localizer.config.local_cloud.max_gap_m
+    positions = _positions(recording, truths, every, gap)
+    with progress("Localizing") as update:
+        results = localize_sequence(localizer, recording, positions, update)
+    evaluation = Evaluation(
+        recording.indices[positions],
+        results,
+        prior.trajectory,
+        None if truths is None else truths[positions],
+        Tolerance(tolerance_m, tolerance_deg),
+    )
+    write_results(out, prior, evaluation, f"{recording.name} in {site.stem}")
+    show(evaluation.summary(), f"{recording.name} in {site.name}")
+
+
+def _positions(
+    recording: Sequence, truths: Float64 | None, every: float | None, max_gap_m: float
+) -> Int64:
+    import numpy as np
+
+    from ..errors import ConfigError
+    from ..evaluation.localization import query_positions
+
+    if every is None:
+        return np.arange(len(recording), dtype=np.int64)
+    way = recording.poses if recording.poses is not None else truths
+    if way is None:
+        raise ConfigError("--every needs --poses or --truth to measure the way")
+    positions = query_positions(way, every, max_gap_m)
+    if not len(positions):
+        raise ConfigError(f"--every {every:g}: {recording.name} has no stretch of that length")
+    return positions
+
+
+def show(summary: dict[str, Any], title: str) -> None:
+    """Print a summary as one table."""
+    from .console import number, table
+
+    rows = [("queries", str(summary["queries"])), ("localized", str(summary["localized"]))]
+    if summary["correct"] is not None:
+        rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
+        found = f"{summary['with_place_correct']} of {summary['with_place']}"
+        rows.append(("correct, of those with a place in the map", found))
+        for kind, unit in (("translation", "m"), ("rotation", "deg")):
+            spread = summary[f"{kind}_error_{unit}"]
+            pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"
+            rows.append((f"{kind} error, median / 95 %", pair))
+    rows.append(("not localized", str(summary["not_localized"])))
+    rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]
+    rows.append(("time of a query, median", number(summary["ms"]["total"], "ms", 1)))
+    table(title, ("", ""), rows)
+
+
+def _grouped(reasons: dict[str, int]) -> list[tuple[str, int]]:
+    """Reasons without the numbers in their brackets, the commonest first."""
+    counts: dict[str, int] = {}
+    for reason, count in reasons.items():
+        name = reason.split(" (")[0]
+        counts[name] = counts.get(name, 0) + count
+    return sorted(counts.items(), key=lambda item: -item[1])

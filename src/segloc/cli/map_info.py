@@ -1,0 +1,44 @@
+"""``segloc map info``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ..map import SegmentMap
+
+
+def info(
+    path: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    json: Annotated[bool, typer.Option("--json", help="All of it, for programs.")] = False,
+) -> None:
+    """Say what a map holds; reading it also checks it for damage."""
+    from ..map import SegmentMap
+
+    site = SegmentMap.load(path)
+    if json:
+        from json import dumps
+
+        print(dumps(site.info(), indent=2, ensure_ascii=False, allow_nan=False))
+    else:
+        show(site, str(path))
+
+
+def show(site: SegmentMap, title: str) -> None:
+    """Print a table of what a map holds."""
+    from .console import table
+
+    facts = site.info()
+    extent = " x ".join(f"{metres:.0f}" for metres in facts["extent_m"])
+    rows = [
+        ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),
+        ("segments", f"{facts['segments']}"),
+        ("views", f"{facts['views']} in {facts['sessions']} sessions"),
+        ("cloud", f"{facts['cloud_points']} points, one in {facts['cloud_voxel_m']:g} m"),
+        ("extent", f"{extent} m"),
+        ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
+    ]
+    table(title, ("", ""), rows)

@@ -1,0 +1,45 @@
+"""Arguments that several verbs share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..config import Config
+
+Recording = Annotated[
+    Path, typer.Argument(metavar="SEQUENCE", help="A folder of scans, numbered by their names.")
+]
+Poses = Annotated[
+    Path | None,
+    typer.Option(help="Poses of the scans (TUM or KITTI), by which they are accumulated."),
+]
+Select = Annotated[
+    str | None, typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.")
+]
+Every = Annotated[
+    float | None, typer.Option(metavar="METRES", help="One for so many metres of travel.")
+]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", help="YAML; see `segloc config` for all of it.")
+]
+Threads = Annotated[int, typer.Option(min=0, help="0: all cores. Results do not depend on it.")]
+MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
+
+
+def load_config(path: Path | None, method: str | None, threads: int) -> Config:
+    """The configuration of a verb: file and preset, and the threads where they are given."""
+    from ..config import Config
+
+    config = Config.load(path, method)
+    return config.model_copy(update={"threads": threads}) if threads else config
+
+
+def check_every(every: float | None) -> None:
+    if every is not None and not 0 < every < float("inf"):
+        raise ConfigError(f"--every must be a positive number of metres, not {every}")

@@ -1,0 +1,58 @@
+"""The files that localizing leaves behind: all of them, or none."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import MissingDependency, SeglocError
+from ..files import replacing
+from ..io import Trajectory, write_tum
+from .console import note
+
+if TYPE_CHECKING:
+    from ..evaluation.localization import Evaluation
+    from ..map import SegmentMap
+
+
+def check_folder(out: Path) -> None:
+    """Refuse, before the work, a folder that cannot be made."""
+    nearest = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise SeglocError(f"{out}: cannot be written: {nearest} is not a folder")
+
+
+def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: str) -> None:
+    """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``."""
+    lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
+    summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
+    files = {"localizations.jsonl": "".join(lines).encode(), "summary.json": summary.encode()}
+    try:
+        from ..evaluation.picture import draw
+
+        files["trajectory.png"] = draw(site, evaluation, title)
+    except MissingDependency as error:
+        note(f"no trajectory.png: {error}")
+    made = not out.exists()
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        # Nothing is renamed before everything is written.
+        with ExitStack() as stack:
+            for name, data in files.items():
+                stack.enter_context(replacing(out / name)).write(data)
+            write_tum(out / "poses.tum", _trajectory(evaluation))
+    except BaseException:
+        if made:
+            with suppress(OSError):
+                out.rmdir()
+        raise
+
+
+def _trajectory(evaluation: Evaluation) -> Trajectory:
+    indices = evaluation.indices[evaluation.localized]
+    order = np.argsort(indices)
+    return Trajectory(indices[order].astype(np.float64), evaluation.positions_found()[order])
