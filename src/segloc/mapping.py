@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,9 +78,11 @@ def build_map(
         poses[0, :3, 3],
         cloud_voxel=config.mapping.cloud_voxel,
     )
-    plan = list(_plan(poses, config, every_m))
+    plan = _plan(poses, config, every_m)
+    # Neighbouring views share most of their scans: each is read once.
+    read = lru_cache(maxsize=max(len(scans) for _, scans in plan))(sequence.scan)
     for done, (index, scans) in enumerate(plan):
-        cloud = accumulator.gather([sequence.scan(i) for i in scans], index - scans.start)
+        cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
         scene = segmenter.segment(cloud)
         T_map_local = geometry.levelled(poses[index])
         site.add(
@@ -100,7 +103,7 @@ def build_map(
     return site
 
 
-def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> Iterator[tuple[int, range]]:
+def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tuple[int, range]]:
     """The views of a map: (index of the reference scan, scans it gathers), along the way."""
     way = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []
@@ -110,4 +113,4 @@ def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> Iterator[
             gap = config.local_cloud.max_gap_m
             scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
             plan.append((int(index), scans))
-    return iter(sorted(plan, key=lambda item: item[0]))
+    return sorted(plan, key=lambda item: item[0])

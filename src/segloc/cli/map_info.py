@@ -36,7 +36,7 @@ def show(site: SegmentMap, title: str) -> None:
     rows = [
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),
         ("segments", f"{facts['segments']}"),
-        ("views", f"{facts['views']} in {facts['sessions']} sessions"),
+        ("poses", f"{facts['poses']} in {facts['sessions']} sessions"),
         ("cloud", f"{facts['cloud_points']} points, one in {facts['cloud_voxel_m']:g} m"),
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
