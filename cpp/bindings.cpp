@@ -6,6 +6,7 @@ namespace segloc::bindings {
 
 void bind_geometry(nb::module_& m);
 void bind_io(nb::module_& m);
+void bind_network(nb::module_& m);
 
 }  // namespace segloc::bindings
 
@@ -15,4 +16,5 @@ NB_MODULE(_native, m) {
   m.def("resolve_threads", &segloc::resolve_threads, nanobind::arg("threads"));
   segloc::bindings::bind_geometry(m);
   segloc::bindings::bind_io(m);
+  segloc::bindings::bind_network(m);
 }

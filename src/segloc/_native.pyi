@@ -52,3 +52,48 @@ class PointIndex:
     def within(self, x: float, y: float, radius: float) -> NDArray[np.int64]: ...
 
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...
+def instruction_set(isa: str = "auto") -> str: ...
+def fps(
+    points: NDArray[np.float32], samples: int, threads: int = 0, isa: str = "auto"
+) -> NDArray[np.int32]: ...
+def prepare_segments(
+    points: NDArray[np.float32],
+    offsets: NDArray[np.int64],
+    count: int = 256,
+    alignment: str = "pca2d",
+    threads: int = 0,
+    isa: str = "auto",
+) -> NDArray[np.float32]: ...
+def dilated_neighbors(
+    points: NDArray[np.float32],
+    sources: int,
+    queries: int,
+    neighbors: int,
+    dilation: int,
+    threads: int = 0,
+    isa: str = "auto",
+) -> NDArray[np.int64]: ...
+def knn(
+    queries: NDArray[np.float32],
+    database: NDArray[np.float32],
+    k: int,
+    threads: int = 0,
+    isa: str = "auto",
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
+
+class Network:
+    def __init__(
+        self,
+        layers: list[tuple[int, int, int, int]],
+        tensors: dict[str, NDArray[np.float32]],
+        points: int = 256,
+        isa: str = "auto",
+    ) -> None: ...
+    def describe(
+        self, prepared: NDArray[np.float32], threads: int = 0
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def activations(self, prepared: NDArray[np.float32], layer: int) -> NDArray[np.float32]: ...
+    @property
+    def points(self) -> int: ...
+    @property
+    def dim(self) -> int: ...

@@ -1,0 +1,187 @@
+#include <cmath>
+#include <map>
+
+#include "bindings.h"
+#include "fps.h"
+#include "knn.h"
+#include "neighbors.h"
+#include "network.h"
+#include "prepare.h"
+
+#include <nanobind/stl/map.h>
+
+namespace segloc::bindings {
+namespace {
+
+void require_finite(const float* values, std::size_t count, const char* name) {
+  // A sum of zeros times the values: NaN as soon as one is not finite, without a branch for each.
+  float sum = 0;
+  for (std::size_t i = 0; i < count; ++i) sum += values[i] * 0.0f;
+  require(sum == 0.0f, std::string(name) + " has values that are not finite");
+}
+
+Out<int32_t> fps(In3<float> points, std::size_t samples, int threads, const std::string& isa) {
+  const std::size_t clouds = points.shape(0), n = points.shape(1);
+  require(points.shape(2) == 3, "points must have shape (P, N, 3)");
+  require(samples <= n, "samples must not exceed the number of points, " + std::to_string(n));
+  require(n < (std::size_t{1} << 31), "too many points");
+  const Isa chosen = parse_isa(isa);
+  std::vector<int32_t> order(clouds * samples);
+  {
+    nb::gil_scoped_release release;
+    require_finite(points.data(), clouds * n * 3, "points");
+    farthest_points(points.data(), clouds, n, samples, chosen, threads, order.data());
+  }
+  return to_numpy(std::move(order), {clouds, samples});
+}
+
+Alignment parse_alignment(const std::string& name) {
+  if (name == "none") return Alignment::none;
+  if (name == "pca2d") return Alignment::pca2d;
+  if (name == "pca3d") return Alignment::pca3d;
+  throw std::invalid_argument("alignment must be none, pca2d or pca3d, not '" + name + "'");
+}
+
+void check_offsets(In1<int64_t> offsets, std::size_t points) {
+  require(offsets.size() > 0 && offsets.data()[0] == 0, "offsets must start with 0");
+  for (std::size_t i = 1; i < offsets.size(); ++i) {
+    require(offsets.data()[i] >= offsets.data()[i - 1], "offsets must not fall");
+  }
+  require(offsets.data()[offsets.size() - 1] == static_cast<int64_t>(points),
+          "offsets must end with the number of points");
+}
+
+Out<float> prepare(In2<float> points, In1<int64_t> offsets, std::size_t count,
+                   const std::string& alignment, int threads, const std::string& isa) {
+  require(points.shape(1) == 3, "points must have shape (M, 3)");
+  check_offsets(offsets, points.shape(0));
+  require(count > 0 && count <= kThinnedPoints,
+          "count must be from 1 to " + std::to_string(kThinnedPoints));
+  const Alignment how = parse_alignment(alignment);
+  const Isa chosen = parse_isa(isa);
+  const std::size_t segments = offsets.size() - 1;
+  std::vector<float> output(segments * count * 3);
+  {
+    nb::gil_scoped_release release;
+    require_finite(points.data(), points.size(), "points");
+    prepare_segments(points.data(), offsets.data(), segments, count, how, chosen, threads,
+                     output.data());
+  }
+  return to_numpy(std::move(output), {segments, count, 3});
+}
+
+Out<int64_t> neighbors(In3<float> points, std::size_t sources, std::size_t queries, int k,
+                       int dilation, int threads, const std::string& isa) {
+  const std::size_t clouds = points.shape(0), n = points.shape(1);
+  require(points.shape(2) == 3, "points must have shape (P, N, 3)");
+  require(queries > 0 && queries <= sources && sources <= n && n <= 65535,
+          "need 0 < queries <= sources <= N <= 65535");
+  require(k > 0 && dilation > 0 && k <= 65535 && dilation <= 65535 &&
+              static_cast<std::size_t>(k) * static_cast<std::size_t>(dilation) <= sources,
+          "neighbors * dilation must be from 1 to the number of sources");
+  const Isa chosen = parse_isa(isa);
+  const auto K = static_cast<std::size_t>(k);
+  std::vector<int64_t> indices(clouds * queries * K);
+  {
+    nb::gil_scoped_release release;
+    require_finite(points.data(), points.size(), "points");
+    dilated_neighbors(points.data(), clouds, n, sources, queries, k, dilation, chosen, threads,
+                      indices.data());
+  }
+  return to_numpy(std::move(indices), {clouds, queries, K});
+}
+
+nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int threads,
+              const std::string& isa) {
+  const std::size_t Q = queries.shape(0), M = database.shape(0), dim = database.shape(1);
+  require(queries.shape(1) == dim, "queries and database differ in their number of columns");
+  require(dim > 0, "descriptors must have at least one column");
+  require(M < (std::size_t{1} << 31), "the database is too large");
+  const Isa chosen = parse_isa(isa);
+  const std::size_t columns = std::min(k, M);
+  std::vector<int64_t> indices(Q * columns);
+  std::vector<float> distances(Q * columns);
+  {
+    nb::gil_scoped_release release;
+    require_finite(queries.data(), queries.size(), "queries");
+    require_finite(database.data(), database.size(), "database");
+    nearest_descriptors(queries.data(), Q, database.data(), M, dim, columns, chosen, threads,
+                        indices.data(), distances.data());
+  }
+  return nb::make_tuple(to_numpy(std::move(indices), {Q, columns}),
+                        to_numpy(std::move(distances), {Q, columns}));
+}
+
+using Array = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using LayerRow = std::tuple<int, int, int, int>;
+
+void construct(Network* self, const std::vector<LayerRow>& layers,
+               const std::map<std::string, Array>& tensors, std::size_t points,
+               const std::string& isa) {
+  std::vector<LayerSpec> specs;
+  for (const auto& [n, k, d, c] : layers) specs.push_back({n, k, d, c});
+  Tensors views;
+  for (const auto& [name, array] : tensors) {
+    TensorView view{array.data(), {}};
+    for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
+    views.emplace(name, std::move(view));
+  }
+  new (self) Network(specs, points, views, parse_isa(isa));
+}
+
+void check_prepared(const Network& network, const In3<float>& prepared) {
+  require(prepared.shape(1) == network.points() && prepared.shape(2) == 3,
+          "prepared must have shape (P, " + std::to_string(network.points()) + ", 3)");
+}
+
+nb::tuple describe(const Network& network, In3<float> prepared, int threads) {
+  check_prepared(network, prepared);
+  const std::size_t P = prepared.shape(0), dim = network.dim();
+  std::vector<float> vectors(P * dim), quality(P);
+  {
+    nb::gil_scoped_release release;
+    require_finite(prepared.data(), prepared.size(), "prepared");
+    network.describe(prepared.data(), P, threads, vectors.data(), quality.data());
+  }
+  return nb::make_tuple(to_numpy(std::move(vectors), {P, dim}), to_numpy(std::move(quality)));
+}
+
+Out<float> activations(const Network& network, In3<float> prepared, std::size_t layer) {
+  check_prepared(network, prepared);
+  require(layer < network.layers().size(), "there is no such layer");
+  const LayerSpec& spec = network.layers()[layer];
+  const std::size_t P = prepared.shape(0), N = static_cast<std::size_t>(spec.points);
+  const std::size_t C = static_cast<std::size_t>(spec.channels);
+  std::vector<float> output(P * N * C);
+  {
+    nb::gil_scoped_release release;
+    require_finite(prepared.data(), prepared.size(), "prepared");
+    network.activations(prepared.data(), P, layer, output.data());
+  }
+  return to_numpy(std::move(output), {P, N, C});
+}
+
+}  // namespace
+
+void bind_network(nb::module_& m) {
+  using namespace nb::literals;
+  m.def("fps", &fps, "points"_a.noconvert(), "samples"_a, "threads"_a = 0, "isa"_a = "auto");
+  m.def("prepare_segments", &prepare, "points"_a.noconvert(), "offsets"_a.noconvert(),
+        "count"_a = 256, "alignment"_a = "pca2d", "threads"_a = 0, "isa"_a = "auto");
+  m.def("dilated_neighbors", &neighbors, "points"_a.noconvert(), "sources"_a, "queries"_a,
+        "neighbors"_a, "dilation"_a, "threads"_a = 0, "isa"_a = "auto");
+  m.def("knn", &knn, "queries"_a.noconvert(), "database"_a.noconvert(), "k"_a, "threads"_a = 0,
+        "isa"_a = "auto");
+  nb::class_<Network>(m, "Network")
+      .def("__init__", &construct, "layers"_a, "tensors"_a, "points"_a = 256, "isa"_a = "auto")
+      .def("describe", &describe, "prepared"_a.noconvert(), "threads"_a = 0)
+      .def("activations", &activations, "prepared"_a.noconvert(), "layer"_a)
+      .def_prop_ro("points", &Network::points)
+      .def_prop_ro("dim", &Network::dim);
+  m.def("instruction_set", [](const std::string& isa) {
+    const char* names[] = {"portable", "avx2", "avx512"};
+    return std::string(names[static_cast<int>(parse_isa(isa))]);
+  }, "isa"_a = "auto");
+}
+
+}  // namespace segloc::bindings

@@ -1,0 +1,17 @@
+// The table of one instruction set; included once by each kernels_*.cpp.
+#pragma once
+
+#include "fps_kernel.h"
+#include "knn_kernel.h"
+#include "neighbors_kernel.h"
+#include "xconv_kernel.h"
+
+namespace segloc {
+namespace SEGLOC_ISA {
+
+extern const Kernels kTable;
+const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,     kBlock, kPanel, &fps,
+                        &fps_pair,       &neighbors, &xconv, &dense, &knn_scan};
+
+}  // namespace SEGLOC_ISA
+}  // namespace segloc

@@ -1,0 +1,79 @@
+// The kernels that exist once for each instruction set, and how one is chosen.
+//
+// kernels_portable.cpp, kernels_avx2.cpp and kernels_avx512.cpp compile the same *_kernel.h files
+// with different flags; the rest of the library reaches them through this table only.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+namespace segloc {
+
+enum class Isa { portable, avx2, avx512 };
+
+// One cloud for farthest-point sampling; every pointer is to scratch memory of the caller.
+// x, y, z and distance hold padded(n, 64) values, group_max fps_group_max_size(n).
+struct FpsCloud {
+  float* x;
+  float* y;
+  float* z;
+  float* distance;
+  float* group_max;
+  int32_t* order;  // receives `samples` indices
+};
+
+// Sources and queries of one dilated neighbour search (the queries are the first of the sources).
+// x, y, z are padded to a multiple of 16 with infinity.
+struct NeighborTask {
+  const float* x;
+  const float* y;
+  const float* z;
+  size_t sources;
+  size_t queries;
+  int neighbors;     // K
+  int dilation;      // D
+  float* scratch;    // neighbor_scratch_size(sources) floats
+  uint16_t* result;  // (queries, K)
+};
+
+struct XConvWeights;
+struct XConvTask;
+struct DenseWeights;
+
+// Squared distances of up to 4 queries to a tile of database points, fused with the selection.
+struct KnnScan {
+  const float* queries[4];
+  float thresholds[4];
+  uint32_t* candidates[4];  // appended to: indices of points with distance^2 <= threshold
+  size_t counts[4];
+};
+
+struct Kernels {
+  Isa isa;
+  size_t width;     // floats in a vector
+  size_t block;     // queries that xconv takes at a time
+  size_t panel;     // output channels of a column panel of dense weights
+  void (*fps)(const FpsCloud& cloud, size_t n, size_t samples);
+  void (*fps_pair)(const FpsCloud& a, const FpsCloud& b, size_t n, size_t samples);
+  void (*neighbors)(const NeighborTask& task);
+  void (*xconv)(const XConvWeights& weights, const XConvTask& task);
+  void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
+                float* output, size_t output_stride);
+  void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
+};
+
+const Kernels& kernels(Isa isa);
+
+// "auto" is the best one that this processor runs; throws std::invalid_argument for a name that is
+// unknown or not available here.
+Isa parse_isa(const std::string& name);
+
+// static: a shared definition could come from a file built for a newer processor.
+static constexpr size_t padded(size_t n, size_t multiple) {
+  return (n + multiple - 1) / multiple * multiple;
+}
+static constexpr size_t kFpsGroup = 64;
+static constexpr size_t fps_group_max_size(size_t n) { return padded(n, kFpsGroup) / kFpsGroup * 16; }
+
+}  // namespace segloc

@@ -1,0 +1,2 @@
+#define SEGLOC_ISA avx2
+#include "kernel_table.h"

@@ -1,0 +1,2 @@
+#define SEGLOC_ISA avx512
+#include "kernel_table.h"

@@ -1,0 +1,2 @@
+#define SEGLOC_ISA portable
+#include "kernel_table.h"
