@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
+from . import _native
 from .map import SegmentMap
 from .types import Descriptors, Float32, Int64, Matches
 
@@ -26,7 +26,7 @@ class Matcher:
     ) -> None:
         self.config = config or MatchingConfig()
         self._quality = site.quality
-        self._tree = cKDTree(site.vectors)
+        self._vectors = np.ascontiguousarray(site.vectors)
         self._threads = threads
 
     def match(self, query: Descriptors) -> Matches:
@@ -35,14 +35,11 @@ class Matcher:
         A match's score is the likelihood exp(-distance), times the quality of both descriptors
         where they have one.
         """
-        k = min(self.config.neighbours, self._tree.n)
-        if len(query) == 0 or k == 0:
-            nothing = np.empty(0, np.int64)
-            return Matches(nothing, nothing, np.empty(0, np.float32), np.empty(0, np.float32))
-        distances, indices = self._tree.query(query.vectors, k=np.arange(1, k + 1))
-        rows = np.repeat(np.arange(len(query), dtype=np.int64), k)
-        columns = np.asarray(indices, np.int64).reshape(-1)
-        distance = np.asarray(distances, np.float32).reshape(-1)
+        indices, distances = _native.knn(
+            query.vectors, self._vectors, self.config.neighbours, threads=self._threads
+        )
+        rows = np.repeat(np.arange(len(query), dtype=np.int64), indices.shape[1])
+        columns, distance = indices.reshape(-1), distances.reshape(-1)
         score = np.exp(-distance)
         if query.quality is not None and self._quality is not None:
             score *= query.quality[rows] * self._quality[columns]

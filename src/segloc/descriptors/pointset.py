@@ -43,7 +43,12 @@ class Layer:
     channels: int
 
 
-DSM_LAYERS = (Layer(160, 8, 1, 32), Layer(96, 10, 2, 64), Layer(16, 12, 3, 128), Layer(4, 16, 1, 256))
+DSM_LAYERS = (
+    Layer(160, 8, 1, 32),
+    Layer(96, 10, 2, 64),
+    Layer(16, 12, 3, 128),
+    Layer(4, 16, 1, 256),
+)
 ESM_LAYERS = (
     Layer(256, 8, 1, 32),
     Layer(256, 12, 3, 64),
