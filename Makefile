@@ -1,9 +1,10 @@
+# make demo: simulate, map, localize, report.   make test: every test.   Both set themselves up.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint sanitize wheel-check clean
 
 demo: $(VENV)/.demo
 	$(BIN)/segloc demo --out demo
@@ -16,13 +17,27 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# The kernels' own tests, under AddressSanitizer and UndefinedBehaviorSanitizer.
+sanitize: $(VENV)/.dev
+	$(BIN)/cmake -S cpp/tests -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo -DSEGLOC_SANITIZE=ON
+	$(BIN)/cmake --build build/sanitize --parallel 2
+	build/sanitize/kernel_tests
+
+# The wheel must install and import where there is nothing else: no torch, no compiler, no plotting.
+wheel-check: $(BIN)/python
+	rm -rf build/wheel && mkdir -p build/wheel
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	$(PYTHON) -m venv build/wheel/venv
+	build/wheel/venv/bin/python -m pip install --quiet --disable-pip-version-check build/wheel/*.whl
+	cd build/wheel && venv/bin/segloc --version
+	cd build/wheel && venv/bin/python ../../tests/wheel_smoke.py
+
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-SOURCES := $(wildcard cpp/*) CMakeLists.txt pyproject.toml constraints.txt
-
 # One stamp for each set of extras; an editable install, so only native sources call for a new one.
-$(VENV)/.%: $(BIN)/python $(SOURCES)
+NATIVE := $(shell find cpp -name '*.cpp' -o -name '*.h') CMakeLists.txt pyproject.toml constraints.txt
+$(VENV)/.%: $(NATIVE) | $(BIN)/python
 	$(PIP) -e ".[$*]"
 	@touch $@
 

@@ -1,0 +1,244 @@
+"""Map and localize: the pipeline as its users see it."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Plaza, PlazaSequence
+
+from segloc import (
+    Config,
+    InvalidScan,
+    Localizer,
+    MapMismatch,
+    Scan,
+    SegmentMap,
+    build_map,
+    geometry,
+)
+from segloc.datasets import open_sequence
+from segloc.errors import ConfigError, DatasetError
+from segloc.types import Localization
+
+GEO = Config.preset("geo")
+
+
+@pytest.fixture(scope="module")
+def site(plaza: Plaza) -> SegmentMap:
+    return build_map(PlazaSequence(plaza), GEO)
+
+
+@pytest.fixture(scope="module")
+def localizer(site: SegmentMap) -> Localizer:
+    return Localizer(site)
+
+
+def pose_error(result: Localization, T: np.ndarray) -> tuple[float, float]:
+    assert result.T_map_sensor is not None, result.reason
+    delta = geometry.inverse(T) @ result.T_map_sensor
+    return float(np.linalg.norm(delta[:3, 3])), math.degrees(geometry.rotation_angle(delta))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, math.pi, -2.0])
+@pytest.mark.parametrize("posed", [True, False])
+def test_a_single_scan_is_localized(
+    plaza: Plaza, localizer: Localizer, yaw: float, posed: bool
+) -> None:
+    T = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7))
+    result = localizer.localize(plaza.scan(T, posed=posed, seed=77))
+    metres, degrees = pose_error(result, T)
+    assert result.localized and result.reason == "" and metres < 0.1 and degrees < 0.5
+    assert result.inliers >= 6 and result.overlap > 0.8 and result.confidence > 0.9
+    assert result.covariance is not None
+    assert (np.linalg.eigvalsh(result.covariance) > 0).all()
+
+
+def test_accumulated_scans_are_localized_whatever_the_odometry_frame(
+    plaza: Plaza, localizer: Localizer
+) -> None:
+    way = PlazaSequence(plaza, steps=10).poses
+    T_odom_world = geometry.yaw_transform(2.5, (500.0, -300.0, 20.0))
+    scans = []
+    for k, T in enumerate(way):
+        seen = plaza.scan(T, seed=100 + k)
+        scans.append(Scan(seen.points, stamp=float(k), T_odom_sensor=T_odom_world @ T))
+    result = localizer.localize(scans)
+    assert pose_error(result, way[-1]) < (0.1, 0.5)
+    assert result.stamp == 9.0 and result.counts["scans"] == 10
+
+
+def test_a_tilted_sensor_with_a_pose_is_localized(plaza: Plaza, localizer: Localizer) -> None:
+    c, s = math.cos(0.15), math.sin(0.15)
+    tilt = geometry.rigid(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), np.zeros(3))
+    T = geometry.yaw_transform(0.7, (1.0, 2.0, 1.7)) @ tilt
+    assert pose_error(localizer.localize(plaza.scan(T, seed=5)), T) < (0.1, 0.5)
+
+
+def test_the_map_may_lie_far_from_its_origin(plaza: Plaza) -> None:
+    """UTM coordinates: the same answer, moved."""
+    shift = geometry.yaw_transform(0.0, (4.5e5, 5.4e6, 300.0))
+    sequence = PlazaSequence(plaza)
+    scans = [sequence.scan(i) for i in range(len(sequence))]
+    sequence.poses = shift @ sequence.poses
+
+    def scan(i: int) -> Scan:
+        return Scan(scans[i].points, stamp=float(i), T_odom_sensor=sequence.poses[i])
+
+    sequence.scan = scan  # type: ignore[method-assign]
+    T = geometry.yaw_transform(0.5, (3.0, -2.0, 1.7))
+    result = Localizer(build_map(sequence, GEO)).localize(plaza.scan(T, posed=False))
+    assert pose_error(result, shift @ T) < (0.1, 0.5)
+
+
+def test_another_place_is_not_localized(localizer: Localizer) -> None:
+    for seed in range(1, 6):
+        elsewhere = Plaza(seed).scan(geometry.yaw_transform(0.3, (0.0, 0, 1.7)))
+        result = localizer.localize(elsewhere)
+        assert not result.localized and result.T_map_sensor is None and result.covariance is None
+        assert result.reason and result.counts["segments"] > 10
+
+
+def test_a_place_that_fits_twice_is_ambiguous(plaza: Plaza) -> None:
+    twice = build_map(PlazaSequence(plaza), GEO)
+    copy = PlazaSequence(plaza)
+    scans = [copy.scan(i).points for i in range(len(copy))]
+    copy.poses = geometry.yaw_transform(0.4, (400.0, 0.0, 0.0)) @ copy.poses
+    copy.scan = lambda i: Scan(scans[i], T_odom_sensor=copy.poses[i])  # type: ignore[method-assign]
+    twice = twice.merge(build_map(copy, GEO))
+    T = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
+    result = Localizer(twice).localize(plaza.scan(T))
+    assert not result.localized and result.reason == "ambiguous"
+    assert result.T_map_sensor is None and result.runner_up is not None
+
+
+EMPTY: dict[str, Callable[[], np.ndarray]] = {
+    "nothing": lambda: np.empty((0, 3)),
+    "NaN": lambda: np.full((1000, 3), np.nan),
+    "inf": lambda: np.full((10, 3), np.inf),
+    "far away": lambda: np.full((100, 3), 1e6),
+}
+POOR: dict[str, Callable[[], np.ndarray]] = {
+    "one point": lambda: np.zeros((1, 3)),
+    "three points": lambda: np.eye(3),
+    "one point many times": lambda: np.zeros((100_000, 3)),
+    "a line": lambda: np.linspace([0, 0, 0], [40.0, 0, 0], 2000),
+    "a flat floor": lambda: np.random.default_rng(0).uniform([-30, -30, 0], [30, 30, 0], (9999, 3)),
+    "noise": lambda: np.random.default_rng(0).normal(0, 15, (20_000, 3)),
+}
+
+
+@pytest.mark.parametrize("name", [*EMPTY, *POOR])
+def test_poor_scans_are_not_localized_and_say_why(localizer: Localizer, name: str) -> None:
+    result = localizer.localize(Scan({**EMPTY, **POOR}[name]()))
+    assert not result.localized and result.T_map_sensor is None
+    assert result.reason == "no points" if name in EMPTY else result.reason
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 3])
+def test_maps_of_almost_nothing_localize_nothing(plaza: Plaza, site: SegmentMap, size: int) -> None:
+    small = SegmentMap.empty(site.descriptor, site.fingerprint, site.dim)
+    if size:
+        from segloc.types import Descriptors
+
+        small.add(
+            Descriptors(site.vectors[:size]),
+            site.centroids[:size],
+            site.sizes[:size],
+            session=0,
+            stamp=0.0,
+            cloud=site.centroids[:size],
+        )
+    result = Localizer(small).localize(plaza.scan(np.eye(4)))
+    assert not result.localized and result.T_map_sensor is None and result.reason
+
+
+def test_several_scans_need_poses(plaza: Plaza, localizer: Localizer) -> None:
+    bare = plaza.scan(np.eye(4), posed=False)
+    with pytest.raises(InvalidScan, match="T_odom_sensor"):
+        localizer.localize([bare, bare])
+    with pytest.raises(InvalidScan, match="no scan"):
+        localizer.localize([])
+
+
+def test_a_map_of_another_descriptor_is_refused(site: SegmentMap) -> None:
+    other = SegmentMap.empty(site.descriptor, "another-fingerprint", site.dim)
+    with pytest.raises(MapMismatch, match="another-fingerprint"):
+        Localizer(other)
+    with pytest.raises(ConfigError, match="no descriptor"):
+        Localizer(SegmentMap.empty("nonesuch", site.fingerprint, site.dim), Config.preset("geo"))
+
+
+def test_mapping_needs_poses_and_something_to_see(plaza: Plaza) -> None:
+    sequence = PlazaSequence(plaza)
+    sequence.poses = None  # type: ignore[assignment]
+    with pytest.raises(DatasetError, match="needs a pose"):
+        build_map(sequence, GEO)
+    blind = PlazaSequence(plaza)
+    blind.scan = lambda i: Scan(  # type: ignore[method-assign]
+        np.empty((0, 3)), T_odom_sensor=blind.poses[i]
+    )
+    with pytest.raises(DatasetError, match="no segment"):
+        build_map(blind, GEO)
+
+
+def test_the_same_query_gives_the_same_bits_for_any_number_of_threads(
+    plaza: Plaza, site: SegmentMap
+) -> None:
+    scan = plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7)))
+    results = [
+        Localizer(site, GEO.model_copy(update={"threads": n})).localize(scan) for n in (1, 2, 8, 1)
+    ]
+    for result in results[1:]:
+        np.testing.assert_array_equal(result.T_map_sensor, results[0].T_map_sensor)
+        np.testing.assert_array_equal(result.covariance, results[0].covariance)
+        assert (result.inliers, result.overlap) == (results[0].inliers, results[0].overlap)
+
+
+def test_the_map_is_the_same_after_saving(
+    plaza: Plaza, site: SegmentMap, localizer: Localizer, tmp_path: Path
+) -> None:
+    site.save(tmp_path / "site.segmap")
+    scan = plaza.scan(geometry.yaw_transform(-1.0, (0.0, 2.0, 1.7)))
+    again = Localizer(SegmentMap.load(tmp_path / "site.segmap")).localize(scan)
+    np.testing.assert_array_equal(again.T_map_sensor, localizer.localize(scan).T_map_sensor)
+
+
+def test_nothing_that_localizes_imports_torch() -> None:
+    """In a fresh interpreter, since other tests of this run may have imported it."""
+    import subprocess
+
+    code = (
+        "import sys, segloc; from segloc.descriptors import available; available();"
+        "print([m for m in ('torch', 'matplotlib', 'trimesh', 'laspy') if m in sys.modules])"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert output.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("method", ["geo", "dsm"])
+def test_real_revisits_are_found_and_other_places_are_not(kitti: Path, method: str) -> None:
+    """KITTI 00: the second pass over a street, single later scans, and places never mapped."""
+    config = Config.preset(method)
+    poses = kitti / "keyframes.tum"
+    site = build_map(open_sequence(kitti / "keyframes", poses, "1361:1420"), config)
+    localizer = Localizer(site, config)
+    first_pass = open_sequence(kitti / "keyframes", poses, "940:999")
+    queries = range(25, len(first_pass), 12)
+    found = [
+        localizer.localize([first_pass.scan(k) for k in range(i - 20, i + 1)]) for i in queries
+    ]
+    assert all(result.localized for result in found)
+    for i, result in zip(queries, found, strict=True):
+        metres, degrees = pose_error(result, first_pass.poses[i])
+        assert metres < 3 and degrees < 5
+    elsewhere = open_sequence(kitti / "keyframes", poses, "700:800")
+    for i in range(25, len(elsewhere), 25):
+        result = localizer.localize([elsewhere.scan(k) for k in range(i - 20, i + 1)])
+        assert not result.localized, result
