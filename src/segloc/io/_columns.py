@@ -26,6 +26,11 @@ def header_lines(data: bytes) -> Iterator[tuple[list[str], int]]:
         start = end + 1
 
 
+def one_line(error: BaseException) -> str:
+    """What an error from elsewhere says, fit to stand in a message of one line."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
+
+
 def parse_count(word: str, what: str) -> int:
     """A number of things from a header.
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ..errors import DatasetError, MissingDependency
 from ..types import Float32, Scan
-from ._columns import scan_from_columns
+from ._columns import one_line, scan_from_columns
+from ._laz import check_chunks
 
 if TYPE_CHECKING:
     import laspy
@@ -22,6 +23,7 @@ RESOLUTION = 0.001
 
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # of point formats 0 to 10
 _COMPRESSED = 0x80
+_RUST_PANIC = "PanicException"  # of lazrs: no Exception, and no class that could be imported
 _CHUNK = 1 << 18  # points decompressed at a time: no header's count is believed
 
 
@@ -44,15 +46,22 @@ def parse_las(data: bytes) -> Scan:
         return Scan(np.empty((0, 3), dtype=np.float32))
     laspy = _import_laspy("reading .las and .laz files")
     try:
-        with laspy.open(
-            io.BytesIO(data), read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs
-        ) as reader:
-            _check_items(reader, header)
+        with (
+            np.errstate(all="ignore"),
+            laspy.open(
+                io.BytesIO(data), read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs
+            ) as reader,
+        ):
+            if header.compressed:
+                vlr = reader.header.vlrs.get("LasZipVlr")[0].record_data
+                check_chunks(data, header.points_start, header.points, header.record_size, vlr)
             columns = _read_columns(reader)
     except DatasetError:
         raise
-    except Exception as error:  # laspy and lazrs let many kinds through where bytes are wrong
-        raise DatasetError(f"cannot decode the points: {' '.join(str(error).split())}") from error
+    except BaseException as error:  # many kinds come through where bytes are wrong
+        if not (isinstance(error, Exception) or type(error).__name__ == _RUST_PANIC):
+            raise
+        raise DatasetError(f"cannot decode the points: {one_line(error)}") from error
     if len(columns[0]) != header.points:
         raise DatasetError(f"{header.points} points announced, {len(columns[0])} found")
     return scan_from_columns(columns)
@@ -96,28 +105,15 @@ def _check_header(header: _Header, header_size: int, file_size: int) -> None:
         raise DatasetError(f"{header.points} points need {needed} bytes; the file is cut off")
 
 
-def _check_items(reader: laspy.LasReader, header: _Header) -> None:
-    """The decompressor must fill records of the size that the header gives."""
-    if not header.compressed:
-        return
-    import lazrs
-
-    items = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
-    if items.item_size() != header.record_size:
-        raise DatasetError("the compressed records have another size than the header says")
-
-
 def _read_columns(reader: laspy.LasReader) -> list[NDArray[np.float64]]:
     header = reader.header
     timed = "gps_time" in header.point_format.dimension_names
     chunks: list[list[NDArray[np.float64]]] = []
-    with np.errstate(all="ignore"):
-        for chunk in reader.chunk_iterator(_CHUNK):
-            columns = [
-                chunk.array[axis] * header.scales[i] + header.offsets[i]
-                for i, axis in enumerate("XYZ")
-            ]
-            chunks.append(columns + ([chunk.array["gps_time"]] if timed else []))
+    for chunk in reader.chunk_iterator(_CHUNK):
+        columns = [
+            chunk.array[axis] * header.scales[i] + header.offsets[i] for i, axis in enumerate("XYZ")
+        ]
+        chunks.append(columns + ([chunk.array["gps_time"]] if timed else []))
     stacked = [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
     # Most point formats have room for a time whether or not the writer knew one.
     return stacked if timed and stacked[3].any() else stacked[:3]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import DatasetError
 from ..types import Float32, Scan
+from ._columns import one_line
 
 _MAGIC = b"\x93NUMPY"
 _DESCR = re.compile(r"'descr': *'([<>|=][fiu]\d{1,2})'")
@@ -86,7 +87,7 @@ def _parse_archive(data: bytes) -> tuple[NDArray[np.floating[Any]], NDArray[Any]
     except DatasetError:
         raise
     except Exception as error:  # zipfile lets many kinds of error through where bytes are wrong
-        raise DatasetError(f"not a readable NPZ archive: {error}") from error
+        raise DatasetError(f"not a readable NPZ archive: {one_line(error)}") from error
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Float32, Float64, Scan
-from ._columns import scan_from_columns, wanted_columns
+from ._columns import one_line, scan_from_columns, wanted_columns
 
 
 def parse_table(
@@ -70,8 +70,7 @@ def _parse_lines(
             lines, delimiter=delimiter, usecols=columns, comments=None, ndmin=2, dtype=np.float64
         )
     except ValueError as error:
-        reason = " ".join(str(error).split(";")[0].split())
-        raise DatasetError(f"cannot parse the points: {reason}") from error
+        raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
 
 
 def parse_csv(data: bytes) -> Scan:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..errors import DatasetError
 from ..types import Float64, Pose
 from ._atomic import write_atomically
+from ._columns import one_line
 from .scans import read_file
 
 _UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals
@@ -152,7 +153,7 @@ def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
         try:
             rows.append([float(word) for word in words])
         except ValueError as error:
-            raise DatasetError(f"line {number}: {str(error)[:80]}") from error
+            raise DatasetError(f"line {number}: {one_line(error)}") from error
         lines.append(number)
     if not data.strip():
         raise DatasetError("empty file")

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Scan
-from ._columns import column, header_lines, parse_count, require_bytes, scan_from_columns
+from ._columns import column, header_lines, one_line, parse_count, require_bytes, scan_from_columns
 
 _TYPES = {
     "float": "f4", "double": "f8",
@@ -67,5 +67,5 @@ def _parse_ascii(data: bytes, count: int) -> Scan:
     try:
         values = np.array(words, dtype=np.bytes_).astype(np.float64)
     except ValueError as error:
-        raise DatasetError(f"cannot parse the points: {str(error)[:80]}") from error
+        raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
     return scan_from_columns(list(values.reshape(-1, 3).T))
