@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..types import Float32, Pose
-from .worlds import Hits, Scene
+from .worlds import Hits, Int32, Scene
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class SpinningLidar:
 
     def scan(
         self, scene: Scene, T_world_sensor: Pose, rng: np.random.Generator
-    ) -> tuple[Float32, np.ndarray[Any, np.dtype[np.int32]]]:
+    ) -> tuple[Float32, Int32]:
         """One turn from a sensor at rest.
 
         Parameters
@@ -124,7 +124,7 @@ class SpinningLidar:
         kept &= (measured >= self.min_range_m) & (measured <= self.max_range_m)
         return local[kept] * measured[kept, None], hits.object_ids[kept]
 
-    def _returned(self, hits: Hits, draw: Float32) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def _returned(self, hits: Hits, draw: Float32) -> NDArray[np.bool_]:
         found = hits.object_ids >= 0
         if np.isinf(self.reference_range_m):
             return found

@@ -9,11 +9,9 @@ from contextlib import nullcontext
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from ..errors import ConfigError
-from ..types import Float64
+from ..io.scans import write_scan
+from ..io.trajectory import Trajectory, write_tum
 from .traversal import SimulatedSequence
 
 _CHUNK = 8
@@ -49,12 +47,14 @@ def record(
     ------
     ConfigError
         If ``workers`` is below 1.
+    DatasetError
+        If a file cannot be written.
     """
     if workers < 1:
         raise ConfigError(f"workers must be at least 1, not {workers}")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    _write_poses(target / "poses.tum", sequence.poses)
+    write_tum(target / "poses.tum", Trajectory(sequence.indices, sequence.poses))
     chunks = [range(k, min(k + _CHUNK, len(sequence))) for k in range(0, len(sequence), _CHUNK)]
     done = 0
 
@@ -82,11 +82,5 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
 
 def _write_scans(sequence: SimulatedSequence, folder: Path, indices: range) -> int:
     for i in indices:
-        np.save(folder / f"{i:06d}.npy", sequence.scan(i).points)
+        write_scan(folder / f"{sequence.indices[i]:06d}.npy", sequence.scan(i).points)
     return len(indices)
-
-
-def _write_poses(path: Path, poses: Float64) -> None:
-    rows = np.column_stack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat()])
-    lines = [f"{i} " + " ".join(f"{v:.9f}" for v in row) for i, row in enumerate(rows)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
-from ..types import Float32, Float64, Int64, Pose, Scan
+from ..types import Float32, Float64, Int64, Scan
 from .lidar import SpinningLidar, hdl64e
 from .roads import along
 from .town import town
-from .worlds import World
+from .worlds import Int32, World
 
 _WHEELBASE = 2.6
 _TRACK = 1.5
@@ -106,65 +107,60 @@ class SimulatedSequence:
     world : World
     session : int
     sensor : SpinningLidar
+    indices : (N,) int64
+        The numbers of the scans.
     poses : (N, 4, 4) float64
-        T_world_sensor, the truth.
+        T_world_sensor, the truth; the odometry frame of the scans is the world's.
     seed : int
-        Of noise and lost returns. Scan i depends on the seed, the session and i alone.
+        Of noise and lost returns. A scan depends on the seed, the session and its index alone.
     """
 
     name: str
     world: World
     session: int
     sensor: SpinningLidar
+    indices: Int64
     poses: Float64
     seed: int
-    _last: tuple[int, Float32, np.ndarray] | None = field(default=None, repr=False)
+    _last: tuple[int, Float32, Int32] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
-        return len(self.poses)
-
-    @property
-    def indices(self) -> Int64:
-        """Index of each scan, (N,) int64."""
-        return np.arange(len(self), dtype=np.int64)
-
-    @property
-    def T_world_odom(self) -> Pose:
-        """The odometry frame: where the drive began, levelled."""
-        first = self.poses[0]
-        yaw = np.arctan2(first[1, 0], first[0, 0])
-        T = np.eye(4)
-        T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        T[:3, 3] = first[:3, 3]
-        return T
+        return len(self.indices)
 
     def scan(self, i: int) -> Scan:
-        """Scan i, with its pose in the odometry frame.
+        """The scan at position i, stamped with its index, with its pose.
 
         Raises
         ------
         DatasetError
-            If there is no scan i.
+            If there is no position i.
         """
         points, _ = self._cast(i)
-        return Scan(
-            points, stamp=float(i), T_odom_sensor=np.linalg.inv(self.T_world_odom) @ self.poses[i]
-        )
+        return Scan(points, stamp=float(self.indices[i]), T_odom_sensor=self.poses[i])
 
-    def object_ids(self, i: int) -> np.ndarray:
-        """Which object each point of scan i lies on, (N,) int32."""
+    def object_ids(self, i: int) -> Int32:
+        """Which object each point of the scan at position i lies on, (N,) int32.
+
+        What an id is, ``world.session(session).kinds`` says.
+        """
         return self._cast(i)[1]
 
-    def _cast(self, i: int) -> tuple[Float32, np.ndarray]:
+    def select(self, selection: Selection) -> SimulatedSequence:
+        """The scans whose indices are in the selection, the same as they were."""
+        mask = selection.mask(self.indices)
+        return replace(self, indices=self.indices[mask], poses=self.poses[mask], _last=None)
+
+    def _cast(self, i: int) -> tuple[Float32, Int32]:
         if not 0 <= i < len(self):
-            raise DatasetError(f"{self.name}: no scan {i}, there are {len(self)}")
+            raise DatasetError(f"{self.name}: no scan at position {i}, there are {len(self)}")
         if self._last is None or self._last[0] != i:
-            rng = np.random.default_rng([self.seed, self.session, i])
-            self._last = (
-                i,
-                *self.sensor.scan(self.world.session(self.session), self.poses[i], rng),
-            )
+            rng = np.random.default_rng([self.seed, self.session, int(self.indices[i])])
+            scene = self.world.session(self.session)
+            self._last = (i, *self.sensor.scan(scene, self.poses[i], rng))
         return self._last[1], self._last[2]
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_last": None}
 
 
 def simulate_session(
@@ -173,7 +169,8 @@ def simulate_session(
     """A drive along a route in one session of a world."""
     poses = route.poses(world, sensor.mount_height_m)
     label = name or f"{world.name}-session-{session}"
-    return SimulatedSequence(label, world, session, sensor, poses, seed)
+    indices = np.arange(len(poses), dtype=np.int64)
+    return SimulatedSequence(label, world, session, sensor, indices, poses, seed)
 
 
 def _revisit(world: World, rng: np.random.Generator, mapped: list[int], length: float) -> list[int]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError, MissingDependency
 from ..types import Float32, Float64
@@ -15,6 +16,8 @@ from .roads import RoadNetwork
 from .street import person
 from .terrain import Terrain
 from .vehicles import bicycle, vehicle
+
+Int32: TypeAlias = NDArray[np.int32]
 
 GROUND_ID = 0
 SESSION_IDS = 1_000_000
@@ -39,7 +42,7 @@ class Objects:
 
     triangles: Float32
     reflectance: Float32
-    object_ids: np.ndarray[Any, np.dtype[np.int32]]
+    object_ids: Int32
     kinds: dict[int, str]
 
     @staticmethod
@@ -97,7 +100,7 @@ class Hits:
     """
 
     ranges: Float32
-    object_ids: np.ndarray[Any, np.dtype[np.int32]]
+    object_ids: Int32
     cosines: Float32
     reflectance: Float32
 
