@@ -9,6 +9,8 @@ from contextlib import nullcontext
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import ConfigError
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
@@ -54,7 +56,7 @@ def record(
         raise ConfigError(f"workers must be at least 1, not {workers}")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    write_tum(target / "poses.tum", Trajectory(sequence.indices, sequence.poses))
+    write_tum(target / "poses.tum", Trajectory(sequence.indices.astype(np.float64), sequence.poses))
     chunks = [range(k, min(k + _CHUNK, len(sequence))) for k in range(0, len(sequence), _CHUNK)]
     done = 0
 

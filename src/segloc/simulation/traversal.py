@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -174,13 +175,35 @@ def simulate_session(
 
 
 def _revisit(world: World, rng: np.random.Generator, mapped: list[int], length: float) -> list[int]:
-    """Along the mapped route, off into streets it never took, back onto it the other way."""
+    """Along the mapped route, off into streets it never took, back onto it the other way.
+
+    Of several such drives the one whose three parts are most alike in length.
+    """
     roads = world.roads
-    shared = next(k for k in range(3, len(mapped) + 1) if roads.length(mapped[1:k]) > 0.3 * length)
-    route = mapped[1:shared]
-    route = roads.walk(rng, route, 0.2 * length, avoid=mapped)
-    route = roads.join(route, mapped[::-1])
-    return roads.walk(rng, route, max(0.0, length - roads.length(route)), avoid=mapped)
+    drives = []
+    for _ in range(32):
+        first = int(rng.integers(len(mapped) - 2))
+        last = first + 2
+        while last < len(mapped) and roads.length(mapped[first:last]) < 0.3 * length:
+            last += 1
+        route = roads.walk(rng, mapped[first:last], 0.2 * length, avoid=mapped)
+        route = roads.join(route, mapped[::-1])
+        left = max(0.0, length - roads.length(route))
+        drives.append(roads.walk(rng, route, left, avoid=mapped))
+    return max(drives, key=lambda route: min(_shares(world, route, mapped, length)))
+
+
+def _shares(
+    world: World, route: list[int], mapped: list[int], length: float
+) -> tuple[float, float, float]:
+    """Metres of the first ``length`` driven along a mapped route, against it, and off it."""
+    with_it, against = set(pairwise(mapped)), set(pairwise(mapped[::-1]))
+    shares, left = [0.0, 0.0, 0.0], length
+    for pair in pairwise(route):
+        metres = min(left, world.roads.length(list(pair)))
+        shares[0 if pair in with_it else 1 if pair in against else 2] += metres
+        left -= metres
+    return shares[0], shares[1], shares[2]
 
 
 def demo_sessions(
