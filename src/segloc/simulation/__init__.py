@@ -1,1 +1,25 @@
+"""Simulated worlds, LiDARs and drives: data with exact poses and the identity of every point."""
 
+from __future__ import annotations
+
+from .lidar import SpinningLidar, hdl32e, hdl64e, vlp16
+from .record import process_pool, record
+from .town import town
+from .traversal import Route, SimulatedSequence, demo_sessions, simulate_session
+from .worlds import Scene, World
+
+__all__ = [
+    "Route",
+    "Scene",
+    "SimulatedSequence",
+    "SpinningLidar",
+    "World",
+    "demo_sessions",
+    "hdl32e",
+    "hdl64e",
+    "process_pool",
+    "record",
+    "simulate_session",
+    "town",
+    "vlp16",
+]

@@ -1,0 +1,257 @@
+"""Simulated worlds: what never changes, what is redrawn each session, and the scene rays meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ConfigError, MissingDependency
+from ..types import Float32, Float64
+from .mesh import Mesh
+from .roads import RoadNetwork
+from .street import person
+from .terrain import Terrain
+from .vehicles import bicycle, vehicle
+
+Int32: TypeAlias = NDArray[np.int32]
+
+GROUND_ID = 0
+SESSION_IDS = 1_000_000
+"""Objects that stay have ids below this; those of session k start at ``(k + 1) * SESSION_IDS``."""
+
+_BATCH = 32_768
+
+
+@dataclass(frozen=True)
+class Objects:
+    """Triangles of many objects.
+
+    Attributes
+    ----------
+    triangles : (T, 3, 3) float32
+        World frame, metres.
+    reflectance : (T,) float32
+    object_ids : (T,) int32
+    kinds : dict
+        What each object id is: "house", "tree", "car", ...
+    """
+
+    triangles: Float32
+    reflectance: Float32
+    object_ids: Int32
+    kinds: dict[int, str]
+
+    @staticmethod
+    def of(items: list[tuple[str, Mesh]], first_id: int) -> Objects:
+        """Number (kind, mesh) items upwards from ``first_id``."""
+        sizes = [len(mesh) for _, mesh in items]
+        ids = first_id + np.repeat(np.arange(len(items)), sizes)
+        soup = [mesh.triangles.astype(np.float32) for _, mesh in items]
+        shine = [mesh.reflectance for _, mesh in items]
+        return Objects(
+            np.concatenate([np.zeros((0, 3, 3), dtype=np.float32), *soup]),
+            np.concatenate([np.zeros(0, dtype=np.float32), *shine]),
+            ids.astype(np.int32),
+            {first_id + k: kind for k, (kind, _) in enumerate(items)},
+        )
+
+
+@dataclass(frozen=True)
+class Spots:
+    """Places where things come and go between sessions.
+
+    Attributes
+    ----------
+    parking : (n, 5) float64
+        x, y, yaw, longest vehicle that fits (m), probability that one stands there.
+    people : (m, 2) float64
+        Where somebody may stand, one in a dozen at a time.
+    bicycles : (k, 3) float64
+        x, y, yaw of places to lean a bicycle.
+    """
+
+    parking: Float64
+    people: Float64
+    bicycles: Float64
+
+    @staticmethod
+    def none() -> Spots:
+        """No place for anything: a world that never changes."""
+        return Spots(np.zeros((0, 5)), np.zeros((0, 2)), np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays met, one entry a ray.
+
+    Attributes
+    ----------
+    ranges : (R,) float32
+        Metres; infinite where nothing was met.
+    object_ids : (R,) int32
+        -1 where nothing was met.
+    cosines : (R,) float32
+        Of the angle between ray and surface normal, in [0, 1].
+    reflectance : (R,) float32
+    """
+
+    ranges: Float32
+    object_ids: Int32
+    cosines: Float32
+    reflectance: Float32
+
+
+class Scene:
+    """A world as it stands in one session, ready for rays.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    ground_reflectance : (T,) float32
+        Of each triangle of the terrain's mesh.
+    groups : list of Objects
+
+    Raises
+    ------
+    MissingDependency
+        If embreex is not installed.
+    """
+
+    def __init__(
+        self, terrain: Terrain, ground_reflectance: Float32, groups: list[Objects]
+    ) -> None:
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError as error:
+            raise MissingDependency("embreex", "sim", "simulation") from error
+        self._embree = EmbreeScene()
+        vertices, faces = terrain.mesh()
+        filled = [group for group in groups if len(group.triangles)]
+        self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
+        self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
+        ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
+        self._ids = np.concatenate([ground, *(group.object_ids for group in filled)])
+        self._reflectance = np.concatenate([ground_reflectance, *(g.reflectance for g in filled)])
+        sizes = [len(faces), *(len(group.triangles) for group in filled)]
+        self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        self.kinds: dict[int, str] = {GROUND_ID: "ground"}
+        for group in filled:
+            self.kinds.update(group.kinds)
+
+    def cast(self, origins: Float32, directions: Float32, max_range: float) -> Hits:
+        """First hits of rays from (R, 3) origins along (R, 3) unit directions."""
+        count = len(origins)
+        ranges = np.full(count, np.inf, dtype=np.float32)
+        ids = np.full(count, -1, dtype=np.int32)
+        cosines = np.zeros(count, dtype=np.float32)
+        shine = np.zeros(count, dtype=np.float32)
+        for start in range(0, count, _BATCH):
+            part = slice(start, min(start + _BATCH, count))
+            way = np.ascontiguousarray(directions[part], dtype=np.float32)
+            source = np.ascontiguousarray(origins[part], dtype=np.float32)
+            far = np.full(len(way), max_range, dtype=np.float32)
+            found = self._embree.run(source, way, dists=far, output=True)
+            hit = np.flatnonzero(found["primID"] >= 0)
+            triangle = self._first[found["geomID"][hit]] + found["primID"][hit]
+            normal = found["Ng"][hit]
+            slant = np.abs(np.einsum("ij,ij->i", normal, way[hit]))
+            at = start + hit
+            ranges[at] = found["tfar"][hit]
+            ids[at] = self._ids[triangle]
+            cosines[at] = slant / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+            shine[at] = self._reflectance[triangle]
+        return Hits(ranges, ids, np.minimum(cosines, 1.0), shine)
+
+
+@dataclass
+class World:
+    """Static geometry, the roads through it, and what changes between sessions.
+
+    Attributes
+    ----------
+    name : str
+    seed : int
+        Of what changes between sessions.
+    terrain : Terrain
+    ground_reflectance : (T,) float32
+        Of each triangle of the terrain's mesh.
+    roads : RoadNetwork
+    static : Objects
+    spots : Spots
+    recipe : (callable, arguments) or None
+        How to make the world again; with one, a pickled world is as small as its recipe.
+    """
+
+    name: str
+    seed: int
+    terrain: Terrain
+    ground_reflectance: Float32
+    roads: RoadNetwork
+    static: Objects
+    spots: Spots
+    recipe: tuple[Callable[..., World], tuple[Any, ...]] | None = None
+    _scenes: dict[int, Scene] = field(default_factory=dict, repr=False)
+
+    def session(self, k: int) -> Scene:
+        """The world in session k: same houses, other parked cars and people.
+
+        Raises
+        ------
+        ConfigError
+            If k is negative or above 1000.
+        MissingDependency
+            If embreex is not installed.
+        """
+        if not 0 <= k <= 1000:
+            raise ConfigError(f"session must be in 0..1000, not {k}")
+        if k not in self._scenes:
+            self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
+            groups = [self.static, self.changing(k)]
+            self._scenes[k] = Scene(self.terrain, self.ground_reflectance, groups)
+        return self._scenes[k]
+
+    def changing(self, k: int) -> Objects:
+        """Vehicles, people and bicycles of session k."""
+        rng = np.random.default_rng([self.seed, 7919, k])
+        items: list[tuple[str, Mesh]] = []
+        for x, y, yaw, longest, odds in self.spots.parking:
+            if rng.random() < odds:
+                items.append(("car", self._park(rng, x, y, yaw, longest)))
+        for x, y in self.spots.people[rng.random(len(self.spots.people)) < 1 / 12]:
+            at = np.array([x, y]) + rng.normal(0, 0.3, 2)
+            items.append(("person", self._stand(person(rng), at, rng.uniform(0, 2 * np.pi))))
+        for x, y, yaw in self.spots.bicycles[rng.random(len(self.spots.bicycles)) < 0.5]:
+            at = np.array([x, y]) + rng.normal(0, 0.2, 2)
+            items.append(("bicycle", self._stand(bicycle(rng), at, yaw + rng.normal(0, 0.2))))
+        return Objects.of(items, (k + 1) * SESSION_IDS)
+
+    def _park(
+        self, rng: np.random.Generator, x: float, y: float, yaw: float, longest: float
+    ) -> Mesh:
+        mesh, (length, _) = vehicle(rng, longest)
+        turn = yaw + rng.normal(0, 0.025) + np.pi * (rng.random() < 0.3)
+        slack = max(0.0, longest - length) / 2
+        along, across = rng.uniform(-slack, slack), rng.normal(0, 0.08)
+        x += np.cos(yaw) * along - np.sin(yaw) * across
+        y += np.sin(yaw) * along + np.cos(yaw) * across
+        c, s = np.cos(turn), np.sin(turn)
+        front, rear = (self.terrain.height(x + k * c, y + k * s) for k in (1.3, -1.3))
+        left, right = (self.terrain.height(x - k * s, y + k * c) for k in (0.7, -0.7))
+        tilted = Mesh(mesh.triangles.copy(), mesh.reflectance)
+        tilted.triangles[..., 2] += (front - rear) / 2.6 * mesh.triangles[..., 0]
+        tilted.triangles[..., 2] += (left - right) / 1.4 * mesh.triangles[..., 1]
+        return tilted.moved([float(x), float(y), float((front + rear) / 2)], turn)
+
+    def _stand(self, mesh: Mesh, at: Float64, yaw: float) -> Mesh:
+        return mesh.moved(np.append(at, self.terrain.height(*at)), yaw)
+
+    def __reduce__(self) -> Any:
+        if self.recipe is not None:
+            return self.recipe
+        state = (self.name, self.seed, self.terrain, self.ground_reflectance)
+        return World, (*state, self.roads, self.static, self.spots)
