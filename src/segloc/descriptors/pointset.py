@@ -20,6 +20,7 @@ from safetensors.numpy import save_file
 from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Segments
+from .base import Descriptor
 
 Alignment = Literal["none", "pca2d", "pca3d"]
 
@@ -168,8 +169,8 @@ def _tensor_hash(tensors: Mapping[str, Float32], table: str, alignment: str) -> 
     return digest.hexdigest()
 
 
-class PointSetDescriptor:
-    """A learned descriptor (the `Descriptor` protocol).
+class PointSetDescriptor(Descriptor):
+    """A learned descriptor.
 
     Parameters
     ----------
@@ -177,8 +178,8 @@ class PointSetDescriptor:
     path : Path
         Weights file.
     with_quality : bool
-        Also return each descriptor's quality: the network's estimate that the nearest descriptor of
-        the same object is nearer than any other, in [0, 1].
+        Also return each descriptor's quality, in [0, 1]: the network's estimate of how likely the
+        nearest map descriptor is to be of the same object.
     threads : int
         0 is all cores; results do not depend on it.
 
@@ -199,9 +200,12 @@ class PointSetDescriptor:
         self._with_quality = with_quality
         self._threads = threads
 
-    def describe(self, segments: Segments) -> Descriptors:
-        """Describe all segments, (P, 16) float32; see `Descriptor`."""
-        prepared = prepare(segments, self._alignment, self._threads)
+    def prepare(self, segments: Segments) -> Float32:
+        """Aligned and sampled segments, (P, 256, 3) float32; see :func:`prepare`."""
+        return prepare(segments, self._alignment, self._threads)
+
+    def encode(self, prepared: Float32) -> Descriptors:
+        """Describe prepared segments: (P, 16) float32 vectors."""
         vectors, quality = self._network.describe(prepared, self._threads)
         return Descriptors(vectors, quality if self._with_quality else None)
 

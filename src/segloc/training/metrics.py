@@ -1,0 +1,108 @@
+"""How well descriptors tell objects apart: ROC area and recall among the nearest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _native
+from ..types import Float32
+from .dataset import SegmentDataset
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Figures of one set of descriptors.
+
+    Attributes
+    ----------
+    auc : float
+        Chance that a random matching pair (of different sessions where there are several) is nearer
+        than a random pair of different objects.
+    recall : float
+        Share of segments with another session's view in the set, of which one is among the 25
+        nearest descriptors of other sessions.
+    recall_first : float
+        The same for the nearest alone.
+    """
+
+    auc: float
+    recall: float
+    recall_first: float
+
+
+def score(
+    vectors: Float32, dataset: SegmentDataset, *, k: int = 25, seed: int = 0, threads: int = 1
+) -> Scores:
+    """Score descriptors (P, dim) of all segments of a dataset."""
+    found = [r for r in _ranks(vectors, dataset, k, threads) if r >= 0]
+    ranks = np.array(found) if found else np.zeros(0)
+    recall = float((ranks < k).mean()) if len(ranks) else 0.0
+    first = float((ranks == 0).mean()) if len(ranks) else 0.0
+    return Scores(_auc(vectors, dataset, np.random.default_rng(seed)), recall, first)
+
+
+def nearest_is_right(
+    vectors: Float32, dataset: SegmentDataset, threads: int = 1
+) -> NDArray[np.float32]:
+    """(P,) 1 where the nearest descriptor of another session is of the same object.
+
+    0 where it is not, NaN where no other session shows the object.
+    """
+    ranks = np.array(_ranks(vectors, dataset, 1, threads))
+    return np.where(ranks < 0, np.nan, ranks == 0).astype(np.float32)
+
+
+def _ranks(vectors: Float32, dataset: SegmentDataset, k: int, threads: int) -> list[int]:
+    """Rank of the first right one among the k nearest of other sessions.
+
+    k where there is none among them, -1 where no other session shows the object.
+    """
+    ranks = np.full(len(dataset), -1)
+    for session in np.unique(dataset.sessions):
+        queries = np.flatnonzero(dataset.sessions == session)
+        others = np.flatnonzero(dataset.sessions != session)
+        queries = queries[np.isin(dataset.labels[queries], dataset.labels[others])]
+        if len(queries) == 0:
+            continue
+        indices, _ = _native.knn(
+            np.ascontiguousarray(vectors[queries]),
+            np.ascontiguousarray(vectors[others]),
+            k,
+            threads,
+        )
+        hit = dataset.labels[others][indices] == dataset.labels[queries][:, None]
+        ranks[queries] = np.where(hit.any(axis=1), hit.argmax(axis=1), k)
+    return [int(r) for r in ranks]
+
+
+def _auc(vectors: Float32, dataset: SegmentDataset, rng: np.random.Generator) -> float:
+    a, b = matching_pairs(dataset)
+    if len(a) == 0:
+        return 0.5
+    count = max(len(a), 2000)
+    c, d = rng.integers(len(dataset), size=(2, 4 * count))
+    differ = dataset.different(c, d)
+    c, d = c[differ][:count], d[differ][:count]
+    positive = np.linalg.norm(vectors[a] - vectors[b], axis=1)
+    negative = np.sort(np.linalg.norm(vectors[c] - vectors[d], axis=1))
+    low = np.searchsorted(negative, positive, side="left")
+    high = np.searchsorted(negative, positive, side="right")
+    return float(1.0 - (low + high).mean() / (2 * len(negative))) if len(negative) else 0.5
+
+
+def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of all pairs with one label, of different sessions where there are several."""
+    across = len(np.unique(dataset.sessions)) > 1
+    first: list[NDArray[np.int64]] = []
+    second: list[NDArray[np.int64]] = []
+    order = np.argsort(dataset.labels, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(dataset.labels[order])) + 1):
+        i, j = np.triu_indices(len(group), 1)
+        a, b = group[i], group[j]
+        keep = dataset.sessions[a] != dataset.sessions[b] if across else np.ones(len(a), bool)
+        first.append(a[keep])
+        second.append(b[keep])
+    return np.concatenate(first), np.concatenate(second)
