@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,9 +29,7 @@ def check_folder(out: Path) -> None:
 
 def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: str) -> None:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``."""
-    lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
-    summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
-    files = {"localizations.jsonl": "".join(lines).encode(), "summary.json": summary.encode()}
+    files = _contents(evaluation)
     try:
         from ..evaluation.picture import draw
 
@@ -40,16 +39,27 @@ def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: st
     made = not out.exists()
     out.mkdir(parents=True, exist_ok=True)
     try:
-        # Nothing is renamed before everything is written.
-        with ExitStack() as stack:
+        with ExitStack() as stack:  # nothing is renamed before everything is written
             for name, data in files.items():
                 stack.enter_context(replacing(out / name)).write(data)
-            write_tum(out / "poses.tum", _trajectory(evaluation))
     except BaseException:
         if made:
             with suppress(OSError):
                 out.rmdir()
         raise
+
+
+def _contents(evaluation: Evaluation) -> dict[str, bytes]:
+    lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
+    summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
+    with TemporaryDirectory() as folder:
+        poses = Path(folder) / "poses.tum"
+        write_tum(poses, _trajectory(evaluation))
+        return {
+            "poses.tum": poses.read_bytes(),
+            "localizations.jsonl": "".join(lines).encode(),
+            "summary.json": summary.encode(),
+        }
 
 
 def _trajectory(evaluation: Evaluation) -> Trajectory:

@@ -26,6 +26,9 @@ Bools = NDArray[np.bool_]
 PLACE_RADIUS_M = 3.0
 """A query has a place in a map when the map's trajectory passes this close to it."""
 
+PATH_BREAK_M = 25.0
+"""Poses of a map's trajectory that are farther apart are not joined."""
+
 STAGES = (
     "segmentation",
     "preprocessing",
@@ -36,6 +39,7 @@ STAGES = (
     "total",
 )
 _SCANS_IN_MEMORY = 64
+_PATH_STEP_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,10 @@ def pose_errors(estimates: Float64, truths: Float64) -> tuple[Float64, Float64]:
 
 
 def distances_to_path(poses: Float64, path: Float64) -> Float64:
-    """Horizontal distance of each pose to the nearest pose of a path; infinite where it is empty.
+    """Horizontal distance of each pose to a path; infinite where the path is empty.
+
+    The path runs straight between neighbouring poses, except where they are more than
+    ``PATH_BREAK_M`` apart.
 
     Parameters
     ----------
@@ -131,7 +138,11 @@ def distances_to_path(poses: Float64, path: Float64) -> Float64:
     """
     if not len(path):
         return np.full(len(poses), np.inf)
-    distances, _ = cKDTree(path[:, :2, 3]).query(poses[:, :2, 3])
+    start, step = path[:, :2, 3], np.diff(path[:, :2, 3], axis=0, append=path[-1:, :2, 3])
+    step[np.hypot(*step.T) > PATH_BREAK_M] = 0.0
+    shares = np.arange(0.0, 1.0, _PATH_STEP_M / PATH_BREAK_M)
+    points = start[:, None] + shares[:, None] * step[:, None]
+    distances, _ = cKDTree(points.reshape(-1, 2)).query(poses[:, :2, 3])
     return np.asarray(distances, dtype=np.float64)
 
 

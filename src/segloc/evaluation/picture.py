@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import MissingDependency
 from ..map import SegmentMap
 from ..types import Float64
-from .localization import Evaluation
+from .localization import PATH_BREAK_M, Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 _GREEN, _RED, _DARK = "#12a150", "#e5243b", "#3f4756"
 _LONG_SIDE_IN, _SHORT_SIDE_IN, _DPI = 11.0, 4.5, 120
 _MARGIN_M = 15.0
-_GAP_M = 25.0
 
 
 def draw(site: SegmentMap, evaluation: Evaluation, title: str) -> bytes:
@@ -106,7 +105,7 @@ def _draw_cloud(axes: Axes, site: SegmentMap, low: Float64, high: Float64) -> No
 def _draw_path(axes: Axes, path: Float64) -> None:
     if not len(path):
         return
-    jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > _GAP_M) + 1
+    jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
     broken = np.insert(path, jumps, np.nan, axis=0)
     axes.plot(*broken.T, color="#7d8aa0", lw=1.2, zorder=1, label="path of the map")
 
