@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import small_gicp
@@ -12,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from . import _native, geometry
 from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
+
+MIN_ICP_POINTS = 20
 
 
 class VerificationConfig(BaseModel):
@@ -34,8 +38,11 @@ class VerificationConfig(BaseModel):
     refine: bool = Field(True, description="refine the pose by ICP")
     icp_voxel: float = Field(0.5, gt=0, description="clouds are thinned to this for ICP, metres")
     icp_reach: float = Field(1.5, gt=0, description="longest ICP correspondence, metres")
-    icp_radius: float = Field(60.0, gt=0, description="map around the candidate used, metres")
+    icp_radius: float = Field(45.0, gt=0, description="how far around the sensor ICP looks, metres")
+    icp_tile: float = Field(10.0, gt=0, description="prepared map tiles lie this far apart, metres")
+    icp_tiles: int = Field(32, ge=1, description="prepared map tiles kept in memory")
     sample: int = Field(2000, ge=1, description="points of the live cloud that overlap is taken of")
+    coarse_sample: int = Field(500, ge=1, description="the same while candidates are ranked")
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,7 @@ class Verifier:
         self._index = _native.PointIndex(
             cloud, max(self.config.coarse_radius, self.config.overlap_radius)
         )
+        self._tile = lru_cache(maxsize=self.config.icp_tiles)(self._prepared_tile)
 
     def verify(self, scene: Segmentation, hypotheses: list[Hypothesis]) -> Verdict:
         """Rank the candidates, refine the best and decide.
@@ -87,7 +95,8 @@ class Verifier:
 
     def _ranked(self, hypotheses: list[Hypothesis], sample: Float32) -> list[Hypothesis]:
         poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
-        overlap, rmse = self._index.overlap(sample, poses, self.config.coarse_radius)
+        few = _thinned(sample, self.config.coarse_sample)
+        overlap, rmse = self._index.overlap(few, poses, self.config.coarse_radius)
         scored = [
             replace(h, overlap=float(o), rmse=float(r))
             for h, o, r in zip(hypotheses, overlap, rmse, strict=True)
@@ -138,14 +147,15 @@ class Verifier:
     def _icp(self, T: Pose, scene: Segmentation) -> tuple[Pose, Float64 | None]:
         """Generalised ICP against the map around the candidate; unchanged where it fails."""
         config = self.config
-        near = self._index.within(float(T[0, 3]), float(T[1, 3]), config.icp_radius)
-        if len(near) < 20 or len(scene.structure) < 20:
-            return T, None
-        target, tree = small_gicp.preprocess_points(
-            self._cloud[near].astype(np.float64), config.icp_voxel
+        tile = self._tile(
+            round(float(T[0, 3]) / config.icp_tile), round(float(T[1, 3]) / config.icp_tile)
         )
+        near = (scene.structure[:, :2] ** 2).sum(axis=1) < config.icp_radius**2
+        if tile is None or near.sum() < MIN_ICP_POINTS:
+            return T, None
+        target, tree = tile
         source, _ = small_gicp.preprocess_points(
-            scene.structure.astype(np.float64), config.icp_voxel
+            scene.structure[near].astype(np.float64), config.icp_voxel
         )
         result = small_gicp.align(
             target, source, tree, T, "GICP", max_correspondence_distance=config.icp_reach
@@ -155,6 +165,24 @@ class Verifier:
         if not np.isfinite(refined).all() or np.linalg.norm(moved[:3, 3]) > config.separation:
             return T, None
         return geometry.orthonormal(refined), _covariance(result)
+
+    def _prepared_tile(self, x: int, y: int) -> tuple[Any, Any] | None:
+        """The map around a tile's centre, thinned and with its normals, and its search tree.
+
+        Preparing it costs far more than the alignment does; successive queries of one robot share
+        it. Which tile is used depends on the candidate alone, so the answer does not depend on
+        what was asked before.
+        """
+        config = self.config
+        near = self._index.within(
+            x * config.icp_tile, y * config.icp_tile, config.icp_radius + config.icp_tile
+        )
+        if len(near) < MIN_ICP_POINTS:
+            return None
+        prepared: tuple[Any, Any] = small_gicp.preprocess_points(
+            self._cloud[near].astype(np.float64), config.icp_voxel
+        )
+        return prepared
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
