@@ -73,7 +73,7 @@ class Scan:
         return f"Scan({len(self)} points, stamp={self.stamp})"
 
 
-def _as_array(values: ArrayLike, name: str, dtype: DTypeLike = None) -> NDArray[Any]:
+def _as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
     try:
         return np.asarray(values, dtype=dtype)
     except (TypeError, ValueError) as error:
