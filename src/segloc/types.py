@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from .errors import InvalidScan
 
@@ -72,8 +73,15 @@ class Scan:
         return f"Scan({len(self)} points, stamp={self.stamp})"
 
 
+def _as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
+    try:
+        return np.asarray(values, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"{name} must be an array of numbers") from error
+
+
 def _checked_points(points: ArrayLike) -> Float32:
-    array = np.asarray(points)
+    array = _as_array(points, "points")
     if array.ndim != 2 or array.shape[1] < 3:
         raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
     if not np.issubdtype(array.dtype, np.floating):
@@ -85,7 +93,7 @@ def _checked_points(points: ArrayLike) -> Float32:
 def _checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
     if times is None:
         return None
-    array = np.asarray(times, dtype=np.float64)
+    array: Float64 = _as_array(times, "times", np.float64)
     if array.shape != (count,):
         raise InvalidScan(f"times must have shape ({count},), not {array.shape}")
     return array
@@ -99,7 +107,7 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     InvalidScan
         If the shape is wrong, a value is not finite, or the rotation is not one (to 1e-3).
     """
-    T = np.array(pose, dtype=np.float64)
+    T: Pose = _as_array(pose, name, np.float64).copy()
     if T.shape != (4, 4):
         raise InvalidScan(f"{name} must have shape (4, 4), not {T.shape}")
     R = T[:3, :3]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import DatasetError
+from ..files import replacing
 from ..types import Float32, Scan
-from ._atomic import write_atomically
 from .kitti_bin import format_kitti, parse_kitti, parse_nuscenes
 from .las import format_laz, parse_las
 from .npy import format_npy, parse_npy, parse_npz
@@ -122,7 +121,9 @@ def write_scan(path: str | Path, points: ArrayLike) -> None:
     Raises
     ------
     DatasetError
-        If the suffix is unknown or the file cannot be written.
+        If the suffix is unknown, or coordinates are beyond the format's range.
+    SeglocError
+        If the file cannot be written.
     InvalidScan
         If the points have the wrong shape or dtype.
     MissingDependency
@@ -132,9 +133,10 @@ def write_scan(path: str | Path, points: ArrayLike) -> None:
     suffix = scan_suffix(path)
     if suffix not in _FORMATTERS:
         raise DatasetError(f"{path}: cannot write this format; known are {', '.join(_FORMATTERS)}")
-    xyz = Scan(np.asarray(points)).points
+    xyz = Scan(points).points
     try:
         data = _FORMATTERS[suffix](xyz)
     except DatasetError as error:
         raise DatasetError(f"{path}: {error}") from error
-    write_atomically(path, data)
+    with replacing(path) as stream:
+        stream.write(data)

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import DatasetError
+from ..files import write_text
 from ..types import Float64, Pose
-from ._atomic import write_atomically
 from ._columns import one_line
 from .scans import read_file
 
@@ -186,7 +186,9 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     Raises
     ------
     DatasetError
-        If the file cannot be written, or two stamps are the same to 9 decimals.
+        If two stamps are the same to 9 decimals.
+    SeglocError
+        If the file cannot be written.
     """
     path = Path(path)
     if (np.diff(np.round(trajectory.stamps, 9)) <= 0).any():
@@ -197,7 +199,7 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     if len(trajectory):
         rows[:, 4:] = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
     rows[:, 4:] *= np.where(rows[:, 7:] < 0, -1.0, 1.0)  # q and -q are the same rotation
-    write_atomically(path, _format_rows(rows, "%.9f", "# stamp tx ty tz qx qy qz qw\n"))
+    write_text(path, _format_rows(rows, "%.9f", "# stamp tx ty tz qx qy qz qw\n"))
 
 
 def write_kitti(path: str | Path, trajectory: Trajectory) -> None:
@@ -205,12 +207,12 @@ def write_kitti(path: str | Path, trajectory: Trajectory) -> None:
 
     Raises
     ------
-    DatasetError
+    SeglocError
         If the file cannot be written.
     """
-    write_atomically(Path(path), _format_rows(trajectory.poses[:, :3].reshape(-1, 12), "%.12e", ""))
+    write_text(path, _format_rows(trajectory.poses[:, :3].reshape(-1, 12), "%.12e", ""))
 
 
-def _format_rows(rows: Float64, number: str, header: str) -> bytes:
+def _format_rows(rows: Float64, number: str, header: str) -> str:
     row = " ".join([number] * rows.shape[1]) + "\n"
-    return (header + "".join(row % tuple(values) for values in rows)).encode("ascii")
+    return header + "".join(row % tuple(values) for values in rows)
