@@ -1,7 +1,7 @@
 """Learned point-set descriptors: layer tables, weight files, and inference.
 
-The network is X-convolutional (Li et al., "PointCNN", NeurIPS 2018). A segment becomes 256 points in
-the order of farthest-point sampling, so each layer's representative points are a prefix of them.
+The network is X-convolutional (Li et al., "PointCNN", NeurIPS 2018). A segment becomes 256 points
+in the order of farthest-point sampling, so each layer's points are a prefix of them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -141,12 +141,12 @@ def load_weights(path: Path) -> Weights:
         raise WeightsError(f"{path}: the metadata has no {error}") from error
     except (TypeError, ValueError) as error:
         raise WeightsError(f"{path}: {error}") from error
-    if alignment not in ("none", "pca2d", "pca3d") or points != POINTS:
+    if alignment not in get_args(Alignment) or points != POINTS:
         raise WeightsError(f"{path}: made for another preparation of the segments")
     digest = _tensor_hash(tensors, table, alignment)
     if digest != metadata.get("sha256"):
         raise WeightsError(f"{path}: the tensors do not match their hash")
-    return Weights(network, alignment, card, digest)
+    return Weights(network, cast(Alignment, alignment), card, digest)
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, Float32]]:

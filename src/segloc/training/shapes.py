@@ -77,7 +77,8 @@ def _faces(size: Float64, rng: np.random.Generator) -> tuple[Float64, Float64]:
 
 def _box(rng: np.random.Generator) -> tuple[Float64, Float64]:
     points, normals = _faces(rng.uniform([0.5, 0.5, 0.5], [5.0, 2.5, 3.0]), rng)
-    return points + [0, 0, np.ptp(points[:, 2]) / 2], normals
+    points[:, 2] += np.ptp(points[:, 2]) / 2
+    return points, normals
 
 
 def _wall(rng: np.random.Generator) -> tuple[Float64, Float64]:
@@ -92,7 +93,8 @@ def _wall(rng: np.random.Generator) -> tuple[Float64, Float64]:
         low = rng.uniform(-0.5, 0.2) * size[2]
         hole = inside & (points[:, 2] > low) & (points[:, 2] < low + 1.2)
         points, normals = points[~hole], normals[~hole]
-    return points + [0, 0, size[2] / 2], normals
+    points[:, 2] += size[2] / 2
+    return points, normals
 
 
 def _cylinder(rng: np.random.Generator) -> tuple[Float64, Float64]:
