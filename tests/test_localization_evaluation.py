@@ -171,8 +171,8 @@ def test_drawing(evaluation: Evaluation) -> None:
     pictures = [draw(site, case, "a town") for case in (evaluation, blind, empty)]
     view = Descriptors(np.zeros((0, 2), np.float32))
     cloud = np.random.default_rng(0).normal(size=(500, 3)) * 20
-    for x in (0.0, 10.0, 90.0):
-        site.add(view, np.empty((0, 3)), [], session=0, stamp=0, cloud=cloud, T_map_local=pose(x))
+    site.add(view, np.empty((0, 3)), [], session=0, stamp=0, cloud=cloud)
+    site.add_trajectory(line([0, 10, 90]))
     pictures.append(draw(site, evaluation, "a town"))
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert draw(site, evaluation, "a town") == pictures[-1]

@@ -243,10 +243,11 @@ class SegmentMap:
         SeglocError
             If the shape is wrong or a pose is not a rigid transform.
         """
-        array = _checked(poses, "poses", (len(np.asarray(poses)), 4, 4), np.float64)
-        self._trajectory.append(
-            np.array([checked_pose(T, "poses") for T in array]).reshape(-1, 4, 4)
-        )
+        array = np.asarray(poses)
+        if array.ndim != 3 or array.shape[1:] != (4, 4):
+            raise SeglocError(f"poses must have shape (V, 4, 4), not {array.shape}")
+        checked = [checked_pose(T, f"poses[{i}]") for i, T in enumerate(array)]
+        self._trajectory.append(np.array(checked, dtype=np.float64).reshape(-1, 4, 4))
 
     def merge(self, other: SegmentMap) -> SegmentMap:
         """A new map of everything that either map holds.

@@ -18,7 +18,7 @@ from .segmentation import Segmenter
 
 if TYPE_CHECKING:
     from .config import Config
-    from .datasets import Sequence
+    from .datasets import Recording
 
 
 class ViewConfig(BaseModel):
@@ -43,7 +43,7 @@ class MappingConfig(BaseModel):
 
 
 def build_map(
-    sequence: Sequence,
+    sequence: Recording,
     config: Config,
     *,
     every_m: float | None = None,
@@ -53,7 +53,7 @@ def build_map(
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : Recording
         With poses: they define the map frame, whose z axis must point up.
     config : Config
     every_m : float, optional

@@ -28,6 +28,17 @@ def progress(label: str) -> Iterator[Update]:
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
+@contextmanager
+def busy(label: str) -> Iterator[None]:
+    """A sign of life on stderr; none without a terminal."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    with console.status(label):
+        yield
+
+
 def note(text: str) -> None:
     """A remark on stderr."""
     Console(stderr=True).print(f"segloc: note: {text}", markup=False, highlight=False)

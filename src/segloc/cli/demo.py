@@ -2,6 +2,83 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-def demo() -> None:
-    """Map a simulated town, then localize a second traversal of it and another town."""
+import typer
+
+if TYPE_CHECKING:
+    from ..evaluation.localization import Evaluation
+    from ..localizer import Localizer
+    from ..simulation import SimulatedSequence
+
+QUERY_EVERY_M = 8.0
+FAR_AWAY_M = 1e5
+"""Where the other town is put in the map's frame: nowhere in it is a right answer."""
+
+
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")] = Path(
+        "demo"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another town.")] = 0,
+) -> None:
+    """Map a simulated town, then localize a second traversal of it, and another town.
+
+    Between the traversals other cars are parked, and the second one also leaves the map.
+    """
+    from ..config import Config
+    from ..localizer import Localizer
+    from ..mapping import build_map
+    from ..simulation import demo_sessions
+    from .console import busy, progress
+    from .results import check_folder, write_results
+
+    check_folder(out)
+    with busy("Simulating two towns"):
+        drives = demo_sessions(seed)
+    with progress("Building the map") as update:
+        site = build_map(drives["map"], Config(), progress=update)
+    localizer = Localizer(site)
+    again = _evaluate(localizer, drives["revisit"], "Second traversal", 0.0)
+    other = _evaluate(localizer, drives["elsewhere"], "Another town", FAR_AWAY_M)
+    write_results(out / "revisit", site, again, f"A second traversal of town {seed}")
+    write_results(out / "elsewhere", site, other, None)
+    site.save(out / "town.segmap")
+    _show(again.summary(), other.summary(), f"Town {seed}, described by {site.descriptor}")
+    print(f"The map, the answers and pictures are in {out}")
+
+
+def _evaluate(
+    localizer: Localizer, drive: SimulatedSequence, label: str, shift_m: float
+) -> Evaluation:
+    from ..evaluation.localization import Evaluation, localize_sequence, query_positions
+    from .console import progress
+
+    gap = localizer.config.local_cloud.max_gap_m
+    positions = query_positions(drive.poses, QUERY_EVERY_M, gap)
+    with progress(label) as update:
+        results = localize_sequence(localizer, drive, positions, update)
+    truths = drive.poses[positions].copy()
+    truths[:, 0, 3] += shift_m
+    return Evaluation(drive.indices[positions], results, localizer.site.trajectory, truths)
+
+
+def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
+    from .console import number, table
+
+    def row(name: str, count: Callable[[dict[str, Any]], int | str]) -> tuple[str, str, str]:
+        return name, str(count(again)), str(count(other))
+
+    rows = [
+        row("queries", lambda s: s["queries"]),
+        row("with a place in the map", lambda s: s["with_place"]),
+        row("  localized correctly", lambda s: s["with_place_correct"]),
+        row("near the map, correctly too", lambda s: s["correct"] - s["with_place_correct"]),
+        row("localized falsely", lambda s: s["false"]),
+        row("refused", lambda s: s["not_localized"]),
+        row("error, median", lambda s: number(s["translation_error_m"]["median"], "m")),
+        row("time of a query, median", lambda s: number(s["ms"]["total"], "ms", 1)),
+    ]
+    table(title, ("", "second traversal", "another town"), rows)

@@ -27,15 +27,19 @@ def check_folder(out: Path) -> None:
         raise SeglocError(f"{out}: cannot be written: {nearest} is not a folder")
 
 
-def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: str) -> None:
-    """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``."""
-    files = _contents(evaluation)
-    try:
-        from ..evaluation.picture import draw
+def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: str | None) -> None:
+    """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
-        files["trajectory.png"] = draw(site, evaluation, title)
-    except MissingDependency as error:
-        note(f"no trajectory.png: {error}")
+    There is no picture without a title.
+    """
+    files = _contents(evaluation)
+    if title is not None:
+        try:
+            from ..evaluation.picture import draw
+
+            files["trajectory.png"] = draw(site, evaluation, title)
+        except MissingDependency as error:
+            note(f"no trajectory.png: {error}")
     made = not out.exists()
     out.mkdir(parents=True, exist_ok=True)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import DatasetError
+from .base import Recording as Recording
 from .base import Selection as Selection
 from .base import Sequence as Sequence
 from .base import parse_select as parse_select

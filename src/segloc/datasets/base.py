@@ -15,8 +15,8 @@ from ..types import Float64, Int64, Scan
 _RANGE = re.compile(r"(\d{0,18})(:?)(\d{0,18})", re.ASCII)
 
 
-class Sequence(Protocol):
-    """Scans in the order in which they were taken.
+class Recording(Protocol):
+    """Scans in the order in which they were taken: all that mapping and localizing need.
 
     Attributes
     ----------
@@ -39,6 +39,10 @@ class Sequence(Protocol):
     def scan(self, i: int) -> Scan:
         """The scan at position i (0 to N - 1), stamped with its index, with its pose if known."""
         ...
+
+
+class Sequence(Recording, Protocol):
+    """A recording that parts can be taken of."""
 
     def select(self, selection: Selection) -> Sequence:
         """The scans whose indices are in the selection, in the same order."""

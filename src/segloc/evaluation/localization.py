@@ -18,7 +18,7 @@ from ..local_cloud import window
 from ..types import Float64, Int64, Localization, Pose
 
 if TYPE_CHECKING:
-    from ..datasets import Sequence
+    from ..datasets import Recording
     from ..localizer import Localizer
 
 Bools = NDArray[np.bool_]
@@ -75,7 +75,7 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
 
 def localize_sequence(
     localizer: Localizer,
-    sequence: Sequence,
+    sequence: Recording,
     positions: Int64,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Localization]:
