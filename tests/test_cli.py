@@ -19,7 +19,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from segloc import cli
-from segloc.io import Trajectory, read_trajectory, write_tum
+from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
 from segloc.map import SegmentMap
 
 SCANS = 30
@@ -212,7 +212,7 @@ def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_pa
 def test_help_needs_nothing_heavy() -> None:
     code = (
         "import sys; from segloc import cli; "
-        "print(sorted({'scipy', 'pydantic', 'matplotlib', 'torch'} & set(sys.modules)))"
+        "print(sorted({'matplotlib', 'torch', 'embreex', 'laspy'} & set(sys.modules)))"
     )
     command = [sys.executable, "-c", code]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "[]\n"
@@ -327,6 +327,15 @@ def test_without_matplotlib_there_is_no_picture(
     localize_toy(toy, tmp_path / "out")
     assert set(files(tmp_path / "out")) == PICTURE - {"trajectory.png"}
     assert "pip install 'segloc[report]'" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_missing_reader_is_named(
+    toy: Toy, tmp_path: Path, refused: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_scan(tmp_path / "0.laz", np.eye(3))
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    match = r"laspy.*: pip install 'segloc\[io\]'"
+    refused(match, "localize", tmp_path, "--map", toy.map, "--out", tmp_path / "out")
 
 
 def test_bugs_show_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:

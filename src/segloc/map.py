@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import mapfile
+from .columns import SEGMENT_DTYPES, checked, joined, row_shape
 from .errors import MapFormatError, MapMismatch, SeglocError
 from .map_union import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .types import Descriptors, Float32, Float64, checked_pose
@@ -18,15 +19,6 @@ from .voxel_cloud import VoxelCloud
 
 Int32 = NDArray[np.int32]
 Array = NDArray[Any]
-
-SEGMENT_DTYPES: dict[str, Any] = {
-    "vectors": np.float32,
-    "quality": np.float32,
-    "centroids": np.float64,
-    "sizes": np.int32,
-    "session": np.int32,
-    "stamps": np.float64,
-}
 
 
 class SegmentMap:
@@ -85,11 +77,11 @@ class SegmentMap:
         if not (np.isfinite(cloud_voxel) and cloud_voxel > 0):
             raise SeglocError(f"cloud_voxel must be positive, not {cloud_voxel}")
         segments: dict[str, Array] = {
-            name: np.empty(_shape(name, 0, dim), dtype)
+            name: np.empty(row_shape(name, 0, dim), dtype)
             for name, dtype in SEGMENT_DTYPES.items()
             if name != "quality"
         }
-        where = _checked(origin, "origin", (3,), np.float64)
+        where = checked(origin, "origin", (3,), np.float64)
         cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
         return cls(descriptor_name, fingerprint, segments, cloud, np.empty((0, 4, 4)))
 
@@ -147,7 +139,7 @@ class SegmentMap:
     @property
     def trajectory(self) -> Float64:
         """Poses T_map_sensor along which the map was recorded, (V, 4, 4) float64."""
-        return _joined(self._trajectory)
+        return joined(self._trajectory)
 
     @property
     def memory_bytes(self) -> int:
@@ -217,7 +209,7 @@ class SegmentMap:
             "stamps": np.full(count, stamp, dtype=np.float64),
         }
         columns = {
-            name: _checked(value, name, _shape(name, count, self.dim), SEGMENT_DTYPES[name])
+            name: checked(value, name, row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
             for name, value in values.items()
             if value is not None
         }
@@ -280,7 +272,7 @@ class SegmentMap:
 
     def crop(self, center_xy: ArrayLike, radius: float) -> SegmentMap:
         """A new map of what lies within a horizontal distance of a point of the map frame."""
-        center = _checked(center_xy, "center_xy", (2,), np.float64)
+        center = checked(center_xy, "center_xy", (2,), np.float64)
         if not radius >= 0:
             raise SeglocError(f"radius must not be negative, not {radius}")
 
@@ -346,7 +338,7 @@ class SegmentMap:
     # --- inside --------------------------------------------------------------------------------
 
     def _column(self, name: str) -> Array:
-        return _joined(self._columns[name])
+        return joined(self._columns[name])
 
     def _segments(self) -> dict[str, Array]:
         return {name: self._column(name) for name in self._columns}
@@ -355,26 +347,3 @@ class SegmentMap:
         arrays = self._segments()
         arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
         return arrays
-
-
-def _joined(parts: list[Array]) -> Array:
-    """The parts as one array, which takes their place in the list."""
-    if len(parts) > 1:
-        parts[:] = [np.concatenate(parts)]
-    return parts[0]
-
-
-def _shape(name: str, count: int, dim: int) -> tuple[int, ...]:
-    return {"vectors": (count, dim), "centroids": (count, 3)}.get(name, (count,))
-
-
-def _checked(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> Array:
-    array = np.asarray(values)
-    if array.shape != shape:
-        raise SeglocError(f"{name} must have shape {shape}, not {array.shape}")
-    whole = np.issubdtype(dtype, np.integer)
-    if array.size and array.dtype.kind not in ("iu" if whole else "iuf"):
-        raise SeglocError(f"{name} cannot have dtype {array.dtype}")
-    if not np.isfinite(array).all() or (whole and (np.abs(array) > np.iinfo(dtype).max).any()):
-        raise SeglocError(f"{name} has values that are out of range")
-    return np.array(array, dtype=dtype)

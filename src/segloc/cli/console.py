@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 Update = Callable[[int, int], None]
 
@@ -46,12 +47,14 @@ def note(text: str) -> None:
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table whose first column is text and whose others are numbers."""
-    shown = Table(title=title, title_justify="left", title_style="bold", show_header=any(header))
+    console = Console()
+    console.print(Text(title, style="bold"), soft_wrap=True)  # a title of the table's would wrap
+    shown = Table(show_header=any(header))
     for i, name in enumerate(header):
         shown.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
     for row in rows:
         shown.add_row(*row)
-    Console().print(shown)
+    console.print(shown)
 
 
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:
