@@ -1,7 +1,7 @@
-#include <cmath>
 #include <map>
 
 #include "bindings.h"
+#include "finite.h"
 #include "fps.h"
 #include "knn.h"
 #include "neighbors.h"
@@ -14,10 +14,7 @@ namespace segloc::bindings {
 namespace {
 
 void require_finite(const float* values, std::size_t count, const char* name) {
-  // A sum of zeros times the values: NaN as soon as one is not finite, without a branch for each.
-  float sum = 0;
-  for (std::size_t i = 0; i < count; ++i) sum += values[i] * 0.0f;
-  require(sum == 0.0f, std::string(name) + " has values that are not finite");
+  require(all_finite(values, count), std::string(name) + " has values that are not finite");
 }
 
 Out<int32_t> fps(In3<float> points, std::size_t samples, int threads, const std::string& isa) {

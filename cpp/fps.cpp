@@ -1,5 +1,7 @@
 #include "fps.h"
 
+#include <algorithm>
+
 #include "parallel.h"
 
 namespace segloc {
@@ -17,22 +19,23 @@ void farthest_points(const float* points, std::size_t clouds, std::size_t n, std
                      Isa isa, int threads, int32_t* order) {
   if (samples == 0 || n == 0) return;
   const Kernels& k = kernels(isa);
-  constexpr std::size_t kGrain = 8;
+  constexpr std::size_t kGrain = 8, kTogether = 4;
   parallel_for(clouds, kGrain, threads, [&](std::size_t begin, std::size_t end, int) {
-    FpsScratch scratch[2] = {FpsScratch(n), FpsScratch(n)};
-    const auto load = [&](std::size_t index, int slot) {
-      const FpsCloud cloud = scratch[slot].cloud(order + index * samples);
-      const float* p = points + index * n * 3;
-      for (std::size_t i = 0; i < n; ++i) {
-        cloud.x[i] = p[3 * i];
-        cloud.y[i] = p[3 * i + 1];
-        cloud.z[i] = p[3 * i + 2];
+    FpsScratch scratch[kTogether] = {FpsScratch(n), FpsScratch(n), FpsScratch(n), FpsScratch(n)};
+    for (std::size_t first = begin; first < end; first += kTogether) {
+      const std::size_t count = std::min(kTogether, end - first);
+      FpsCloud together[kTogether];
+      for (std::size_t c = 0; c < count; ++c) {
+        together[c] = scratch[c].cloud(order + (first + c) * samples);
+        const float* p = points + (first + c) * n * 3;
+        for (std::size_t i = 0; i < n; ++i) {
+          together[c].x[i] = p[3 * i];
+          together[c].y[i] = p[3 * i + 1];
+          together[c].z[i] = p[3 * i + 2];
+        }
       }
-      return cloud;
-    };
-    std::size_t i = begin;
-    for (; i + 1 < end; i += 2) k.fps_pair(load(i, 0), load(i + 1, 1), n, samples);
-    if (i < end) k.fps(load(i, 0), n, samples);
+      k.fps(together, count, n, samples);
+    }
   });
 }
 

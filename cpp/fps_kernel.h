@@ -1,4 +1,4 @@
-// Farthest-point sampling of one cloud, or of two at once (one hides the other's latency).
+// Farthest-point sampling of a few clouds in lockstep: one hides the latency of the others.
 #pragma once
 
 #include "kernels.h"
@@ -9,29 +9,18 @@ namespace SEGLOC_ISA {
 namespace {
 
 constexpr float kFar = 3.402823466e38f;
+constexpr size_t kLockstep = kRegisters == 32 ? 4 : 2;
 
-// The first point whose distance is `value`, the largest one: first its group, then its place.
-inline size_t locate(const float* distance, const float* group_max, size_t groups, float value) {
-  const Vec target = broadcast(value);
-  size_t group = 0;
-  for (size_t first = 0; first < groups; first += 64) {
-    const size_t last = first + 64 < groups ? first + 64 : groups;
+// The first of `values` (64 a block) that equals `target`; there is one.
+inline size_t first_equal(const float* values, Vec target) {
+  for (size_t first = 0;; first += 64) {
     uint64_t hits = 0;
-    for (size_t g = first; g < last; ++g) {
-      const uint64_t hit = equal(load(group_max + g * kWidth), target) != 0;
-      hits |= hit << (g - first);
+    SEGLOC_UNROLL
+    for (size_t i = 0; i < 64; i += kWidth) {
+      hits |= static_cast<uint64_t>(equal(load(values + first + i), target)) << i;
     }
-    if (hits != 0) {
-      group = first + static_cast<size_t>(__builtin_ctzll(hits));
-      break;
-    }
+    if (hits != 0) return first + static_cast<size_t>(__builtin_ctzll(hits));
   }
-  distance += group * kFpsGroup;
-  uint64_t hits = 0;
-  for (size_t i = 0; i < kFpsGroup; i += kWidth) {
-    hits |= static_cast<uint64_t>(equal(load(distance + i), target)) << i;
-  }
-  return group * kFpsGroup + static_cast<size_t>(__builtin_ctzll(hits));
 }
 
 inline void reset(const FpsCloud& cloud, size_t n) {
@@ -40,7 +29,7 @@ inline void reset(const FpsCloud& cloud, size_t n) {
 }
 
 // The sum is in double and in order, so that every instruction set finds the same centroid.
-inline void centroid(const FpsCloud& cloud, size_t n, float (&c)[3]) {
+inline void centroid(const FpsCloud& cloud, size_t n, Vec& cx, Vec& cy, Vec& cz) {
   double sx = 0, sy = 0, sz = 0;
   for (size_t i = 0; i < n; ++i) {
     sx += cloud.x[i];
@@ -48,47 +37,9 @@ inline void centroid(const FpsCloud& cloud, size_t n, float (&c)[3]) {
     sz += cloud.z[i];
   }
   const double count = static_cast<double>(n);
-  c[0] = static_cast<float>(sx / count);
-  c[1] = static_cast<float>(sy / count);
-  c[2] = static_cast<float>(sz / count);
-}
-
-// Takes point c of each cloud into its set; returns the largest distance to the set.
-template <int Clouds>
-inline void advance(const FpsCloud* const* clouds, size_t groups, const Vec (&cx)[Clouds],
-                    const Vec (&cy)[Clouds], const Vec (&cz)[Clouds], float (&farthest)[Clouds]) {
-  // Local copies: a vector store could otherwise alias the pointers.
-  const float *x[Clouds], *y[Clouds], *z[Clouds];
-  float *distance[Clouds], *group_max[Clouds];
-  Vec best[Clouds];
-  for (int k = 0; k < Clouds; ++k) {
-    x[k] = clouds[k]->x;
-    y[k] = clouds[k]->y;
-    z[k] = clouds[k]->z;
-    distance[k] = clouds[k]->distance;
-    group_max[k] = clouds[k]->group_max;
-    best[k] = broadcast(-1.0f);
-  }
-  for (size_t g = 0; g < groups; ++g) {
-    Vec group[Clouds];
-    for (int k = 0; k < Clouds; ++k) group[k] = broadcast(-1.0f);
-    for (size_t v = 0; v < kFpsGroup; v += kWidth) {
-      const size_t i = g * kFpsGroup + v;
-      for (int k = 0; k < Clouds; ++k) {
-        const Vec dx = load(x[k] + i) - cx[k];
-        const Vec dy = load(y[k] + i) - cy[k];
-        const Vec dz = load(z[k] + i) - cz[k];
-        const Vec d = min(dx * dx + dy * dy + dz * dz, load(distance[k] + i));
-        store(distance[k] + i, d);
-        group[k] = max(group[k], d);
-      }
-    }
-    for (int k = 0; k < Clouds; ++k) {
-      store(group_max[k] + g * kWidth, group[k]);
-      best[k] = max(best[k], group[k]);
-    }
-  }
-  for (int k = 0; k < Clouds; ++k) farthest[k] = reduce_max(best[k]);
+  cx = broadcast(static_cast<float>(sx / count));
+  cy = broadcast(static_cast<float>(sy / count));
+  cz = broadcast(static_cast<float>(sz / count));
 }
 
 // Every point that is left coincides with a chosen one: take the others in order.
@@ -100,48 +51,68 @@ inline void fill_rest(const FpsCloud& cloud, size_t n, size_t chosen, size_t sam
   }
 }
 
-template <int Clouds>
-inline void sample(const FpsCloud* const* clouds, size_t n, size_t samples) {
+template <size_t Clouds>
+inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
   const size_t groups = padded(n, kFpsGroup) / kFpsGroup;
+  FpsCloud c[Clouds];  // copies: a vector store could alias the pointers otherwise
   Vec cx[Clouds], cy[Clouds], cz[Clouds];
-  float farthest[Clouds];
   bool exhausted[Clouds] = {};
-  for (int k = 0; k < Clouds; ++k) {
-    float c[3];
-    centroid(*clouds[k], n, c);
-    cx[k] = broadcast(c[0]);
-    cy[k] = broadcast(c[1]);
-    cz[k] = broadcast(c[2]);
-    reset(*clouds[k], n);
+  SEGLOC_UNROLL
+  for (size_t k = 0; k < Clouds; ++k) {
+    c[k] = clouds[k];
+    centroid(c[k], n, cx[k], cy[k], cz[k]);
+    reset(c[k], n);
+    // Groups of padding, so that first_equal can look at whole blocks.
+    for (size_t i = groups * kWidth; i < fps_group_max_size(n); ++i) c[k].group_max[i] = -1.0f;
   }
   for (size_t s = 0; s < samples; ++s) {
-    advance<Clouds>(clouds, groups, cx, cy, cz, farthest);
-    for (int k = 0; k < Clouds; ++k) {
+    // Takes the last point into each set; a group is 64 points and keeps its largest distance.
+    Vec best[Clouds];
+    SEGLOC_UNROLL
+    for (size_t k = 0; k < Clouds; ++k) best[k] = broadcast(-1.0f);
+    for (size_t g = 0; g < groups; ++g) {
+      SEGLOC_UNROLL
+      for (size_t k = 0; k < Clouds; ++k) {
+        Vec group = broadcast(-1.0f);
+        SEGLOC_UNROLL
+        for (size_t v = 0; v < kFpsGroup; v += kWidth) {
+          const size_t i = g * kFpsGroup + v;
+          const Vec dx = cx[k] - load(c[k].x + i);
+          const Vec dy = cy[k] - load(c[k].y + i);
+          const Vec dz = cz[k] - load(c[k].z + i);
+          const Vec d = min(dx * dx + dy * dy + dz * dz, load(c[k].distance + i));
+          store(c[k].distance + i, d);
+          group = max(group, d);
+        }
+        store(c[k].group_max + g * kWidth, group);
+        best[k] = max(best[k], group);
+      }
+    }
+    SEGLOC_UNROLL
+    for (size_t k = 0; k < Clouds; ++k) {
       if (exhausted[k]) continue;
-      const FpsCloud& cloud = *clouds[k];
-      if (!(farthest[k] > 0.0f)) {
-        fill_rest(cloud, n, s, samples);
+      const float farthest = reduce_max(best[k]);
+      if (!(farthest > 0.0f)) {
+        fill_rest(c[k], n, s, samples);
         exhausted[k] = true;
         continue;
       }
-      const size_t i = locate(cloud.distance, cloud.group_max, groups, farthest[k]);
-      cloud.order[s] = static_cast<int32_t>(i);
-      cx[k] = broadcast(cloud.x[i]);
-      cy[k] = broadcast(cloud.y[i]);
-      cz[k] = broadcast(cloud.z[i]);
-      if (s == 0) reset(cloud, n);  // the centroid is no member of the set
+      const Vec target = broadcast(farthest);
+      const size_t group = first_equal(c[k].group_max, target) / kWidth * kFpsGroup;
+      const size_t i = group + first_equal(c[k].distance + group, target);
+      c[k].order[s] = static_cast<int32_t>(i);
+      cx[k] = broadcast(c[k].x[i]);
+      cy[k] = broadcast(c[k].y[i]);
+      cz[k] = broadcast(c[k].z[i]);
+      if (s == 0) reset(c[k], n);  // the centroid is no member of the set
     }
   }
 }
 
-void fps(const FpsCloud& cloud, size_t n, size_t samples) {
-  const FpsCloud* const clouds[1] = {&cloud};
-  sample<1>(clouds, n, samples);
-}
-
-void fps_pair(const FpsCloud& a, const FpsCloud& b, size_t n, size_t samples) {
-  const FpsCloud* const clouds[2] = {&a, &b};
-  sample<2>(clouds, n, samples);
+void fps(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
+  size_t i = 0;
+  for (; i + kLockstep <= count; i += kLockstep) sample<kLockstep>(clouds + i, n, samples);
+  for (; i < count; ++i) sample<1>(clouds + i, n, samples);
 }
 
 }  // namespace

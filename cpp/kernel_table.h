@@ -10,8 +10,8 @@ namespace segloc {
 namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
-const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,     kBlock, kPanel, &fps,
-                        &fps_pair,       &neighbors, &xconv, &dense, &knn_scan};
+const Kernels kTable = {Isa::SEGLOC_ISA, kWidth, kBlock, kPanel,   &fps,
+                        &neighbors,      &xconv, &dense, &knn_scan};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

@@ -45,7 +45,9 @@ struct DenseWeights;
 struct KnnScan {
   const float* queries[4];
   float thresholds[4];
-  uint32_t* candidates[4];  // appended to: indices of points with distance^2 <= threshold
+  // Appended to, for points with distance^2 <= threshold: their indices and distance^2.
+  uint32_t* candidates[4];
+  float* distances2[4];
   size_t counts[4];
 };
 
@@ -54,8 +56,7 @@ struct Kernels {
   size_t width;     // floats in a vector
   size_t block;     // queries that xconv takes at a time
   size_t panel;     // output channels of a column panel of dense weights
-  void (*fps)(const FpsCloud& cloud, size_t n, size_t samples);
-  void (*fps_pair)(const FpsCloud& a, const FpsCloud& b, size_t n, size_t samples);
+  void (*fps)(const FpsCloud* clouds, size_t count, size_t n, size_t samples);
   void (*neighbors)(const NeighborTask& task);
   void (*xconv)(const XConvWeights& weights, const XConvTask& task);
   void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
@@ -74,6 +75,9 @@ static constexpr size_t padded(size_t n, size_t multiple) {
   return (n + multiple - 1) / multiple * multiple;
 }
 static constexpr size_t kFpsGroup = 64;
-static constexpr size_t fps_group_max_size(size_t n) { return padded(n, kFpsGroup) / kFpsGroup * 16; }
+// The largest distances of each group, one vector (of at most 16) a group, in blocks of 64.
+static constexpr size_t fps_group_max_size(size_t n) {
+  return padded(padded(n, kFpsGroup) / kFpsGroup * 16, 64);
+}
 
 }  // namespace segloc

@@ -15,14 +15,27 @@ constexpr std::size_t kGroup = 4;            // queries that a scan takes togeth
 constexpr std::size_t kQueryBatch = 16;      // queries that share a tile while it is in cache
 constexpr std::size_t kTileFloats = 8192;    // 32 KiB
 
-// The points of a tile as the scan reads them: one dimension after another.
+// The points of a tile as the scan reads them: one dimension after another. The last vectors are
+// filled up with points at infinity.
 void pack(const float* points, std::size_t count, std::size_t dim, std::size_t lanes,
           float* tile) {
   for (std::size_t i = 0; i < count; ++i) {
     float* column = tile + i / lanes * dim * lanes + i % lanes;
     for (std::size_t d = 0; d < dim; ++d) column[d * lanes] = points[i * dim + d];
   }
+  for (std::size_t i = count; i < padded(count, lanes); ++i) {
+    float* column = tile + i / lanes * dim * lanes + i % lanes;
+    for (std::size_t d = 0; d < dim; ++d) {
+      column[d * lanes] = std::numeric_limits<float>::infinity();
+    }
+  }
 }
+
+struct Points {
+  const float* values;  // (count, dim)
+  std::size_t count;
+  std::size_t dim;
+};
 
 struct Candidate {
   double distance2;
@@ -32,56 +45,48 @@ struct Candidate {
   }
 };
 
-// The best points so far of one query. The scan proposes candidates by float distances; here they
-// are ranked in double, and the margin of the threshold covers what rounding can do.
+// The best points so far of one query. The scan proposes candidates by distances in float, with a
+// margin for what rounding can do; in the end they are ranked in double.
 class Selection {
  public:
   Selection(std::size_t columns, std::size_t tile_points)
-      : columns_(columns), buffer_(2 * columns + 2 * tile_points), ranked_(buffer_.size()) {}
+      : columns_(columns),
+        indices_(3 * columns + 2 * tile_points),
+        distances2_(indices_.size()),
+        sorted_(indices_.size()),
+        ranked_(indices_.size()) {}
 
   void start(const float* query) {
     query_ = query;
     count_ = 0;
     threshold_ = std::numeric_limits<float>::infinity();
   }
-  // After a tile: keeps the best once there are enough for that to pay.
-  void settle(const float* database, std::size_t database_count, std::size_t dim) {
-    const bool unbounded = std::isinf(threshold_);
-    if (count_ >= 2 * columns_ || (unbounded && count_ >= columns_)) {
-      rank(database, database_count, dim);
-    }
+  void offer(KnnScan& scan, std::size_t slot) {
+    scan.queries[slot] = query_;
+    scan.thresholds[slot] = threshold_;
+    scan.candidates[slot] = indices_.data();
+    scan.distances2[slot] = distances2_.data();
+    scan.counts[slot] = count_;
   }
-  // Ranks the candidates and keeps the best `columns`, unsorted.
-  void rank(const float* database, std::size_t database_count, std::size_t dim) {
-    std::size_t n = 0;
+  // After a tile: drops what is too far, once there is enough for that to pay.
+  void take(std::size_t count, const Points& database) {
+    count_ = count;
+    if (count_ < 2 * columns_) return;
+    std::copy_n(distances2_.begin(), count_, sorted_.begin());
+    const auto last = sorted_.begin() + static_cast<std::ptrdiff_t>(columns_ - 1);
+    std::nth_element(sorted_.begin(), last, sorted_.begin() + static_cast<std::ptrdiff_t>(count_));
+    bound(*last);
+    std::size_t kept = 0;
     for (std::size_t c = 0; c < count_; ++c) {
-      if (buffer_[c] >= database_count) continue;  // padding of the last tile
-      const float* point = database + buffer_[c] * dim;
-      double sum = 0;
-      for (std::size_t d = 0; d < dim; ++d) {
-        const double difference = double{query_[d]} - double{point[d]};
-        sum += difference * difference;
-      }
-      ranked_[n++] = {sum, buffer_[c]};
+      indices_[kept] = indices_[c];
+      distances2_[kept] = distances2_[c];
+      kept += distances2_[c] <= threshold_;
     }
-    count_ = std::min(n, columns_);
-    const auto begin = ranked_.begin(), end = begin + static_cast<std::ptrdiff_t>(n);
-    if (n > columns_) {
-      std::nth_element(begin, begin + static_cast<std::ptrdiff_t>(columns_ - 1), end);
-    }
-    double worst = 0;
-    for (std::size_t c = 0; c < count_; ++c) {
-      buffer_[c] = ranked_[c].index;
-      worst = std::max(worst, ranked_[c].distance2);
-    }
-    if (count_ == columns_) {
-      constexpr double kMargin = 1.0 + 1e-4, kTiny = 1e-37;
-      threshold_ = static_cast<float>(worst * kMargin + kTiny);
-    }
+    count_ = kept;
+    if (count_ >= 2 * columns_) rank(database);  // very many at nearly the same distance
   }
-  void finish(const float* database, std::size_t database_count, std::size_t dim,
-              int64_t* indices, float* distances) {
-    rank(database, database_count, dim);
+  void finish(const Points& database, int64_t* indices, float* distances) {
+    rank(database);
     std::sort(ranked_.begin(), ranked_.begin() + static_cast<std::ptrdiff_t>(count_));
     for (std::size_t c = 0; c < count_; ++c) {
       indices[c] = ranked_[c].index;
@@ -89,15 +94,39 @@ class Selection {
     }
   }
 
-  const float* query() const { return query_; }
-  float threshold() const { return threshold_; }
-  uint32_t* candidates() { return buffer_.data(); }
-  std::size_t count() const { return count_; }
-  void set_count(std::size_t count) { count_ = count; }
-
  private:
+  void bound(double distance2) {
+    constexpr double kMargin = 1.0 + 1e-4, kTiny = 1e-37;
+    threshold_ = static_cast<float>(distance2 * kMargin + kTiny);
+  }
+  // Keeps the best `columns`, compared exactly.
+  void rank(const Points& database) {
+    std::size_t n = 0;
+    for (std::size_t c = 0; c < count_; ++c) {
+      if (indices_[c] >= database.count) continue;  // padding of the last tile
+      const float* point = database.values + indices_[c] * database.dim;
+      double sum = 0;
+      for (std::size_t d = 0; d < database.dim; ++d) {
+        const double difference = double{query_[d]} - double{point[d]};
+        sum += difference * difference;
+      }
+      ranked_[n++] = {sum, indices_[c]};
+    }
+    const auto begin = ranked_.begin(), end = begin + static_cast<std::ptrdiff_t>(n);
+    if (n > columns_) {
+      std::nth_element(begin, begin + static_cast<std::ptrdiff_t>(columns_ - 1), end);
+      bound(ranked_[columns_ - 1].distance2);
+    }
+    count_ = std::min(n, columns_);
+    for (std::size_t c = 0; c < count_; ++c) {
+      indices_[c] = ranked_[c].index;
+      distances2_[c] = static_cast<float>(ranked_[c].distance2);
+    }
+  }
+
   std::size_t columns_, count_ = 0;
-  std::vector<uint32_t> buffer_;
+  std::vector<uint32_t> indices_;
+  std::vector<float> distances2_, sorted_;
   std::vector<Candidate> ranked_;
   const float* query_ = nullptr;
   float threshold_ = 0;
@@ -122,34 +151,27 @@ void nearest_descriptors(const float* queries, std::size_t query_count, const fl
            packed.data() + t * tile_size);
     }
   });
+  const Points points{database, database_count, dim};
   parallel_for(query_count, kQueryBatch, threads, [&](std::size_t begin, std::size_t end, int) {
-    std::vector<Selection> selections(kQueryBatch, Selection(columns, tile_points));
+    std::vector<Selection> selections(end - begin, Selection(columns, tile_points));
     for (std::size_t q = begin; q < end; ++q) selections[q - begin].start(queries + q * dim);
     for (std::size_t t = 0; t < tiles; ++t) {
       const std::size_t first = t * tile_points;
-      const std::size_t points = std::min(tile_points, database_count - first);
-      for (std::size_t group = begin; group < end; group += kGroup) {
+      const std::size_t blocks =
+          (std::min(tile_points, database_count - first) + lanes - 1) / lanes;
+      for (std::size_t group = 0; group < selections.size(); group += kGroup) {
+        const std::size_t count = std::min(kGroup, selections.size() - group);
         KnnScan scan;
-        const std::size_t count = std::min(kGroup, end - group);
         for (std::size_t i = 0; i < kGroup; ++i) {  // a short group repeats its last query
-          Selection& s = selections[group - begin + std::min(i, count - 1)];
-          scan.queries[i] = s.query();
-          scan.thresholds[i] = i < count ? s.threshold() : -1.0f;
-          scan.candidates[i] = s.candidates();
-          scan.counts[i] = s.count();
+          selections[group + std::min(i, count - 1)].offer(scan, i);
+          if (i >= count) scan.thresholds[i] = -1.0f;
         }
-        k.knn_scan(packed.data() + t * tile_size, (points + lanes - 1) / lanes, dim,
-                   static_cast<uint32_t>(first), scan);
-        for (std::size_t i = 0; i < count; ++i) {
-          Selection& s = selections[group - begin + i];
-          s.set_count(scan.counts[i]);
-          s.settle(database, database_count, dim);
-        }
+        k.knn_scan(packed.data() + t * tile_size, blocks, dim, static_cast<uint32_t>(first), scan);
+        for (std::size_t i = 0; i < count; ++i) selections[group + i].take(scan.counts[i], points);
       }
     }
     for (std::size_t q = begin; q < end; ++q) {
-      selections[q - begin].finish(database, database_count, dim, indices + q * columns,
-                                   distances + q * columns);
+      selections[q - begin].finish(points, indices + q * columns, distances + q * columns);
     }
   });
 }

@@ -12,45 +12,56 @@ namespace {
 constexpr size_t kColumns = 16;
 constexpr float kLargest = 3.402823466e38f;
 
-// An upper bound for the m-th smallest of d: the m-th smallest among the `kept` lowest of each
+// An upper bound for the m-th smallest of d: the m-th smallest among the `Kept` lowest of each
 // column (d[j] is in column j % 16). Few sources lie below it, so few need sorting.
-inline float rank_bound(const float* d, size_t sources, size_t m, size_t kept, float* low) {
-  for (size_t i = 0; i < kept * kColumns; ++i) low[i] = d[i];
-  for (size_t r = 1; r < kept; ++r) {  // sort the columns of the first rows, downwards
-    for (size_t s = r; s > 0; --s) {
-      for (size_t c = 0; c < kColumns; c += kWidth) {
-        float* above = low + (s - 1) * kColumns + c;
-        const Vec a = load(above), b = load(above + kColumns);
-        store(above, min(a, b));
-        store(above + kColumns, max(a, b));
+template <size_t Kept>
+inline float rank_bound(const float* d, size_t sources, size_t m, float* low) {
+  constexpr size_t kVecs = kColumns / kWidth;
+  Vec lowest[Kept][kVecs];
+  SEGLOC_UNROLL
+  for (size_t r = 0; r < Kept; ++r) {
+    SEGLOC_UNROLL
+    for (size_t v = 0; v < kVecs; ++v) lowest[r][v] = broadcast(__builtin_inff());
+  }
+  for (size_t j = 0; j < sources; j += kColumns) {
+    SEGLOC_UNROLL
+    for (size_t v = 0; v < kVecs; ++v) {
+      Vec value = load(d + j + v * kWidth);
+      SEGLOC_UNROLL
+      for (size_t r = 0; r < Kept; ++r) {
+        const Vec other = max(lowest[r][v], value);
+        lowest[r][v] = min(lowest[r][v], value);
+        value = other;
       }
     }
   }
-  for (size_t j = kept * kColumns; j < sources; j += kColumns) {
-    for (size_t c = 0; c < kColumns; c += kWidth) {
-      Vec t = load(d + j + c);
-      for (size_t r = 0; r < kept; ++r) {
-        float* slot = low + r * kColumns + c;
-        const Vec a = load(slot);
-        store(slot, min(a, t));
-        t = max(a, t);
-      }
-    }
+  SEGLOC_UNROLL
+  for (size_t r = 0; r < Kept; ++r) {
+    SEGLOC_UNROLL
+    for (size_t v = 0; v < kVecs; ++v) store(low + r * kColumns + v * kWidth, lowest[r][v]);
   }
   // The m-th smallest is the least value with at least m values not above it.
-  float bound = __builtin_inff();
-  const size_t count = kept * kColumns;
-  for (size_t i = 0; i < count; i += kColumns) {
-    int32_t rank[kColumns] = {};
-    for (size_t j = 0; j < count; ++j) {
-      for (size_t c = 0; c < kColumns; ++c) rank[c] += low[j] <= low[i + c];
+  const Vec rank = broadcast(static_cast<float>(m) - 0.5f);
+  Vec bound = broadcast(__builtin_inff());
+  for (size_t i = 0; i < Kept * kColumns; i += kWidth) {
+    const Vec value = load(low + i);
+    Vec count = broadcast(0.0f);
+    for (size_t j = 0; j < Kept * kColumns; ++j) {
+      count = count_not_above(count, broadcast(low[j]), value);
     }
-    for (size_t c = 0; c < kColumns; ++c) {
-      const float value = rank[c] >= static_cast<int32_t>(m) ? low[i + c] : __builtin_inff();
-      bound = value < bound ? value : bound;
-    }
+    bound = min(bound, choose(count, rank, value, bound));
   }
-  return bound;
+  return -reduce_max(broadcast(0.0f) - bound);
+}
+
+// A bound below which lie all of the m nearest, and not many more.
+inline float bound_of_nearest(const float* d, size_t sources, size_t m, float* low) {
+  const size_t rows = sources / kColumns;
+  if (m < 12 && rows > 1) return rank_bound<1>(d, sources, m, low);
+  if (m < 24 && rows > 2) return rank_bound<2>(d, sources, m, low);
+  if (m < 48 && rows > 4) return rank_bound<4>(d, sources, m, low);
+  if (m < 96 && rows > 8) return rank_bound<8>(d, sources, m, low);
+  return kLargest;
 }
 
 // Indices of the values up to `bound`, in order; the values go to `kept`.
@@ -82,28 +93,29 @@ inline size_t compress(const float* d, size_t sources, float bound, float* kept,
 
 // Sorts `count` values (padded with infinity to a multiple of 16) by counting, for each, those
 // before it: no branch depends on the data.
-inline void sort_by_rank(const float* values, const int32_t* index, size_t count, int32_t* sorted) {
-  for (size_t i = 0; i < count; i += kColumns) {
-    int32_t rank[kColumns] = {};
+inline void sort_by_rank(const float* values, const int32_t* index, size_t count, float* rank,
+                         int32_t* sorted) {
+  float lanes[kWidth];
+  for (size_t c = 0; c < kWidth; ++c) lanes[c] = static_cast<float>(c);
+  for (size_t i = 0; i < count; i += kWidth) {
+    const Vec value = load(values + i);
+    const Vec position = load(lanes) + broadcast(static_cast<float>(i));
+    Vec before = broadcast(0.0f), j_position = broadcast(0.0f);
     for (size_t j = 0; j < count; ++j) {
-      const float v = values[j];
-      const int32_t position = static_cast<int32_t>(j) - static_cast<int32_t>(i);
-      for (size_t c = 0; c < kColumns; ++c) {
-        rank[c] += (v < values[i + c]) | ((v == values[i + c]) & (position < static_cast<int>(c)));
-      }
+      before = count_before(before, broadcast(values[j]), value, j_position, position);
+      j_position = j_position + broadcast(1.0f);
     }
-    const size_t valid = count - i < kColumns ? count - i : kColumns;
-    for (size_t c = 0; c < valid; ++c) sorted[rank[c]] = index[i + c];
+    store(rank + i, before);
   }
+  for (size_t i = 0; i < count; ++i) sorted[static_cast<int32_t>(rank[i])] = index[i];
 }
 
 void neighbors(const NeighborTask& task) {
   const size_t sources = padded(task.sources, kColumns);
   const size_t m = static_cast<size_t>(task.neighbors) * static_cast<size_t>(task.dilation);
-  const size_t kept = m / 12 + 1;
   float* d = task.scratch;
-  float* low = d + sources;
-  float* values = low + sources;
+  float* rank = d + sources;  // and, before that, the lowest of each column
+  float* values = rank + sources + kColumns;
   int32_t* index = reinterpret_cast<int32_t*>(values + sources + 2 * kColumns);
   int32_t* sorted = index + sources + 2 * kColumns;
   for (size_t q = 0; q < task.queries; ++q) {
@@ -114,11 +126,10 @@ void neighbors(const NeighborTask& task) {
       const Vec dz = load(task.z + j) - z;
       store(d + j, dx * dx + dy * dy + dz * dz);
     }
-    const bool all = kept * kColumns >= sources;
-    const float bound = all ? kLargest : rank_bound(d, sources, m, kept, low);
+    const float bound = bound_of_nearest(d, sources, m, rank);
     const size_t count = compress(d, sources, bound, values, index);
     for (size_t c = 0; c < kColumns; ++c) values[count + c] = __builtin_inff();
-    sort_by_rank(values, index, count, sorted);
+    sort_by_rank(values, index, count, rank, sorted);
     uint16_t* result = task.result + q * static_cast<size_t>(task.neighbors);
     for (int k = 0; k < task.neighbors; ++k) {
       result[k] = static_cast<uint16_t>(sorted[k * task.dilation]);

@@ -195,7 +195,7 @@ class Preparer {
       ++kept;
     }
     const std::size_t samples = std::min(kept, count_);
-    kernels_.fps(cloud, kept, samples);
+    kernels_.fps(&cloud, 1, kept, samples);
     for (std::size_t s = 0; s < count_; ++s) {
       const auto i = static_cast<std::size_t>(order_[s % samples]);
       output[3 * s] = cloud.x[i];

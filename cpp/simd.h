@@ -20,6 +20,9 @@
 #error "define SEGLOC_ISA before including a kernel"
 #endif
 
+// Loops over registers must be unrolled completely, or their arrays live in memory.
+#define SEGLOC_UNROLL _Pragma("GCC unroll 16")
+
 namespace segloc {
 namespace SEGLOC_ISA {
 namespace {
@@ -42,8 +45,20 @@ inline float reduce_max(Vec a) { return _mm512_reduce_max_ps(a); }
 // 2^a for whole numbers n = round(a), times p.
 inline Vec round(Vec a) { return _mm512_roundscale_ps(a, _MM_FROUND_TO_NEAREST_INT); }
 inline Vec scale_by_power(Vec p, Vec n) { return _mm512_scalef_ps(p, n); }
-inline Vec positive_or(Vec a, Vec other) {
-  return _mm512_mask_mov_ps(other, _mm512_cmp_ps_mask(a, _mm512_setzero_ps(), _CMP_GT_OQ), a);
+// a > b ? x : y
+inline Vec choose(Vec a, Vec b, Vec x, Vec y) {
+  return _mm512_mask_mov_ps(y, _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ), x);
+}
+// Adds one where v <= x.
+inline Vec count_not_above(Vec count, Vec v, Vec x) {
+  return _mm512_mask_add_ps(count, _mm512_cmp_ps_mask(v, x, _CMP_LE_OQ), count, broadcast(1.0f));
+}
+// Adds one where v comes before x: v < x, or v == x and i < j.
+inline Vec count_before(Vec count, Vec v, Vec x, Vec i, Vec j) {
+  const __mmask16 tie =
+      _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(i, j, _CMP_LT_OQ), v, x, _CMP_EQ_OQ);
+  const __mmask16 before = static_cast<__mmask16>(tie | _mm512_cmp_ps_mask(v, x, _CMP_LT_OQ));
+  return _mm512_mask_add_ps(count, before, count, broadcast(1.0f));
 }
 
 #elif defined(__AVX2__)
@@ -76,8 +91,17 @@ inline Vec scale_by_power(Vec p, Vec n) {
   const __m256i shift = _mm256_slli_epi32(_mm256_cvtps_epi32(n), 23);
   return _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p), shift));
 }
-inline Vec positive_or(Vec a, Vec other) {
-  return _mm256_blendv_ps(other, a, _mm256_cmp_ps(a, _mm256_setzero_ps(), _CMP_GT_OQ));
+inline Vec choose(Vec a, Vec b, Vec x, Vec y) {
+  return _mm256_blendv_ps(y, x, _mm256_cmp_ps(a, b, _CMP_GT_OQ));
+}
+inline Vec count_not_above(Vec count, Vec v, Vec x) {
+  return count + _mm256_and_ps(_mm256_cmp_ps(v, x, _CMP_LE_OQ), broadcast(1.0f));
+}
+inline Vec count_before(Vec count, Vec v, Vec x, Vec i, Vec j) {
+  const Vec tie =
+      _mm256_and_ps(_mm256_cmp_ps(v, x, _CMP_EQ_OQ), _mm256_cmp_ps(i, j, _CMP_LT_OQ));
+  const Vec before = _mm256_or_ps(tie, _mm256_cmp_ps(v, x, _CMP_LT_OQ));
+  return count + _mm256_and_ps(before, broadcast(1.0f));
 }
 
 #else
@@ -127,7 +151,14 @@ inline Vec scale_by_power(Vec p, Vec n) {
   const IntVec shift = __builtin_convertvector(n, IntVec) << 23;
   return reinterpret_cast<Vec>(reinterpret_cast<IntVec>(p) + shift);
 }
-inline Vec positive_or(Vec a, Vec other) { return select(a > broadcast(0.0f), a, other); }
+inline Vec choose(Vec a, Vec b, Vec x, Vec y) { return select(a > b, x, y); }
+inline Vec count_not_above(Vec count, Vec v, Vec x) {
+  return count + select(v <= x, broadcast(1.0f), broadcast(0.0f));
+}
+inline Vec count_before(Vec count, Vec v, Vec x, Vec i, Vec j) {
+  const IntVec before = (v < x) | ((v == x) & (i < j));
+  return count + select(before, broadcast(1.0f), broadcast(0.0f));
+}
 
 #endif
 
@@ -143,7 +174,7 @@ inline Vec elu(Vec x) {
   p = fma(p, f, broadcast(2.402224208e-1f));
   p = fma(p, f, broadcast(6.931469776e-1f));
   p = fma(p, f, broadcast(1.0f));
-  return positive_or(x, scale_by_power(p, n) - broadcast(1.0f));
+  return choose(x, broadcast(0.0f), x, scale_by_power(p, n) - broadcast(1.0f));
 }
 
 }  // namespace

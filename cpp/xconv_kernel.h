@@ -20,18 +20,25 @@ template <size_t Rows>
 inline void lane_rows(const float* weight, const float* bias, const float* input, size_t stride,
                       size_t inputs, bool activate, float* output) {
   Vec sum[Rows][kLaneVecs];
+  SEGLOC_UNROLL
   for (size_t r = 0; r < Rows; ++r) {
+    SEGLOC_UNROLL
     for (size_t v = 0; v < kLaneVecs; ++v) sum[r][v] = broadcast(bias ? bias[r] : 0.0f);
   }
   for (size_t i = 0; i < inputs; ++i) {
     Vec x[kLaneVecs];
+    SEGLOC_UNROLL
     for (size_t v = 0; v < kLaneVecs; ++v) x[v] = load(input + i * stride + v * kWidth);
+    SEGLOC_UNROLL
     for (size_t r = 0; r < Rows; ++r) {
       const Vec w = broadcast(weight[i * Rows + r]);
+      SEGLOC_UNROLL
       for (size_t v = 0; v < kLaneVecs; ++v) sum[r][v] = fma(w, x[v], sum[r][v]);
     }
   }
+  SEGLOC_UNROLL
   for (size_t r = 0; r < Rows; ++r) {
+    SEGLOC_UNROLL
     for (size_t v = 0; v < kLaneVecs; ++v) {
       store(output + r * kBlock + v * kWidth, activate ? elu(sum[r][v]) : sum[r][v]);
     }
@@ -84,15 +91,18 @@ inline void lift(const XConvWeights& w, const float* relative, const XConvTask& 
     const Vec scale = load(w.lift_scale + c), shift = load(w.lift_shift + c);
     for (size_t first = 0; first < K; first += Rows) {
       Vec sum[Rows];
+      SEGLOC_UNROLL
       for (size_t r = 0; r < Rows; ++r) sum[r] = load(w.lift_bias + c);
       const float* hidden = task.lift_hidden + first * stride;
       for (size_t i = 0; i < w.lifted; ++i) {
         const Vec column = load(w.lift2 + i * stride + c);
+        SEGLOC_UNROLL
         for (size_t r = 0; r < Rows; ++r) {
           sum[r] = fma(broadcast(hidden[r * stride + i]), column, sum[r]);
         }
       }
       float* out = task.lifted + first * stride + c;
+      SEGLOC_UNROLL
       for (size_t r = 0; r < Rows; ++r) store(out + r * stride, fma(elu(sum[r]), scale, shift));
     }
   }
@@ -107,10 +117,12 @@ inline void transform_and_separate(const XConvWeights& w, const float* x, RowOf 
   const size_t width = w.lifted_pad + w.inputs_pad;
   for (size_t first = 0; first < K; first += Rows) {
     Vec sum[Rows];
+    SEGLOC_UNROLL
     for (size_t r = 0; r < Rows; ++r) sum[r] = broadcast(0.0f);
     const float* x_row = x + first * K * kBlock;
     for (size_t n = 0; n < K; ++n) {
       const Vec feature = load(row(n));
+      SEGLOC_UNROLL
       for (size_t r = 0; r < Rows; ++r) {
         sum[r] = fma(broadcast(x_row[(r * K + n) * kBlock]), feature, sum[r]);
       }
@@ -119,6 +131,7 @@ inline void transform_and_separate(const XConvWeights& w, const float* x, RowOf 
       const float* weight = w.depthwise + (m * K + first) * width + channel;
       float* out = output + m * w.depth_stride;
       Vec total = first == 0 ? broadcast(0.0f) : load(out);
+      SEGLOC_UNROLL
       for (size_t r = 0; r < Rows; ++r) total = fma(load(weight + r * width), sum[r], total);
       store(out, total);
     }
@@ -131,21 +144,28 @@ inline void dense_rows(const DenseWeights& w, const float* weight, size_t column
                        const float* input, size_t input_stride, float* output,
                        size_t output_stride) {
   Vec sum[Rows][kPanelVecs];
+  SEGLOC_UNROLL
   for (size_t r = 0; r < Rows; ++r) {
+    SEGLOC_UNROLL
     for (size_t v = 0; v < kPanelVecs; ++v) sum[r][v] = load(w.bias + column + v * kWidth);
   }
   for (size_t i = 0; i < w.inputs; ++i) {
     Vec b[kPanelVecs];
+    SEGLOC_UNROLL
     for (size_t v = 0; v < kPanelVecs; ++v) b[v] = load(weight + i * kPanel + v * kWidth);
+    SEGLOC_UNROLL
     for (size_t r = 0; r < Rows; ++r) {
       const Vec a = broadcast(input[r * input_stride + i]);
+      SEGLOC_UNROLL
       for (size_t v = 0; v < kPanelVecs; ++v) sum[r][v] = fma(a, b[v], sum[r][v]);
     }
   }
+  SEGLOC_UNROLL
   for (size_t v = 0; v < kPanelVecs; ++v) {
     const size_t c = column + v * kWidth;
     if (c >= output_stride) break;
     const Vec scale = load(w.scale + c), shift = load(w.shift + c);
+    SEGLOC_UNROLL
     for (size_t r = 0; r < Rows; ++r) {
       const Vec value = w.activate ? elu(sum[r][v]) : sum[r][v];
       store(output + r * output_stride + c, fma(value, scale, shift));
