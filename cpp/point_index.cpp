@@ -2,13 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <stdexcept>
+#include <utility>
 
 #include "cells.h"
 
 namespace segloc {
 namespace {
 
+constexpr double kTile = 20.0;  // metres
 constexpr std::int64_t kAxis = std::int64_t{1} << 20;  // cells to either side of the origin
 
 std::uint64_t hash(std::uint64_t key) { return (key * 0x9E3779B97F4A7C15ull) >> 20; }
@@ -48,6 +51,17 @@ PointIndex::PointIndex(const float* points, std::size_t n, double radius) : cell
     table_[slot] = {k, static_cast<std::uint32_t>(i), static_cast<std::uint32_t>(j)};
     i = j;
   }
+  fill_tiles();
+}
+
+void PointIndex::fill_tiles() {
+  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<std::uint32_t>> tiles;
+  for (std::size_t i = 0; i < points_.size(); ++i) {
+    const auto x = static_cast<std::int64_t>(std::floor(points_[i][0] / kTile));
+    const auto y = static_cast<std::int64_t>(std::floor(points_[i][1] / kTile));
+    tiles[{y, x}].push_back(static_cast<std::uint32_t>(i));
+  }
+  for (auto& [at, points] : tiles) tiles_.push_back({at.first, at.second, std::move(points)});
 }
 
 const PointIndex::Slot* PointIndex::find(std::uint64_t k) const {
@@ -100,9 +114,20 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
 std::vector<std::int64_t> PointIndex::within(double x, double y, double radius) const {
   std::vector<std::int64_t> found;
   const double r2 = radius * radius;
-  for (std::size_t i = 0; i < points_.size(); ++i) {
-    const double dx = points_[i][0] - x, dy = points_[i][1] - y;
-    if (dx * dx + dy * dy <= r2) found.push_back(original_[i]);
+  // Tiles run fastest along x: each row of tiles is one range of the sorted points.
+  const auto low = [](double v) { return static_cast<std::int64_t>(std::floor(v / kTile)); };
+  if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
+  for (std::int64_t ty = low(y - radius); ty <= low(y + radius); ++ty) {
+    auto tile = std::lower_bound(tiles_.begin(), tiles_.end(), std::make_pair(ty, low(x - radius)),
+                                 [](const Tile& t, const auto& at) {
+                                   return std::make_pair(t.y, t.x) < at;
+                                 });
+    for (; tile != tiles_.end() && tile->y == ty && tile->x <= low(x + radius); ++tile) {
+      for (const std::uint32_t i : tile->points) {
+        const double dx = points_[i][0] - x, dy = points_[i][1] - y;
+        if (dx * dx + dy * dy <= r2) found.push_back(original_[i]);
+      }
+    }
   }
   std::sort(found.begin(), found.end());
   return found;

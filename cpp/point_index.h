@@ -32,10 +32,15 @@ class PointIndex {
     std::uint64_t key;
     std::uint32_t begin, end;
   };
+  struct Tile {
+    std::int64_t y, x;
+    std::vector<std::uint32_t> points;
+  };
   using Point = std::array<float, 3>;
 
   std::uint64_t key(std::int64_t x, std::int64_t y, std::int64_t z) const;
   const Slot* find(std::uint64_t key) const;
+  void fill_tiles();
   float nearest_squared(const Point& p, float limit) const;
 
   double cell_;
@@ -43,6 +48,7 @@ class PointIndex {
   std::vector<std::uint32_t> original_;
   std::vector<Slot> table_;  // open addressing; a slot with begin == end is free
   std::size_t mask_ = 0;
+  std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
 };
 
 }  // namespace segloc
