@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..types import Float64
-from .mesh import Mesh, above, boxes, join, quads, tubes
+from .mesh import GLASS, Mesh, above, boxes, join, quads, tubes
 
-_GLASS, _TRIM, _WOOD, _STEEL = 0.12, 0.6, 0.4, 0.3
+_TRIM, _WOOD, _STEEL = 0.6, 0.4, 0.3
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _wall_with_holes(style: FacadeStyle, rect: Float64, hole: Float64) -> Mesh:
         [
             *wall,
             quads(reveal, style.reflectance),
-            quads(pane, _GLASS),
+            quads(pane, GLASS),
             boxes(ledge, size, _TRIM),
             boxes(bar, post, _TRIM),
         ]
@@ -189,7 +189,7 @@ def _bay(rng: np.random.Generator, style: FacadeStyle, width: float, floors: int
     for floor in range(round((top + 0.2 - style.base) / style.floor_height)):
         sill = style.base + floor * style.floor_height + 0.75
         parts.append(band(low, sill, style.reflectance))
-        parts.append(band(sill, sill + 1.3, _GLASS, 0.08))
+        parts.append(band(sill, sill + 1.3, GLASS, 0.08))
         low = sill + 1.3
     parts.append(band(low, top, style.reflectance))
     roof = np.column_stack([plan, np.full(4, top)])

@@ -322,7 +322,7 @@ def _street_parking(site: Site, front: _Frontage) -> None:
     rng, street = site.rng, front.street
     if rng.random() < 0.2:
         return
-    busy = rng.uniform(0.35, 0.85)
+    busy = rng.uniform(0.45, 0.95)
     for s in np.arange(9.0, street.length - 9.0, rng.uniform(5.6, 6.6)):
         at, yaw = front.at(s, -0.55)
         ends, _ = front.at(np.array([s - 3.5, s + 3.5]), -0.55)
