@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -84,21 +85,27 @@ def _car_like(extent: Float32) -> np.ndarray:
     return (long > 2.5) & (long < 6.0) & (short > 1.0) & (short < 3.5) & (extent[:, 2] < 1.9)
 
 
-def averages(
-    sequences: Sequence[datasets.Sequence],
-    figures: Callable[[datasets.Sequence, int], dict[str, float]],
-    count: int,
-) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of each figure over evenly spaced positions."""
-    rows = []
-    for sequence in sequences:
-        for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int):
-            rows.append(figures(sequence, int(i)))
+Figures: TypeAlias = Callable[[datasets.Sequence, int], dict[str, float]]
+
+
+def quartiles(
+    sequences: Sequence[datasets.Sequence], figures: Figures, count: int
+) -> dict[str, tuple[float, float, float]]:
+    """Median and quartiles of each figure over evenly spaced positions."""
+    rows = [
+        figures(sequence, int(i))
+        for sequence in sequences
+        for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int)
+    ]
     return {
-        name: (float(np.mean(v)), float(np.std(v)))
+        name: tuple(float(v) for v in np.percentile([row[name] for row in rows], [50, 25, 75]))
         for name in rows[0]
-        for v in [[row[name] for row in rows]]
     }
+
+
+def _cell(middle: float, low: float, high: float) -> str:
+    digits = 0 if middle > 30 else 1
+    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def main() -> None:
@@ -112,15 +119,11 @@ def main() -> None:
     simulated: list[datasets.Sequence] = [
         demo_sessions(seed, sensor=hdl64e())["map"].with_odometry() for seed in args.seeds
     ]
-    print("| | real | simulated |\n|---|---|---|")
+    print("Medians, with quartiles.\n\n| | real | simulated |\n|---|---|---|")
     for figures in (lambda s, i: scan_figures(s.scan(i).points), cloud_figures):
-        left, right = (averages(side, figures, args.count) for side in (real, simulated))
+        left, right = (quartiles(side, figures, args.count) for side in (real, simulated))
         for name in left:
-            a, b = (
-                f"{mean:.0f} ± {spread:.0f}" if mean > 30 else f"{mean:.1f} ± {spread:.1f}"
-                for mean, spread in (left[name], right[name])
-            )
-            print(f"| {name} | {a} | {b} |")
+            print(f"| {name} | {_cell(*left[name])} | {_cell(*right[name])} |")
 
 
 if __name__ == "__main__":

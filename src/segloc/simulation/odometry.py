@@ -48,7 +48,7 @@ class OdometryNoise:
         """
         count = len(truth)
         if count == 0:
-            return truth.copy()
+            return np.array(truth, dtype=np.float64)
         steps = np.linalg.inv(truth[:-1]) @ truth[1:]
         root = np.sqrt(np.linalg.norm(steps[:, :3, 3], axis=1))
         turn = np.zeros((count - 1, 3))

@@ -14,7 +14,7 @@ from ..types import Float32, Int64, Pose
 from .mesh import GLASS
 from .worlds import Hits, Int32, Scene
 
-_MIRRORED, _DIRECT = 0.06, 0.25
+_MIRRORED, _DIRECT = 0.008, 0.25
 _SKIN = 2e-3  # where a ray goes on behind a pane, metres
 
 Self = TypeVar("Self", bound="Lidar")

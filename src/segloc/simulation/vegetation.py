@@ -79,6 +79,19 @@ def bush(rng: np.random.Generator) -> Mesh:
     return _crown(rng, center, radii, rng.uniform(20, 40), 0.13)
 
 
+def shrubs(rng: np.random.Generator, line: Float64) -> Mesh:
+    """A loose border of shrubs along a (n, 3) ground line, up to 3.5 m high."""
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    size = rng.uniform(0.5, 1.2)
+    count = max(2, int(length * rng.uniform(0.8, 1.6) / size))
+    t = np.sort(rng.uniform(0, len(line) - 1, count))
+    center = np.stack([np.interp(t, np.arange(len(line)), line[:, k]) for k in range(3)], axis=1)
+    radii = size * rng.uniform(0.5, 1.3, (count, 3))
+    center[:, :2] += rng.normal(0, 0.3 * size, (count, 2))
+    center[:, 2] += radii[:, 2] * rng.uniform(0.5, 1.6, count)
+    return _crown(rng, center, radii, rng.uniform(12, 28), 0.14)
+
+
 def hedge(rng: np.random.Generator, line: Float64, height: float, width: float) -> Mesh:
     """A clipped hedge along a (n, 3) ground line: an opaque heart in a shaggy coat."""
     a, b = line[:-1], line[1:]
