@@ -160,7 +160,7 @@ def test_points_of_a_town_lie_on_its_terrain(small: World) -> None:
 @pytest.mark.parametrize(("make", "beams"), [(hdl64e, 64), (hdl32e, 32), (vlp16, 16)])
 def test_beams_are_those_of_the_table(make: type, beams: int, box_scene: Scene) -> None:
     sensor: SpinningLidar = make(300)
-    directions = sensor.directions(0.3)
+    directions = sensor.rays(0.3)[0]
     assert directions.shape == (300 * beams, 3)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-6)
     points, _ = replace(sensor, range_sigma_m=0.05).scan(
@@ -201,7 +201,7 @@ def test_returns_are_lost_with_range_angle_and_darkness() -> None:
             count[int(lidar is sensor)] = (np.abs(points[:, 1]) < 0.05 * distance).sum()
         return float(count[1] / count[0])
 
-    assert share(10.0, 0.3) > 0.99
+    assert share(10.0, 0.3) > 0.97
     assert share(30.0, 0.1) > share(60.0, 0.1) > share(100.0, 0.1)
     assert share(60.0, 0.5) > share(60.0, 0.05) + 0.2
     assert share(80.0, 0.15) > share(80.0, 0.15, turn=np.radians(80.0)) + 0.1

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from .lidar import SpinningLidar, hdl32e, hdl64e, vlp16
+from .odometry import OdometryNoise
+from .ranging import Lidar
 from .record import process_pool, record
 from .town import town
 from .traversal import Route, SimulatedSequence, demo_sessions, simulate_session
 from .worlds import Scene, World
 
 __all__ = [
+    "Lidar",
+    "OdometryNoise",
     "Route",
     "Scene",
     "SimulatedSequence",

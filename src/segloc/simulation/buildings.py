@@ -69,6 +69,10 @@ def _block(
         "flat" if flat else str(rng.choice(["gable", "gable across", "hip"], p=[0.45, 0.25, 0.3]))
     )
     parts.append(_roof(rng, kind, width, depth, eaves, style.reflectance))
+    cross = rng.uniform(-0.2, 0.2, 2) * [width, depth]
+    rooms = [[cross[0], 0, eaves / 2], [0, cross[1], eaves / 2]]
+    walls = [[0.12, depth - 0.8, eaves], [width - 0.8, 0.12, eaves]]
+    parts.append(boxes(rooms, walls, 0.6))  # what shows through the windows
     return join(parts)
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..types import Float64
-from .mesh import Mesh, above, boxes, join, quads, tubes
+from .mesh import GLASS, Mesh, above, boxes, join, quads, tubes
 
-_GLASS, _TRIM, _WOOD, _STEEL = 0.12, 0.6, 0.4, 0.3
+_TRIM, _WOOD, _STEEL, _CURTAIN = 0.6, 0.4, 0.3, 0.45
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,10 @@ def facade(
         parts.append(_entrance(rng, style, float(middle), width))
     parts.append(quads(_rect(0, width, -0.8, style.base, 0.0), style.reflectance))
     parts.append(quads(_rect_rows(rect[blank], 0.0), style.reflectance))
-    parts.append(_wall_with_holes(style, rect[~blank], hole[~blank]))
+    clear = rng.random(len(cell)) < 0.45
+    if front:
+        clear[door] = False
+    parts.append(_wall_with_holes(style, rect[~blank], hole[~blank], clear[~blank]))
     if style.shutters:
         parts.append(_shutters(hole[~blank & (hole[:, 2] > z[0])]))
     upper = ~blank & (cell[:, 1] > 0) & (rng.random(len(cell)) < style.balconies)
@@ -104,7 +107,10 @@ def _rect_rows(rect: NDArray[np.float64], y: float) -> Float64:
     return np.stack([np.stack([u, depth, z], axis=1) for u, z in corners], axis=1)
 
 
-def _wall_with_holes(style: FacadeStyle, rect: Float64, hole: Float64) -> Mesh:
+def _wall_with_holes(
+    style: FacadeStyle, rect: Float64, hole: Float64, clear: NDArray[np.bool_]
+) -> Mesh:
+    """Wall about openings; behind those that are not ``clear``, a curtain or a door leaf."""
     u0, u1, z0, z1 = rect.T
     a0, a1, b0, b1 = hole.T
     around = [(u0, a0, z0, z1), (a1, u1, z0, z1), (a0, a1, z0, b0), (a0, a1, b1, z1)]
@@ -119,7 +125,8 @@ def _wall_with_holes(style: FacadeStyle, rect: Float64, hole: Float64) -> Mesh:
         [
             *wall,
             quads(reveal, style.reflectance),
-            quads(pane, _GLASS),
+            quads(pane[clear], GLASS),
+            quads(pane[~clear], _CURTAIN),
             boxes(ledge, size, _TRIM),
             boxes(bar, post, _TRIM),
         ]
@@ -189,7 +196,7 @@ def _bay(rng: np.random.Generator, style: FacadeStyle, width: float, floors: int
     for floor in range(round((top + 0.2 - style.base) / style.floor_height)):
         sill = style.base + floor * style.floor_height + 0.75
         parts.append(band(low, sill, style.reflectance))
-        parts.append(band(sill, sill + 1.3, _GLASS, 0.08))
+        parts.append(band(sill, sill + 1.3, GLASS, 0.08))
         low = sill + 1.3
     parts.append(band(low, top, style.reflectance))
     roof = np.column_stack([plan, np.full(4, top)])

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..types import Float64
 from .mesh import Mesh, rectangle
-from .roads import RoadNetwork
+from .roads import RoadNetwork, Street
 from .terrain import Terrain
 
 
@@ -55,6 +55,34 @@ class Occupancy:
             np.abs(c * y - s * x) <= size[1] / 2 + half
         )
         return (slice(low[1], high[1]), slice(low[0], high[0])), inside
+
+
+@dataclass(frozen=True)
+class Frontage:
+    """One side of one street, and what stands along it.
+
+    Attributes
+    ----------
+    street : Street
+    side : int
+        +1 to the left of the street, -1 to the right.
+    pavement : float
+        Width, metres.
+    character : str
+        What is built: "villas", "terrace", "flats", "mixed" or "green".
+    """
+
+    street: Street
+    side: int
+    pavement: float
+    character: str
+
+    def at(self, s: float | Float64, beyond_kerb: float | Float64) -> tuple[Float64, Float64]:
+        """Points and yaws; local +y leads away from the street."""
+        point, yaw = self.street.at(
+            s, self.side * (self.street.half_width + np.asarray(beyond_kerb))
+        )
+        return point, yaw + (0.0 if self.side > 0 else np.pi)
 
 
 @dataclass

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..types import Float32, Float64
 
+GLASS = 0.05
+"""The reflectance that stands for window panes, which sensors see through; of nothing else."""
+
 
 @dataclass(frozen=True)
 class Mesh:

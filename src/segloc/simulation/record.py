@@ -30,8 +30,9 @@ def record(
     """Cast all scans of a sequence and write them with their poses.
 
     Writes ``000000.npy`` and so on (float32, N x 3, sensor frame) and ``poses.tum``, the true
-    T_world_sensor with the scan's index in place of a stamp. What is written depends neither on the
-    executor nor on the number of workers.
+    T_world_sensor with the scan's index in place of a stamp; also ``odometry.tum`` where the
+    sequence's poses are not the truth. What is written depends neither on the executor nor on the
+    number of workers.
 
     Parameters
     ----------
@@ -56,7 +57,10 @@ def record(
         raise ConfigError(f"workers must be at least 1, not {workers}")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    write_tum(target / "poses.tum", Trajectory(sequence.indices.astype(np.float64), sequence.poses))
+    stamps = sequence.indices.astype(np.float64)
+    write_tum(target / "poses.tum", Trajectory(stamps, sequence.truth))
+    if not np.array_equal(sequence.poses, sequence.truth):
+        write_tum(target / "odometry.tum", Trajectory(stamps, sequence.poses))
     chunks = [range(k, min(k + _CHUNK, len(sequence))) for k in range(0, len(sequence), _CHUNK)]
     done = 0
 

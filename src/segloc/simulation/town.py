@@ -2,57 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from ..errors import ConfigError
-from ..types import Float32, Float64
-from .buildings import Building, garage, house, shed
-from .layout import Occupancy, Site
+from ..types import Float32
+from .buildings import shed
+from .layout import Frontage, Occupancy, Site
+from .lots import build_along, dress
 from .mesh import loft
 from .roads import RoadNetwork, Street, street_network
 from .street import (
     FURNITURE,
-    fence,
-    garden_wall,
     lamp,
     traffic_light,
     traffic_sign,
     utility_pole,
-    wheelie_bin,
 )
 from .terrain import Terrain, relief, roughness
-from .vegetation import bush, hedge, tree, trimmed_box_bush
+from .vegetation import bush, tree
 from .worlds import Objects, Spots, World
 
 _MARGIN = 38.0
 _BLOCK = 68.0
 _KERB = 0.12
 _STEP = 0.5
-
-
-@dataclass(frozen=True)
-class _Frontage:
-    """One side of one street: what stands along it. ``side`` is +1 left of the street, -1 right."""
-
-    street: Street
-    side: int
-    pavement: float
-    character: str
-
-    @property
-    def back(self) -> float:
-        """Distance of the front garden's edge from the centre line."""
-        return self.street.half_width + self.pavement
-
-    def at(self, s: float | Float64, beyond_kerb: float | Float64) -> tuple[Float64, Float64]:
-        """Points and yaws; local +y leads away from the street."""
-        point, yaw = self.street.at(
-            s, self.side * (self.street.half_width + np.asarray(beyond_kerb))
-        )
-        return point, yaw + (0.0 if self.side > 0 else np.pi)
 
 
 @lru_cache(maxsize=2)
@@ -78,8 +53,9 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
         _pavement(site, front)
     for node in range(len(roads.nodes)):
         _junction(site, node)
-    for front in fronts:
-        _lots(site, front)
+    lots = [lot for front in fronts for lot in build_along(site, front)]
+    for lot in lots:
+        dress(site, lot)
     for front in fronts:
         _street_parking(site, front)
     _gardens(site, size_m)
@@ -98,10 +74,10 @@ def _remake(seed: int, size_m: float) -> World:
     return town(seed, size_m=size_m)
 
 
-def _frontage(rng: np.random.Generator, street: Street, side: int) -> _Frontage:
+def _frontage(rng: np.random.Generator, street: Street, side: int) -> Frontage:
     kinds = ["villas", "terrace", "flats", "mixed", "green"]
     character = str(rng.choice(kinds, p=[0.34, 0.24, 0.12, 0.2, 0.1]))
-    return _Frontage(street, side, float(rng.uniform(1.3, 2.8)), character)
+    return Frontage(street, side, float(rng.uniform(1.3, 2.8)), character)
 
 
 def _ground(rng: np.random.Generator, roads: RoadNetwork, size_m: float) -> tuple[Terrain, Float32]:
@@ -118,7 +94,7 @@ def _ground(rng: np.random.Generator, roads: RoadNetwork, size_m: float) -> tupl
     return Terrain(np.zeros(2), _STEP, heights), np.repeat(cells, 2)
 
 
-def _kerb(site: Site, front: _Frontage) -> None:
+def _kerb(site: Site, front: Frontage) -> None:
     """Kerb stones where the pavement meets the carriageway, not across side roads."""
     s = np.arange(0.0, front.street.length, 1.0)
     inner, _ = front.at(s, 0.0)
@@ -133,7 +109,7 @@ def _kerb(site: Site, front: _Frontage) -> None:
             site.items.append(("kerb", loft(sections[begin:end], 0.35)))
 
 
-def _pavement(site: Site, front: _Frontage) -> None:
+def _pavement(site: Site, front: Frontage) -> None:
     """Lamps, poles, street trees and furniture between kerb and gardens."""
     rng, length = site.rng, front.street.length
     if rng.random() < 0.75:
@@ -144,7 +120,7 @@ def _pavement(site: Site, front: _Frontage) -> None:
         for s in np.arange(rng.uniform(6, 25), length - 6, rng.uniform(28, 42)):
             at, yaw = front.at(s + rng.normal(0, 1.5), front.pavement - 0.25)
             site.stand("pole", utility_pole(rng), at, float(yaw), 0.4)
-    if rng.random() < 0.35:
+    if rng.random() < 0.5:
         pitch = rng.uniform(7, 13)
         for s in np.arange(rng.uniform(8, 14), length - 8, pitch):
             at, yaw = front.at(s + rng.normal(0, 0.5), rng.uniform(0.6, 0.9))
@@ -176,153 +152,12 @@ def _junction(site: Site, node: int) -> None:
                 break
 
 
-def _lots(site: Site, front: _Frontage) -> None:
-    """Houses with what lies before and between them, all along one frontage."""
-    rng = site.rng
-    s = float(rng.uniform(3, 9))
-    while s < front.street.length - 6:
-        building, setback, gap = _draw_building(rng, front.character)
-        width = building.width + gap if building else float(rng.uniform(8, 18))
-        middle = s + width / 2
-        placed = building is not None and _place(
-            site, front, building, middle, front.pavement + setback
-        )
-        if setback > 1.2 or not placed:
-            _front_edge(site, front, s, s + width)
-        if placed and building is not None and setback > 2:
-            _front_garden(site, front, middle, building.width, setback)
-        if gap > 1.0 or not placed:
-            _divider(site, front, s, float(rng.uniform(6, 18)))
-        if gap > 3.2 and placed:
-            _beside(site, front, s + width - gap / 2, setback, gap)
-        s += width
-
-
-def _draw_building(
-    rng: np.random.Generator, character: str
-) -> tuple[Building | None, float, float]:
-    """A building, its distance from the pavement, and the gap after it."""
-    kind = str(rng.choice(["villas", "terrace", "flats"])) if character == "mixed" else character
-    if kind == "green":
-        if rng.random() < 0.6:
-            return None, 3.0, 0.0
-        kind = "villas"
-    if kind == "terrace":
-        plan = rng.uniform([5.2, 8.0], [9.5, 11.5])
-        gap = float(rng.choice([0.02, 0.02, 0.02, 1.2, 3.6]))
-        setback = float(rng.choice([0.05, 0.3, 1.5, 2.6]) + rng.uniform(0, 0.5))
-        return house(rng, *plan, floors=int(rng.integers(2, 4))), setback, gap
-    if kind == "flats":
-        plan = rng.uniform([14.0, 10.0], [24.0, 13.0])
-        block = house(rng, *plan, floors=int(rng.integers(3, 6)), flats=True)
-        return block, float(rng.uniform(0.2, 5.0)), float(rng.uniform(2.0, 9.0))
-    plan = rng.uniform([7.5, 7.0], [14.0, 11.0])
-    villa = house(rng, *plan, floors=int(rng.choice([1, 2, 2, 3])))
-    return villa, float(rng.uniform(1.0, 6.5)), float(rng.uniform(2.0, 7.0))
-
-
-def _place(site: Site, front: _Frontage, building: Building, s: float, beyond_kerb: float) -> bool:
-    """Build if the plan is free and off every street."""
-    at, yaw = front.at(s, beyond_kerb + building.depth / 2)
-    turn = float(yaw + site.rng.normal(0, 0.012))
-    size = (building.width, building.depth)
-    grid = (
-        np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 5)), -1).reshape(
-            -1, 2
-        )
-        * size
-    )
-    c, si = np.cos(turn), np.sin(turn)
-    plan = grid @ np.array([[c, si], [-si, c]]) + at
-    if site.roads.clearance(plan).min() < 1.2 or not site.ground.claim(at, size, turn):
-        return False
-    z = float(site.terrain.height(*plan.T).mean())
-    site.items.append(("house", building.mesh.moved([*at, z], turn)))
-    return True
-
-
-def _edge(site: Site, kind: str, points: Float64) -> None:
-    """A hedge, wall or fence along a (n, 2) line."""
-    rng, line = site.rng, site.ground_line(points)
-    if kind == "hedge":
-        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.7, 0.4], [2.1, 1.0]))))
-    elif kind == "wall":
-        site.items.append(("wall", garden_wall(rng, line)))
-    elif kind == "fence":
-        site.items.append(("fence", fence(rng, line)))
-
-
-def _front_edge(site: Site, front: _Frontage, begin: float, end: float) -> None:
-    """What bounds the front garden, with a gate or a drive left open."""
-    rng = site.rng
-    kind = str(
-        rng.choice(["hedge", "wall", "fence", "bushes", "none"], p=[0.32, 0.24, 0.2, 0.08, 0.16])
-    )
-    end = min(end, front.street.length - 2.0)
-    gate = rng.uniform(begin, max(begin, end))
-    opening = rng.uniform(0.6, 2.0)
-    stretches = [(begin + 0.2, gate - opening), (gate + opening, end - 0.2)]
-    for low, high in stretches:
-        if high - low < 1.5 or kind == "none":
-            continue
-        s = np.linspace(low, high, max(2, int((high - low) / 1.5) + 1))
-        points, _ = front.at(s, front.pavement + 0.35)
-        if kind == "bushes":
-            for point in points[:: int(rng.integers(1, 3))]:
-                site.stand("bush", bush(rng), point, float(rng.uniform(0, 6)), 0.8)
-        elif site.clear_line(points, 1.0):
-            _edge(site, kind, points)
-    if rng.random() < 0.5:
-        at, yaw = front.at(
-            gate + rng.uniform(-1, 1) * opening, front.pavement + rng.uniform(0.1, 0.9)
-        )
-        site.stand("bin", wheelie_bin(rng), at, float(yaw + rng.normal(0, 0.5)), 0.6)
-
-
-def _front_garden(
-    site: Site, front: _Frontage, middle: float, width: float, setback: float
-) -> None:
-    rng = site.rng
-    for _ in range(int(rng.integers(0, 4))):
-        along = middle + rng.uniform(-0.5, 0.5) * width
-        at, yaw = front.at(along, front.pavement + rng.uniform(0.9, max(1.0, setback - 0.7)))
-        pick = rng.random()
-        if pick < 0.5:
-            site.stand("bush", bush(rng), at, float(rng.uniform(0, 6)), 1.0)
-        elif pick < 0.75:
-            site.stand("bush", trimmed_box_bush(rng), at, float(yaw), 0.8)
-        elif setback > 3:
-            site.stand("tree", tree(rng, float(rng.uniform(2.5, 7.0))), at, float(yaw), 0.8)
-
-
-def _divider(site: Site, front: _Frontage, s: float, depth: float) -> None:
-    kind = str(site.rng.choice(["hedge", "wall", "fence", "none"], p=[0.3, 0.2, 0.3, 0.2]))
-    reach = np.linspace(0.6, depth, max(2, int(depth / 1.5)))
-    points, _ = front.at(np.full(len(reach), s + 0.1), front.pavement + reach)
-    free = [bool(site.clear_line(point[None], 1.0)) for point in points]
-    count = len(free) if all(free) else free.index(False)
-    if kind != "none" and count >= 2:
-        _edge(site, kind, points[:count])
-
-
-def _beside(site: Site, front: _Frontage, s: float, setback: float, gap: float) -> None:
-    """A drive beside the house: a garage at its end, or just a car."""
-    rng = site.rng
-    if rng.random() < 0.4:
-        built = garage(rng)
-        if built.width < gap - 0.3:
-            _place(site, front, built, s, front.pavement + setback + rng.uniform(3.0, 8.0))
-    at, yaw = front.at(s, front.pavement + 3.0)
-    if gap > 3.2 and site.roads.clearance(at) > 3 and site.ground.claim(at, (2.2, 5.2), float(yaw)):
-        site.parking.append((*at, float(yaw) + np.pi / 2, 5.0, 0.55))
-
-
-def _street_parking(site: Site, front: _Frontage) -> None:
+def _street_parking(site: Site, front: Frontage) -> None:
     """Cars by the kerb, half on the pavement in narrow streets, in groups with gaps."""
     rng, street = site.rng, front.street
-    if rng.random() < 0.2:
+    if rng.random() < 0.1:
         return
-    busy = rng.uniform(0.35, 0.85)
+    busy = rng.uniform(0.45, 0.95)
     for s in np.arange(9.0, street.length - 9.0, rng.uniform(5.6, 6.6)):
         at, yaw = front.at(s, -0.55)
         ends, _ = front.at(np.array([s - 3.5, s + 3.5]), -0.55)
@@ -336,7 +171,7 @@ def _street_parking(site: Site, front: _Frontage) -> None:
 def _gardens(site: Site, size_m: float) -> None:
     """Trees, bushes and sheds behind and between the houses."""
     rng = site.rng
-    for at in rng.uniform(3, size_m - 3, (int(size_m**2 / 75), 2)):
+    for at in rng.uniform(3, size_m - 3, (int(size_m**2 / 55), 2)):
         if site.roads.clearance(at) < 4.5:
             continue
         pick, yaw = rng.random(), float(rng.uniform(0, 2 * np.pi))

@@ -11,7 +11,9 @@ from scipy.ndimage import gaussian_filter1d
 from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
 from ..types import Float32, Float64, Int64, Scan
-from .lidar import SpinningLidar, hdl64e
+from .lidar import hdl64e
+from .odometry import OdometryNoise
+from .ranging import Lidar
 from .roads import along
 from .town import town
 from .worlds import Int32, World
@@ -107,11 +109,13 @@ class SimulatedSequence:
     name : str
     world : World
     session : int
-    sensor : SpinningLidar
+    sensor : Lidar
     indices : (N,) int64
         The numbers of the scans.
+    truth : (N, 4, 4) float64
+        T_world_sensor, from where the scans are cast.
     poses : (N, 4, 4) float64
-        T_world_sensor, the truth; the odometry frame of the scans is the world's.
+        T_odom_sensor, what the scans say: the truth, unless :meth:`with_odometry` made it worse.
     seed : int
         Of noise and lost returns. A scan depends on the seed, the session and its index alone.
     """
@@ -119,8 +123,9 @@ class SimulatedSequence:
     name: str
     world: World
     session: int
-    sensor: SpinningLidar
+    sensor: Lidar
     indices: Int64
+    truth: Float64
     poses: Float64
     seed: int
     _last: tuple[int, Float32, Int32] | None = field(default=None, repr=False)
@@ -149,7 +154,13 @@ class SimulatedSequence:
     def select(self, selection: Selection) -> SimulatedSequence:
         """The scans whose indices are in the selection, the same as they were."""
         mask = selection.mask(self.indices)
-        return replace(self, indices=self.indices[mask], poses=self.poses[mask], _last=None)
+        parts = {name: getattr(self, name)[mask] for name in ("indices", "truth", "poses")}
+        return replace(self, **parts, _last=None)
+
+    def with_odometry(self, noise: OdometryNoise | None = None) -> SimulatedSequence:
+        """The same scans with poses as odometry would give them, in a frame that starts level."""
+        rng = np.random.default_rng([self.seed, self.session, 40_009])
+        return replace(self, poses=(noise or OdometryNoise()).odometry(self.truth, rng))
 
     def _cast(self, i: int) -> tuple[Float32, Int32]:
         if not 0 <= i < len(self):
@@ -157,7 +168,7 @@ class SimulatedSequence:
         if self._last is None or self._last[0] != i:
             rng = np.random.default_rng([self.seed, self.session, int(self.indices[i])])
             scene = self.world.session(self.session)
-            self._last = (i, *self.sensor.scan(scene, self.poses[i], rng))
+            self._last = (i, *self.sensor.scan(scene, self.truth[i], rng))
         return self._last[1], self._last[2]
 
     def __getstate__(self) -> dict[str, object]:
@@ -165,13 +176,13 @@ class SimulatedSequence:
 
 
 def simulate_session(
-    world: World, session: int, route: Route, sensor: SpinningLidar, seed: int, *, name: str = ""
+    world: World, session: int, route: Route, sensor: Lidar, seed: int, *, name: str = ""
 ) -> SimulatedSequence:
     """A drive along a route in one session of a world."""
     poses = route.poses(world, sensor.mount_height_m)
     label = name or f"{world.name}-session-{session}"
     indices = np.arange(len(poses), dtype=np.int64)
-    return SimulatedSequence(label, world, session, sensor, indices, poses, seed)
+    return SimulatedSequence(label, world, session, sensor, indices, poses, poses, seed)
 
 
 def _revisit(world: World, rng: np.random.Generator, mapped: list[int], length: float) -> list[int]:
@@ -209,7 +220,7 @@ def _shares(
 def demo_sessions(
     seed: int = 0,
     *,
-    sensor: SpinningLidar | None = None,
+    sensor: Lidar | None = None,
     size_m: float = 330.0,
     length_m: float = 500.0,
 ) -> dict[str, SimulatedSequence]:

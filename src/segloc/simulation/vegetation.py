@@ -37,7 +37,7 @@ def tree(rng: np.random.Generator, height: float | None = None) -> Mesh:
         * np.array([1.0, 1.0, 0.8])
         * rng.uniform(0.7, 1.3, (count, 3))
     )
-    return join([wood, _crown(rng, tips, size, rng.uniform(10, 22), 0.18)])
+    return join([wood, _crown(rng, tips, size, rng.uniform(6, 15), 0.18)])
 
 
 def _conifer(rng: np.random.Generator, tall: float) -> Mesh:
@@ -47,7 +47,7 @@ def _conifer(rng: np.random.Generator, tall: float) -> Mesh:
     n = int(60 * wide * tall * rng.uniform(0.7, 1.2))
     up = 1 - np.sqrt(rng.uniform(0, 1, n))
     layer = 1 - 0.3 * np.abs(np.sin(up * rng.uniform(15, 30)))
-    reach = wide * (1 - up) * layer * np.sqrt(rng.uniform(0.25, 1, n))
+    reach = wide * (1 - up) * layer * np.sqrt(rng.uniform(0.04, 1, n))
     turn = rng.uniform(0, 2 * np.pi, n)
     center = np.stack(
         [reach * np.cos(turn), reach * np.sin(turn), base + up * (tall - base)], axis=1
@@ -65,7 +65,7 @@ def _crown(
     lobe = np.repeat(np.arange(len(centers)), counts)
     way = rng.normal(size=(len(lobe), 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    depth = rng.uniform(0.3, 1.0, (len(lobe), 1)) ** 0.6
+    depth = rng.uniform(0.02, 1.0, (len(lobe), 1)) ** 0.45
     return scraps(rng, centers[lobe] + way * depth * radii[lobe], size, _LEAF)
 
 
@@ -77,6 +77,19 @@ def bush(rng: np.random.Generator) -> Mesh:
     radii = size * rng.uniform(0.55, 1.0, (count, 3))
     center[:, 2] = radii[:, 2] * rng.uniform(0.6, 1.1, count)
     return _crown(rng, center, radii, rng.uniform(20, 40), 0.13)
+
+
+def shrubs(rng: np.random.Generator, line: Float64) -> Mesh:
+    """A loose border of shrubs along a (n, 3) ground line, up to 3.5 m high."""
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    size = rng.uniform(0.5, 1.2)
+    count = max(2, int(length * rng.uniform(0.8, 1.6) / size))
+    t = np.sort(rng.uniform(0, len(line) - 1, count))
+    center = np.stack([np.interp(t, np.arange(len(line)), line[:, k]) for k in range(3)], axis=1)
+    radii = size * rng.uniform(0.5, 1.3, (count, 3))
+    center[:, :2] += rng.normal(0, 0.3 * size, (count, 2))
+    center[:, 2] += radii[:, 2] * rng.uniform(0.5, 1.6, count)
+    return _crown(rng, center, radii, rng.uniform(12, 28), 0.14)
 
 
 def hedge(rng: np.random.Generator, line: Float64, height: float, width: float) -> Mesh:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Float64
-from .mesh import Mesh, boxes, join, loft, tubes
+from .mesh import GLASS, Mesh, boxes, join, loft, tubes
 
-_GLASS = 0.06
 _TYRE = 0.08
 
 
@@ -146,7 +145,7 @@ def _body(
     cabin = np.flatnonzero(inside | tall)
     upper = _sections(x[cabin], belt[cabin], wide[cabin], roof[cabin], narrow[cabin])
     box = np.flatnonzero(tall & (stations >= shape.windows[1]))
-    parts = [loft(lower, paint), loft(upper, _GLASS)]
+    parts = [loft(lower, paint), loft(upper, GLASS)]
     top = _sections(x[cabin], roof[cabin] - 0.05, narrow[cabin], roof[cabin] + 0.01, narrow[cabin])
     parts.append(loft(top, paint))
     if len(box) > 1:

@@ -94,6 +94,8 @@ class Hits:
         Metres; infinite where nothing was met.
     object_ids : (R,) int32
         -1 where nothing was met.
+    normals : (R, 3) float32
+        Unit normals, on either side of the surface.
     cosines : (R,) float32
         Of the angle between ray and surface normal, in [0, 1].
     reflectance : (R,) float32
@@ -101,6 +103,7 @@ class Hits:
 
     ranges: Float32
     object_ids: Int32
+    normals: Float32
     cosines: Float32
     reflectance: Float32
 
@@ -148,7 +151,7 @@ class Scene:
         count = len(origins)
         ranges = np.full(count, np.inf, dtype=np.float32)
         ids = np.full(count, -1, dtype=np.int32)
-        cosines = np.zeros(count, dtype=np.float32)
+        normals = np.zeros((count, 3), dtype=np.float32)
         shine = np.zeros(count, dtype=np.float32)
         for start in range(0, count, _BATCH):
             part = slice(start, min(start + _BATCH, count))
@@ -158,14 +161,14 @@ class Scene:
             found = self._embree.run(source, way, dists=far, output=True)
             hit = np.flatnonzero(found["primID"] >= 0)
             triangle = self._first[found["geomID"][hit]] + found["primID"][hit]
-            normal = found["Ng"][hit]
-            slant = np.abs(np.einsum("ij,ij->i", normal, way[hit]))
             at = start + hit
             ranges[at] = found["tfar"][hit]
             ids[at] = self._ids[triangle]
-            cosines[at] = slant / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+            normals[at] = found["Ng"][hit]
             shine[at] = self._reflectance[triangle]
-        return Hits(ranges, ids, np.minimum(cosines, 1.0), shine)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        slant = np.abs(np.einsum("ij,ij->i", normals, directions))
+        return Hits(ranges, ids, normals, np.minimum(slant, 1.0), shine)
 
 
 @dataclass
