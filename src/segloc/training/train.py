@@ -22,7 +22,7 @@ from ..errors import DatasetError
 from ..types import Float32
 from .augment import AugmentConfig, augment
 from .dataset import SegmentDataset
-from .export import export
+from .export import export, folded
 from .losses import hard_triplet, info_nce, pair_match
 from .metrics import Scores, nearest_is_right, score
 from .models import LAYERS, DescriptorNetwork
@@ -44,6 +44,8 @@ class TrainConfig(BaseModel):
     steps: int = Field(3000, ge=1)
     classes: int = Field(32, ge=2, description="objects a batch")
     views: int = Field(2, ge=2, description="segments of each object a batch")
+    hard_share: float = Field(0.5, ge=0, le=1, description="objects chosen to be mistakable")
+    mine_every: int = Field(500, ge=1, description="steps between searches for such objects")
     learning_rate: float = Field(2e-3, gt=0)
     warmup: int = Field(100, ge=0, description="steps until the full learning rate")
     weight_decay: float = Field(1e-5, ge=0)
@@ -135,6 +137,7 @@ class _Run:
         self.best = Scores(0.0, -1.0, 0.0)
         self.best_step = 0
         self.best_state: dict[str, Tensor] = {}
+        self.mistakable = np.empty((0, 0), np.int64)
 
     def loop(self, progress: Progress) -> None:
         config = self.config
@@ -160,7 +163,9 @@ class _Run:
     def _advance(self) -> float:
         config = self.config
         rng = np.random.default_rng([config.seed, self.step])
-        indices = _batch(self.groups, config, rng)
+        if config.hard_share > 0 and self.step > 0 and self.step % config.mine_every == 0:
+            self.mistakable = self._mine()
+        indices = _batch(self.groups, self.mistakable, config, rng)
         points = torch.from_numpy(prepared_batch(self.training, indices, config, rng))
         same, different = _relations(self.training, indices)
         for group in self.optimizer.param_groups:
@@ -177,6 +182,13 @@ class _Run:
         self.optimizer.step()
         self.step += 1
         return float(loss.detach())
+
+    def _mine(self) -> NDArray[np.int64]:
+        """The objects whose descriptors are nearest to those of each object, (objects, 16)."""
+        first = np.array([group[0] for group in self.groups])
+        vectors = describe(self.model, self.training.subset(first), self.config)
+        indices, _ = _native.knn(vectors, vectors, 17, self.config.threads)
+        return indices[:, 1:]
 
     def _validate(self) -> None:
         vectors = describe(self.model, self.validation, self.config)
@@ -202,6 +214,7 @@ class _Run:
             "best": asdict(self.best),
             "best_step": self.best_step,
             "best_state": self.best_state,
+            "mistakable": torch.from_numpy(self.mistakable),
         }
         self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
         partial = self.checkpoint.with_suffix(".partial")
@@ -221,6 +234,7 @@ class _Run:
         self.step, self.seconds = state["step"], state["seconds"]
         self.best, self.best_step = Scores(**state["best"]), state["best_step"]
         self.best_state = state["best_state"]
+        self.mistakable = state["mistakable"].numpy()
         progress(f"going on from step {self.step}")
 
 
@@ -247,10 +261,19 @@ def _groups(dataset: SegmentDataset) -> list[NDArray[np.int64]]:
 
 
 def _batch(
-    groups: list[NDArray[np.int64]], config: TrainConfig, rng: np.random.Generator
+    groups: list[NDArray[np.int64]],
+    mistakable: NDArray[np.int64],
+    config: TrainConfig,
+    rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    """Some views of some objects."""
-    chosen = rng.choice(len(groups), size=config.classes, replace=False)
+    """Some views of some objects: random ones, and others that are easily taken for them."""
+    order = rng.permutation(len(groups))
+    hard = round(config.hard_share * config.classes) if len(mistakable) else 0
+    chosen = list(order[: config.classes - hard])
+    if hard:
+        rivals = mistakable[rng.choice(chosen, size=4 * hard)]
+        picked = rivals[np.arange(len(rivals)), rng.integers(rivals.shape[1], size=len(rivals))]
+        chosen += list(dict.fromkeys(picked[~np.isin(picked, chosen)]))[:hard]
     views = [
         rng.choice(groups[g], size=min(config.views, len(groups[g])), replace=False) for g in chosen
     ]
@@ -281,14 +304,15 @@ def prepared_batch(
     return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))
 
 
-@torch.no_grad()
 def describe(model: DescriptorNetwork, dataset: SegmentDataset, config: TrainConfig) -> Float32:
-    """Descriptors (P, dim) of all segments of a dataset, by the PyTorch model."""
-    model.eval()
-    parts = []
-    for first in range(0, len(dataset), 32):
-        indices = np.arange(first, min(first + 32, len(dataset)))
-        parts.append(model(torch.from_numpy(prepared_batch(dataset, indices, config))).numpy())
+    """Descriptors (P, dim) of all segments of a dataset, by the native network."""
+    table = [(x.points, x.neighbors, x.dilation, x.channels) for x in model.layers]
+    network = _native.Network(table, folded(model), POINTS)
+    parts = [np.empty((0, network.dim), np.float32)]
+    for first in range(0, len(dataset), 1024):
+        indices = np.arange(first, min(first + 1024, len(dataset)))
+        prepared = prepared_batch(dataset, indices, config)
+        parts.append(network.describe(prepared, config.threads)[0])
     return np.concatenate(parts)
 
 

@@ -1,0 +1,112 @@
+"""Farthest-point sampling against a plain reference, on every instruction set."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from segloc import _native
+
+
+def instruction_sets() -> list[str]:
+    found = []
+    for isa in ("portable", "avx2", "avx512"):
+        try:
+            found.append(_native.instruction_set(isa))
+        except ValueError:
+            continue
+    return found
+
+
+ISAS = instruction_sets()
+
+
+def squared(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    x, y, z = (points - centre).T
+    return (x * x + y * y) + z * z
+
+
+def reference(points: np.ndarray, samples: int) -> np.ndarray:
+    """Max-min order from the point farthest from the centroid; never one point twice."""
+    centroid = (np.cumsum(points.astype(np.float64), axis=0)[-1] / len(points)).astype(np.float32)
+    distance = np.full(len(points), np.float32(np.finfo(np.float32).max))
+    order = [int(np.argmax(squared(points, centroid)))]
+    while len(order) < samples:
+        distance = np.minimum(distance, squared(points, points[order[-1]]))
+        distance[order] = -1.0
+        order.append(int(np.argmax(distance)))
+    return np.array(order[:samples])
+
+
+def clouds(count: int, n: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, n, 3)).astype(np.float32) * np.float32([3, 1, 1])
+
+
+@pytest.mark.parametrize("isa", ISAS)
+@pytest.mark.parametrize(("count", "n", "samples"), [(7, 256, 160), (5, 77, 77), (2, 4500, 300)])
+def test_order_is_the_reference(isa: str, count: int, n: int, samples: int) -> None:
+    points = clouds(count, n)
+    expected = np.stack([reference(cloud, samples) for cloud in points])
+    np.testing.assert_array_equal(_native.fps(points, samples, 1, isa), expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    arrays.arrays(
+        np.int8,
+        st.tuples(st.integers(1, 6), st.integers(1, 90), st.just(3)),
+        elements=st.integers(-3, 3),
+    )
+)
+def test_ties_and_repeated_points(grid: np.ndarray) -> None:
+    """On a coarse grid nearly everything ties; repeated points come last, in order."""
+    points = grid.astype(np.float32)
+    n = points.shape[1]
+    expected = np.stack([reference(cloud, n) for cloud in points])
+    for isa in ISAS:
+        order = _native.fps(points, n, 1, isa)
+        np.testing.assert_array_equal(
+            np.sort(order, axis=1), np.tile(np.arange(n), (len(points), 1))
+        )
+        np.testing.assert_array_equal(order, expected)
+
+
+def test_prefixes_are_nested() -> None:
+    """One run serves every layer: FPS of the first 160 points takes them in the same order."""
+    points = clouds(20, 256)
+    order = _native.fps(points, 160)
+    kept = np.take_along_axis(points, order[..., None].astype(np.int64), axis=1)
+    for p in range(len(points)):
+        distance = np.full(160, np.inf, np.float32)
+        for step in range(95):
+            distance = np.minimum(distance, squared(kept[p], kept[p, step]))
+            assert np.argmax(distance) == step + 1
+
+
+def test_threads_do_not_matter() -> None:
+    points = clouds(33, 128)
+    np.testing.assert_array_equal(_native.fps(points, 50, 1), _native.fps(points, 50, 4))
+
+
+def test_empty_input() -> None:
+    assert _native.fps(np.empty((0, 256, 3), np.float32), 160).shape == (0, 160)
+    assert _native.fps(clouds(2, 5), 0).shape == (2, 0)
+
+
+def test_wrong_input() -> None:
+    points = clouds(2, 16)
+    with pytest.raises(ValueError, match="samples must not exceed"):
+        _native.fps(points, 17)
+    with pytest.raises(ValueError, match=r"shape \(P, N, 3\)"):
+        _native.fps(points[..., :2].copy(), 4)
+    with pytest.raises(ValueError, match="isa must be"):
+        _native.fps(points, 4, 1, "sse")
+    with pytest.raises(TypeError):
+        _native.fps(points.astype(np.float64), 4)
+    points[1, 3, 0] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        _native.fps(points, 4)

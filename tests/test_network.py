@@ -1,0 +1,246 @@
+"""Native inference against PyTorch, layer by layer, and the weight files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from segloc import _native
+from segloc.descriptors import create
+from segloc.descriptors.pointset import (
+    DSM_LAYERS,
+    Layer,
+    PointSetDescriptor,
+    load_weights,
+    save_weights,
+    shipped_weights,
+)
+from segloc.errors import WeightsError
+from segloc.types import Segments
+
+torch = pytest.importorskip("torch")
+export = pytest.importorskip("segloc.training.export")
+models = pytest.importorskip("segloc.training.models")
+
+torch.set_num_threads(1)  # small problems: more threads only wait for each other
+
+ODD_LAYERS = (Layer(70, 7, 2, 20), Layer(33, 9, 3, 24), Layer(5, 11, 2, 36))
+TABLES = {**models.LAYERS, "odd": ODD_LAYERS}
+POINTS = {"dsm": 256, "esm": 256, "odd": 100}
+
+
+def prepared(count: int, points: int = 256, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    cloud = rng.normal(size=(count * 300, 3)).astype(np.float32) * np.float32([3, 1, 1])
+    offsets = np.arange(count + 1, dtype=np.int64) * 300
+    return _native.prepare_segments(cloud, offsets, points)
+
+
+def random_model(name: str, seed: int = 0) -> models.DescriptorNetwork:
+    """A network whose batch norms do something."""
+    torch.manual_seed(seed)
+    model = models.DescriptorNetwork(TABLES[name])
+    with torch.no_grad():
+        for module in model.modules():
+            if isinstance(module, models.Norm):
+                module.running_mean.normal_(0, 0.3)
+                module.running_var.uniform_(0.3, 2)
+                module.weight.uniform_(0.5, 1.5)
+                module.bias.normal_(0, 0.3)
+        model.quality_head.weight.normal_(0, 0.1)
+    return model.eval()
+
+
+def native(model: models.DescriptorNetwork, points: int, isa: str = "auto") -> _native.Network:
+    table = [(x.points, x.neighbors, x.dilation, x.channels) for x in model.layers]
+    return _native.Network(table, export.folded(model), points, isa)
+
+
+def relative_error(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.abs(a - b).max() / np.abs(b).max())
+
+
+def test_parameter_counts() -> None:
+    """The paper: 280 thousand for DSM, 300 thousand for ESM."""
+    assert random_model("dsm").trunk_parameters() == 283_112
+    assert random_model("esm").trunk_parameters() == 300_328
+
+
+@pytest.mark.parametrize("isa", ["portable", "avx2", "avx512"])
+@pytest.mark.parametrize("name", ["dsm", "esm", "odd"])
+def test_inference_equals_pytorch(name: str, isa: str) -> None:
+    try:
+        _native.instruction_set(isa)
+    except ValueError as error:
+        pytest.skip(str(error))
+    model, segments = random_model(name), prepared(3 if name == "esm" else 11, POINTS[name])
+    network = native(model, POINTS[name], isa)
+    with torch.no_grad():
+        points = torch.from_numpy(segments)
+        activations = model.activations(points)
+        vectors = model(points)
+        quality = model.quality(vectors)
+    for layer, expected in enumerate(activations):
+        found = network.activations(segments, layer)
+        assert relative_error(found, expected.numpy()) < 1e-5, f"layer {layer}"
+    found, found_quality = network.describe(segments, 1)
+    assert relative_error(found, vectors.numpy()) < 1e-5
+    np.testing.assert_allclose(found_quality, quality.numpy(), atol=1e-5)
+
+
+def test_extreme_weights_stay_finite() -> None:
+    """ELU saturates on one side and grows on the other; neither may overflow."""
+    model = random_model("dsm")
+    with torch.no_grad():
+        for xconv in model.xconvs:
+            xconv.lift1.mul_(1e4)
+    segments = prepared(3)
+    found = native(model, 256).activations(segments, 0)
+    with torch.no_grad():
+        expected = model.activations(torch.from_numpy(segments))[0].numpy()
+    assert np.isfinite(found).all()
+    assert relative_error(found, expected) < 1e-4
+
+
+def test_threads_and_neighbours_in_the_batch_do_not_matter() -> None:
+    network, segments = native(random_model("dsm"), 256), prepared(43)
+    vectors, quality = network.describe(segments, 1)
+    for threads in (2, 5):
+        again, again_quality = network.describe(segments, threads)
+        np.testing.assert_array_equal(again, vectors)
+        np.testing.assert_array_equal(again_quality, quality)
+    for i in (0, 9, 42):
+        np.testing.assert_array_equal(network.describe(segments[i : i + 1])[0][0], vectors[i])
+
+
+def test_dilated_neighbours_are_exact() -> None:
+    segments = prepared(4)
+    segments[0, 50:] = segments[0, np.arange(206) % 50]  # repeated points tie
+    for sources, queries, k, dilation in ((256, 160, 8, 1), (160, 96, 10, 2), (96, 16, 12, 3)):
+        source = segments[:, :sources]
+        d = source[:, None] - segments[:, :queries, None]
+        squared = (d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]) + d[..., 2] * d[..., 2]
+        expected = np.argsort(squared, axis=-1, kind="stable")[..., : k * dilation : dilation]
+        for isa in ("portable", "auto"):
+            found = _native.dilated_neighbors(segments, sources, queries, k, dilation, 1, isa)
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_no_segments() -> None:
+    vectors, quality = native(random_model("dsm"), 256).describe(np.empty((0, 256, 3), np.float32))
+    assert vectors.shape == (0, 16)
+    assert quality.shape == (0,)
+
+
+def test_wrong_input() -> None:
+    model = random_model("dsm")
+    network = native(model, 256)
+    with pytest.raises(ValueError, match=r"shape \(P, 256, 3\)"):
+        network.describe(np.zeros((2, 255, 3), np.float32))
+    with pytest.raises(ValueError, match="not finite"):
+        network.describe(np.full((1, 256, 3), np.nan, np.float32))
+    tensors = export.folded(model)
+    with pytest.raises(ValueError, match="layer table"):
+        _native.Network([(160, 8, 99, 32)], tensors)
+    with pytest.raises(ValueError, match="not part of this network"):
+        table = [(x.points, x.neighbors, x.dilation, x.channels) for x in DSM_LAYERS]
+        _native.Network(table, {**tensors, "extra": np.zeros(3, np.float32)})
+
+
+def write(path: Path, change: str) -> None:
+    """A weights file with one fault."""
+    tensors = export.folded(random_model("dsm"))
+    if change == "missing tensor":
+        del tensors["fc2.weight"]
+    if change == "unknown tensor":
+        tensors["fc9.weight"] = np.zeros((2, 2), np.float32)
+    if change == "wrong shape":
+        tensors["layers.1.x0.weight"] = tensors["layers.1.x0.weight"][:, :-1]
+    if change == "not finite":
+        tensors["fc1.weight"][3, 5] = np.nan
+    if change == "wrong dtype":
+        tensors["fc1.weight"] = tensors["fc1.weight"].astype(np.float64)
+    layers = [Layer(160, 8, 64, 32), *DSM_LAYERS[1:]] if change == "bad table" else DSM_LAYERS
+    save_weights(path, tensors, layers, "pca2d", {"data": "test"})
+    if change == "truncated":
+        path.write_bytes(path.read_bytes()[:-1000])
+    if change == "garbage":
+        path.write_bytes(b"\xff" * 500)
+    if change == "altered":
+        content = bytearray(path.read_bytes())
+        content[-1] ^= 1
+        path.write_bytes(bytes(content))
+    if change == "other format":
+        save_file(tensors, path, {"format": "pt"})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("missing tensor", "'fc2.weight' is missing"),
+        ("unknown tensor", "'fc9.weight' is not part"),
+        ("wrong shape", "'layers.1.x0.weight' has shape"),
+        ("not finite", "'fc1.weight' has values that are not finite"),
+        ("wrong dtype", "'fc1.weight' is float64"),
+        ("bad table", "layer table"),
+        ("truncated", "safetensors"),
+        ("garbage", "safetensors"),
+        ("altered", "do not match their hash"),
+        ("other format", "not a network"),
+    ],
+)
+def test_damaged_weights_are_refused(tmp_path: Path, change: str, message: str) -> None:
+    path = tmp_path / "network.safetensors"
+    write(path, change)
+    with pytest.raises(WeightsError, match=message) as caught:
+        load_weights(path)
+    text = str(caught.value)
+    assert text.startswith(str(path)) and "\n" not in text
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="no such file"):
+        load_weights(tmp_path / "none.safetensors")
+
+
+def test_weights_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "network.safetensors"
+    model, card = random_model("dsm"), {"data": "a test", "licence": "MIT"}
+    export.export(model, path, card)
+    weights = load_weights(path)
+    assert weights.card == card
+    segments = prepared(5)
+    expected, _ = native(model, 256).describe(segments)
+    np.testing.assert_array_equal(weights.network.describe(segments)[0], expected)
+
+
+def test_shipped_descriptor() -> None:
+    """Loads, knows where it comes from, and ignores the order of points and the yaw."""
+    descriptor = create("dsm-fq", threads=1)
+    assert isinstance(descriptor, PointSetDescriptor)
+    assert {"data", "command", "figures", "licence"} <= set(descriptor.card)
+    json.dumps(descriptor.card)
+    rng = np.random.default_rng(4)
+    points = rng.gamma(2.0, 1.0, (400, 3)).astype(np.float32) * np.float32([3, 1, 1])
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]], np.float32)
+    cloud = np.concatenate([points, rng.permutation(points), points @ turn.T])
+    offsets = np.array([0, 400, 800, 1200], np.int64)
+    segments = Segments(cloud, offsets, np.zeros((3, 3)), np.zeros(3, np.float32))
+    result = descriptor.describe(segments)
+    assert result.vectors.shape == (3, descriptor.dim)
+    assert result.quality is not None and ((result.quality >= 0) & (result.quality <= 1)).all()
+    np.testing.assert_array_equal(result.vectors[0], result.vectors[1])
+    np.testing.assert_allclose(result.vectors[2], result.vectors[0], atol=0.05)
+    plain = create("dsm", threads=2)
+    assert plain.fingerprint == descriptor.fingerprint
+    assert plain.describe(segments).quality is None
+
+
+def test_shipped_weights_are_small() -> None:
+    path = shipped_weights("dsm.safetensors")
+    assert path.stat().st_size < 2_000_000
+    assert len(load_file(path)) > 40

@@ -1,0 +1,153 @@
+"""Preparation of segments: centring, alignment, sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from segloc import _native
+
+
+def segment(n: int, seed: int) -> np.ndarray:
+    """An elongated cloud with more points on one side."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.normal(0, 3, n), rng.exponential(1.0, n), rng.uniform(0, 2, n)])
+    turn = rng.uniform(0, 2 * np.pi)
+    return yaw(points, turn).astype(np.float32) + rng.uniform(-40, 40, 3).astype(np.float32)
+
+
+def yaw(points: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def prepare(parts: list[np.ndarray], **options: object) -> np.ndarray:
+    offsets = np.cumsum([0, *(len(p) for p in parts)], dtype=np.int64)
+    points = np.concatenate(parts).astype(np.float32) if parts else np.empty((0, 3), np.float32)
+    return _native.prepare_segments(points, offsets, **options)  # type: ignore[arg-type]
+
+
+def aligned_2d(points: np.ndarray) -> np.ndarray:
+    """The rule of SegMap's cnn.cpp in double: major axis to x, then the half-plane rule."""
+    p = points.astype(np.float64) - points.mean(axis=0, dtype=np.float64)
+    values, vectors = np.linalg.eigh(np.cov(p[:, :2].T, bias=True))
+    major = vectors[:, np.argmax(values)]
+    p = yaw(p, -np.arctan2(major[1], major[0]))
+    middle = (p[:, 1].min() + p[:, 1].max()) / 2
+    if (p[:, 1] < middle).sum() < len(p) / 2:
+        p[:, :2] *= -1
+    return p
+
+
+def as_set(points: np.ndarray) -> np.ndarray:
+    return points[np.lexsort(points.T)]
+
+
+def test_small_segment_is_aligned_as_a_whole() -> None:
+    for seed in range(10):
+        points = segment(256, seed)
+        np.testing.assert_allclose(
+            as_set(prepare([points])[0]), as_set(aligned_2d(points)), atol=2e-4, rtol=0
+        )
+
+
+def test_output_is_in_sampling_order() -> None:
+    out = prepare([segment(900, 3)], count=128)[0]
+    distance = np.full(128, np.inf)
+    for step in range(127):
+        distance = np.minimum(distance, ((out - out[step]) ** 2).sum(axis=1))
+        assert distance[step + 1] >= distance.max() * (1 - 1e-5)
+
+
+def test_alignment_removes_yaw() -> None:
+    points = segment(700, 5)
+    turned = [yaw(points - points.mean(axis=0), a) for a in np.linspace(0, 6, 13)]
+    out = prepare(turned)
+    np.testing.assert_allclose(out, np.broadcast_to(out[:1], out.shape), atol=1e-3)
+
+
+def test_pca3d_removes_any_rotation() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.gamma(2.0, 1.0, (600, 3)) * [4, 2, 1]
+    turned = []
+    for _ in range(8):
+        q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+        q *= np.sign(np.diag(r))
+        q[:, 0] *= np.linalg.det(q)
+        turned.append(points @ q.T)
+    out = prepare(turned, alignment="pca3d")
+    np.testing.assert_allclose(out, np.broadcast_to(out[:1], out.shape), atol=2e-3)
+    extent = out[0].std(axis=0)
+    assert extent[0] > extent[1] > extent[2]
+    # A rotation, not a reflection: distances and handedness survive.
+    assert np.linalg.det(np.linalg.lstsq(points - points.mean(0), _matched(points, out[0]))[0]) > 0
+
+
+def _matched(points: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """The rows of a proper or improper rotation of `points` that `out` shows best."""
+    p = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(p.T @ p)
+    best, found = np.inf, p
+    for signs in np.array(np.meshgrid([1, -1], [1, -1], [1, -1])).reshape(3, -1).T:
+        q = p @ axes[:, ::-1] * signs
+        gap = np.abs(q[:, None] - out[None, :32]).max(axis=2).min(axis=0).max()
+        if gap < best:
+            best, found = gap, q
+    return found
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 6000), st.integers(0, 1000), st.sampled_from(["none", "pca2d", "pca3d"]))
+def test_order_of_points_does_not_matter(n: int, seed: int, alignment: str) -> None:
+    points = segment(n, seed)
+    shuffled = np.random.default_rng(seed).permutation(points)
+    np.testing.assert_array_equal(
+        prepare([points], alignment=alignment), prepare([shuffled], alignment=alignment)
+    )
+
+
+@pytest.mark.parametrize("isa", ["portable", "auto"])
+def test_threads_and_instruction_sets_do_not_matter(isa: str) -> None:
+    parts = [segment(n, n) for n in (1, 2, 5, 100, 256, 257, 3000, 9000)] * 3
+    expected = prepare(parts, threads=1, isa="auto")
+    np.testing.assert_array_equal(prepare(parts, threads=4, isa=isa), expected)
+
+
+def test_few_points_repeat() -> None:
+    points = segment(10, 1)
+    out = prepare([points], alignment="none")[0]
+    np.testing.assert_array_equal(out[:250], np.tile(out[:10], (25, 1)))
+    assert len(np.unique(out, axis=0)) == 10
+
+
+def test_large_segments_are_thinned_evenly() -> None:
+    """Thinning keeps a fair sample: the result covers the segment."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-5, 5, (60_000, 3)).astype(np.float32)
+    out = prepare([points], alignment="none")[0]
+    gap = np.sqrt(((points[:500, None] - points.mean(0) - out[None]) ** 2).sum(-1)).min(axis=1)
+    assert gap.max() < 2.0
+
+
+def test_no_segments_and_empty_segments() -> None:
+    assert prepare([]).shape == (0, 256, 3)
+    out = prepare([segment(20, 0), np.empty((0, 3)), segment(30, 1)])
+    assert not out[1].any()
+    assert out[0].any()
+
+
+def test_wrong_input() -> None:
+    points = segment(10, 0)
+    good = np.array([0, 10], np.int64)
+    for offsets in ([0, 9], [1, 10], [0, 7, 5, 10], []):
+        with pytest.raises(ValueError, match="offsets must"):
+            _native.prepare_segments(points, np.array(offsets, np.int64))
+    with pytest.raises(ValueError, match="alignment must be"):
+        _native.prepare_segments(points, good, 256, "pca")
+    with pytest.raises(ValueError, match="count must be"):
+        _native.prepare_segments(points, good, 0)
+    points[3, 1] = np.inf
+    with pytest.raises(ValueError, match="not finite"):
+        _native.prepare_segments(points, good)
