@@ -125,7 +125,7 @@ class SegmentMap:
 
     @property
     def cloud(self) -> Float32:
-        """Thinned points above the ground, (N, 3) float32, relative to ``origin``."""
+        """Thinned points, (N, 3) float32, relative to ``origin``."""
         return self._cloud.points
 
     @property
@@ -192,7 +192,7 @@ class SegmentMap:
             Which traversal the view belongs to.
         stamp : float
         cloud : (N, 3) float32 or float64
-            The view's points above the ground, map frame.
+            Points of the view to verify poses against, map frame.
 
         Raises
         ------

@@ -91,7 +91,7 @@ def build_map(
             scene.segments.sizes,
             session=0,
             stamp=float(sequence.indices[index]),
-            cloud=geometry.transform(T_map_local, scene.structure),
+            cloud=geometry.transform(T_map_local, scene.surface),
         )
         if progress:
             progress(done + 1, len(plan))

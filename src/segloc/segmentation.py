@@ -36,8 +36,9 @@ class SegmentationConfig(BaseModel):
     ground_cell: float = Field(1.0, gt=0, description="edge of a cell of the ground grid, metres")
     ground_slope: float = Field(0.2, gt=0, description="steepest ground, rise over run")
     structure_height: float = Field(
-        0.3, description="points higher above ground than this serve verification, metres"
+        0.4, description="points higher above ground than this serve verification, metres"
     )
+    ground_voxel: float = Field(1.0, gt=0, description="the others are thinned to this, metres")
 
 
 @dataclass(frozen=True)
@@ -50,12 +51,17 @@ class Segmentation:
     structure : (N, 3) float32
         The voxelised points above ground, local frame: what verification compares with the map.
     ground : (M, 3) float32
-        The others.
+        The others, thinned: they hold the height and the tilt of a pose.
     """
 
     segments: Segments
     structure: Float32
     ground: Float32
+
+    @property
+    def surface(self) -> Float32:
+        """Structure and ground, (N + M, 3)."""
+        return np.concatenate([self.structure, self.ground])
 
 
 class Segmenter:
@@ -76,7 +82,8 @@ class Segmenter:
         heights = _native.heights_above_ground(points, config.ground_cell, config.ground_slope, 0.8)
         parts = [self._clusters(points, heights, cut, cluster) for cut in cluster.height_cuts]
         structure = heights > config.structure_height
-        return Segmentation(_packed(parts), points[structure], points[~structure])
+        ground = _native.voxel_grid(points[~structure], config.ground_voxel)
+        return Segmentation(_packed(parts), points[structure], ground)
 
     @staticmethod
     def _clusters(

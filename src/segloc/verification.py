@@ -16,6 +16,9 @@ from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
 
 MIN_ICP_POINTS = 20
+COVARIANCE_SCALE = 20.0
+"""Neighbouring correspondences err together, so the curvature of the cost alone claims far too
+much. With this factor the normalised squared error is about 1 on simulated towns."""
 
 
 class VerificationConfig(BaseModel):
@@ -36,9 +39,9 @@ class VerificationConfig(BaseModel):
     overlap_radius: float = Field(0.3, gt=0, description="neighbourhood after ICP, metres")
     max_refined: int = Field(2, ge=1, description="candidates that ICP is spent on")
     refine: bool = Field(True, description="refine the pose by ICP")
-    icp_voxel: float = Field(0.5, gt=0, description="clouds are thinned to this for ICP, metres")
+    icp_voxel: float = Field(0.8, gt=0, description="clouds are thinned to this for ICP, metres")
     icp_reach: float = Field(1.5, gt=0, description="longest ICP correspondence, metres")
-    icp_radius: float = Field(45.0, gt=0, description="how far around the sensor ICP looks, metres")
+    icp_radius: float = Field(35.0, gt=0, description="how far around the sensor ICP looks, metres")
     icp_tile: float = Field(10.0, gt=0, description="prepared map tiles lie this far apart, metres")
     icp_tiles: int = Field(32, ge=1, description="prepared map tiles kept in memory")
     sample: int = Field(2000, ge=1, description="points of the live cloud that overlap is taken of")
@@ -150,13 +153,12 @@ class Verifier:
         tile = self._tile(
             round(float(T[0, 3]) / config.icp_tile), round(float(T[1, 3]) / config.icp_tile)
         )
-        near = (scene.structure[:, :2] ** 2).sum(axis=1) < config.icp_radius**2
+        surface = scene.surface
+        near = (surface[:, :2] ** 2).sum(axis=1) < config.icp_radius**2
         if tile is None or near.sum() < MIN_ICP_POINTS:
             return T, None
         target, tree = tile
-        source, _ = small_gicp.preprocess_points(
-            scene.structure[near].astype(np.float64), config.icp_voxel
-        )
+        source, _ = small_gicp.preprocess_points(surface[near].astype(np.float64), config.icp_voxel)
         result = small_gicp.align(
             target, source, tree, T, "GICP", max_correspondence_distance=config.icp_reach
         )
@@ -223,6 +225,6 @@ def _covariance(result: small_gicp.RegistrationResult) -> Float64 | None:
     H = np.array(result.H)
     if degrees <= 0 or not np.isfinite(H).all() or np.linalg.cond(H) > 1e12:
         return None
-    inverse = np.linalg.inv(H) * (2.0 * result.error / degrees)
+    inverse = np.linalg.inv(H) * (COVARIANCE_SCALE * 2.0 * result.error / degrees)
     covariance: Float64 = (inverse + inverse.T) / 2
     return covariance
