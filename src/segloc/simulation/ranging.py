@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError
-from ..types import Float32, Int64, Pose
+from ..types import Float32, Float64, Int64, Pose
 from .mesh import GLASS
 from .worlds import Hits, Int32, Scene
 
-_MIRRORED, _DIRECT = 0.008, 0.25
+_DIRTY, _MIRRORED = 0.25, 0.02  # shares of the panes
+_THROUGH_TWICE, _MIRRORED_TWICE = 0.7, 0.03  # of the light, there and back
 _SKIN = 2e-3  # where a ray goes on behind a pane, metres
 
 Self = TypeVar("Self", bound="Lidar")
@@ -29,9 +30,9 @@ class Lidar(ABC):
     s = rho * cos(theta)**incidence_exponent * (reference_range_m / r)**2. The exponent is below one
     because rough surfaces send light back at grazing angles too.
 
-    Of the rays that meet glass a quarter come straight back, some are mirrored and report what
-    they meet next as if it lay behind the glass (often below the ground), and the others report
-    what is behind the pane, if anything.
+    Of the panes of glass a quarter are dirty enough to be seen. A few mirror the rays, which then
+    report what they meet next as if it lay behind the glass (often below the ground). Through all
+    others the sensor sees what is behind, if anything.
 
     Attributes
     ----------
@@ -121,7 +122,7 @@ class Lidar(ABC):
         ways = local @ T[:3, :3].T
         hits = scene.cast(origins, ways, self.max_range_m)
         if self.glass:
-            self._meet_glass(scene, origins, ways, hits, rng)
+            self._meet_glass(scene, origins, ways, hits)
         bias = np.random.default_rng([self.unit, 23]).normal(0, 1, int(beam.max()) + 1)
         noise = (
             rng.normal(0.0, self.range_sigma_m, len(local)) + self.beam_bias_sigma_m * bias[beam]
@@ -131,23 +132,22 @@ class Lidar(ABC):
         kept &= (measured >= self.min_range_m) & (measured <= self.max_range_m)
         return local[kept] * measured[kept, None], hits.object_ids[kept]
 
-    def _meet_glass(
-        self, scene: Scene, origins: Float32, ways: Float32, hits: Hits, rng: np.random.Generator
-    ) -> None:
+    def _meet_glass(self, scene: Scene, origins: Float32, ways: Float32, hits: Hits) -> None:
         """Follow rays through panes or off them; changes ``hits`` in place."""
-        draw = rng.random(len(ways))
-        pane = np.flatnonzero((hits.reflectance == np.float32(GLASS)) & (draw > _DIRECT))
-        mirrored = draw[pane] > 1 - _MIRRORED
-        way = ways[pane]
-        normal = hits.normals[pane]
+        pane = np.flatnonzero(hits.reflectance == np.float32(GLASS))
+        kind = _lot(hits.triangles[pane])
+        pane, kind = pane[kind > _DIRTY], kind[kind > _DIRTY]
+        mirrored = kind > 1 - _MIRRORED
+        way, normal = ways[pane], hits.normals[pane]
         bounced = way - 2 * np.einsum("ij,ij->i", way, normal)[:, None] * normal
         onward = np.where(mirrored[:, None], bounced, way).astype(np.float32)
         start = origins[pane] + way * hits.ranges[pane, None] + onward * np.float32(_SKIN)
         behind = scene.cast(start, onward, self.max_range_m)
         lost = behind.reflectance == np.float32(GLASS)
+        left = np.where(mirrored, np.float32(_MIRRORED_TWICE), np.float32(_THROUGH_TWICE))
         hits.ranges[pane] += np.where(lost, np.float32(np.inf), behind.ranges)
         hits.object_ids[pane] = np.where(mirrored, -1, behind.object_ids)
-        hits.reflectance[pane] = behind.reflectance * 0.6
+        hits.reflectance[pane] = behind.reflectance * left
         hits.cosines[pane] = behind.cosines
 
     def _returned(self, hits: Hits, draw: Float32) -> NDArray[np.bool_]:
@@ -157,3 +157,11 @@ class Lidar(ABC):
         far = np.where(found, hits.ranges, np.float32(1.0)) / np.float32(self.reference_range_m)
         strength = hits.reflectance * hits.cosines ** np.float32(self.incidence_exponent) / far**2
         return np.asarray(found & (draw * (1 + np.maximum(strength, 1e-4) ** -4) < 1))
+
+
+def _lot(numbers: Int64) -> Float64:
+    """A number in [0, 1) for each of (n,) numbers: always the same, without a pattern."""
+    mixed = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= mixed >> np.uint64(29)
+    mixed *= np.uint64(0xBF58476D1CE4E5B9)
+    return np.asarray((mixed >> np.uint64(11)).astype(np.float64) / 2.0**53)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError, MissingDependency
-from ..types import Float32, Float64
+from ..types import Float32, Float64, Int64
 from .mesh import Mesh
 from .roads import RoadNetwork
 from .street import person
@@ -94,6 +94,8 @@ class Hits:
         Metres; infinite where nothing was met.
     object_ids : (R,) int32
         -1 where nothing was met.
+    triangles : (R,) int64
+        Number of the triangle within the scene; -1 where nothing was met.
     normals : (R, 3) float32
         Unit normals, on either side of the surface.
     cosines : (R,) float32
@@ -103,6 +105,7 @@ class Hits:
 
     ranges: Float32
     object_ids: Int32
+    triangles: Int64
     normals: Float32
     cosines: Float32
     reflectance: Float32
@@ -151,6 +154,7 @@ class Scene:
         count = len(origins)
         ranges = np.full(count, np.inf, dtype=np.float32)
         ids = np.full(count, -1, dtype=np.int32)
+        triangles = np.full(count, -1, dtype=np.int64)
         normals = np.zeros((count, 3), dtype=np.float32)
         shine = np.zeros(count, dtype=np.float32)
         for start in range(0, count, _BATCH):
@@ -162,13 +166,14 @@ class Scene:
             hit = np.flatnonzero(found["primID"] >= 0)
             triangle = self._first[found["geomID"][hit]] + found["primID"][hit]
             at = start + hit
+            triangles[at] = triangle
             ranges[at] = found["tfar"][hit]
             ids[at] = self._ids[triangle]
             normals[at] = found["Ng"][hit]
             shine[at] = self._reflectance[triangle]
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         slant = np.abs(np.einsum("ij,ij->i", normals, directions))
-        return Hits(ranges, ids, normals, np.minimum(slant, 1.0), shine)
+        return Hits(ranges, ids, triangles, normals, np.minimum(slant, 1.0), shine)
 
 
 @dataclass
