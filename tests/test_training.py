@@ -125,7 +125,13 @@ def test_scores_of_known_descriptors() -> None:
     empty = np.zeros((n, 3), np.float32)
     centroids = np.column_stack([100.0 * labels, np.zeros(n), np.zeros(n)])
     dataset = SegmentDataset(
-        empty, np.arange(n + 1, dtype=np.int64), labels, sessions, np.zeros(n, np.int64), centroids
+        empty,
+        np.arange(n + 1, dtype=np.int64),
+        labels,
+        sessions,
+        np.zeros(n, np.int64),
+        centroids,
+        np.zeros(n, np.float32),
     )
     perfect = labels[:, None].astype(np.float32)
     found = score(perfect, dataset, k=5)
