@@ -63,7 +63,7 @@ def eager(model: DescriptorNetwork, segments: np.ndarray, chunk: int) -> float:
 def onnx(model: DescriptorNetwork, segments: np.ndarray, chunk: int) -> float | None:
     """ONNX Runtime on the same network; it is given the neighbours."""
     try:
-        import onnx as _  # what torch.onnx writes with
+        import onnx  # noqa: F401 (what torch.onnx writes with)
         import onnxruntime
     except ImportError:
         print("onnx or onnxruntime is not installed: left out")
