@@ -17,13 +17,15 @@ pytest.importorskip("segloc.training.train")
 from segloc.datasets.base import Selection  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 from segloc.training.augment import AugmentConfig, augment  # noqa: E402
+from segloc.training.batches import prepared_batch  # noqa: E402
+from segloc.training.config import TrainConfig  # noqa: E402
 from segloc.training.dataset import SegmentDataset  # noqa: E402
 from segloc.training.extract import ExtractConfig, extract, label_objects  # noqa: E402
 from segloc.training.losses import hard_triplet, info_nce, pair_match  # noqa: E402
 from segloc.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
 from segloc.training.sampling import reorder  # noqa: E402
 from segloc.training.shapes import shapes_dataset  # noqa: E402
-from segloc.training.train import TrainConfig, prepared_batch, train  # noqa: E402
+from segloc.training.train import train  # noqa: E402
 
 torch.set_num_threads(1)
 

@@ -75,9 +75,11 @@ class SegmentDataset:
             self.heights[indices],
         )
 
-    def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
+    def different(
+        self, a: NDArray[np.integer], b: NDArray[np.integer], far_m: float = FAR_M
+    ) -> NDArray[np.bool_]:
         """Whether the segments of `a` and of `b` (broadcast) surely show different objects."""
-        apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > FAR_M
+        apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > far_m
         result: NDArray[np.bool_] = (self.labels[a] != self.labels[b]) & (
             apart | (self.places[a] != self.places[b])
         )
