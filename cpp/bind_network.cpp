@@ -13,8 +13,14 @@
 namespace segloc::bindings {
 namespace {
 
-void require_finite(const float* values, std::size_t count, const char* name) {
-  require(all_finite(values, count), std::string(name) + " has values that are not finite");
+// Squares of larger values would overflow. Prepared segments, which are centred, may be a little
+// larger than the points they came from.
+constexpr float kLargest = 1e15f, kLargestPrepared = 1e16f;
+
+void require_usable(const float* values, std::size_t count, const char* name,
+                    float limit = kLargest) {
+  require(all_below(values, count, limit),
+          std::string(name) + " has values that are not finite or beyond 1e15");
 }
 
 Out<int32_t> fps(In3<float> points, std::size_t samples, int threads, const std::string& isa) {
@@ -26,7 +32,7 @@ Out<int32_t> fps(In3<float> points, std::size_t samples, int threads, const std:
   std::vector<int32_t> order(clouds * samples);
   {
     nb::gil_scoped_release release;
-    require_finite(points.data(), clouds * n * 3, "points");
+    require_usable(points.data(), clouds * n * 3, "points");
     farthest_points(points.data(), clouds, n, samples, chosen, threads, order.data());
   }
   return to_numpy(std::move(order), {clouds, samples});
@@ -60,7 +66,7 @@ Out<float> prepare(In2<float> points, In1<int64_t> offsets, std::size_t count,
   std::vector<float> output(segments * count * 3);
   {
     nb::gil_scoped_release release;
-    require_finite(points.data(), points.size(), "points");
+    require_usable(points.data(), points.size(), "points");
     prepare_segments(points.data(), offsets.data(), segments, count, how, chosen, threads,
                      output.data());
   }
@@ -81,7 +87,7 @@ Out<int64_t> neighbors(In3<float> points, std::size_t sources, std::size_t queri
   std::vector<int64_t> indices(clouds * queries * K);
   {
     nb::gil_scoped_release release;
-    require_finite(points.data(), points.size(), "points");
+    require_usable(points.data(), points.size(), "points", kLargestPrepared);
     dilated_neighbors(points.data(), clouds, n, sources, queries, k, dilation, chosen, threads,
                       indices.data());
   }
@@ -100,8 +106,8 @@ nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int thread
   std::vector<float> distances(Q * columns);
   {
     nb::gil_scoped_release release;
-    require_finite(queries.data(), queries.size(), "queries");
-    require_finite(database.data(), database.size(), "database");
+    require_usable(queries.data(), queries.size(), "queries");
+    require_usable(database.data(), database.size(), "database");
     nearest_descriptors(queries.data(), Q, database.data(), M, dim, columns, chosen, threads,
                         indices.data(), distances.data());
   }
@@ -137,7 +143,7 @@ nb::tuple describe(const Network& network, In3<float> prepared, int threads) {
   std::vector<float> vectors(P * dim), quality(P);
   {
     nb::gil_scoped_release release;
-    require_finite(prepared.data(), prepared.size(), "prepared");
+    require_usable(prepared.data(), prepared.size(), "prepared", kLargestPrepared);
     network.describe(prepared.data(), P, threads, vectors.data(), quality.data());
   }
   return nb::make_tuple(to_numpy(std::move(vectors), {P, dim}), to_numpy(std::move(quality)));
@@ -152,7 +158,7 @@ Out<float> activations(const Network& network, In3<float> prepared, std::size_t 
   std::vector<float> output(P * N * C);
   {
     nb::gil_scoped_release release;
-    require_finite(prepared.data(), prepared.size(), "prepared");
+    require_usable(prepared.data(), prepared.size(), "prepared", kLargestPrepared);
     network.activations(prepared.data(), P, layer, output.data());
   }
   return to_numpy(std::move(output), {P, N, C});

@@ -4,7 +4,7 @@
 
 namespace segloc {
 
-// Whether no value is NaN or infinite.
-bool all_finite(const float* values, std::size_t count);
+// Whether each value is finite and its magnitude below `limit`.
+bool all_below(const float* values, std::size_t count, float limit);
 
 }  // namespace segloc

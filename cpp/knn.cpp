@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::size_t kGroup = 4;            // queries that a scan takes together
 constexpr std::size_t kQueryBatch = 16;      // queries that share a tile while it is in cache
-constexpr std::size_t kTileFloats = 8192;    // 32 KiB
+constexpr std::size_t kTileFloats = 2048;    // 8 KiB: thresholds fall soon, and all stays in L1
 
 // The points of a tile as the scan reads them: one dimension after another. The last vectors are
 // filled up with points at infinity.

@@ -130,6 +130,17 @@ def test_dilated_neighbours_are_exact() -> None:
             np.testing.assert_array_equal(found, expected)
 
 
+def test_extreme_segments() -> None:
+    """Tiny, huge and repeated points are within bounds and give finite neighbours."""
+    network = native(random_model("dsm"), 256)
+    segments = prepared(4)
+    segments[0] *= np.float32(1e-30)
+    segments[1] *= np.float32(1e14)
+    segments[2] = 0
+    segments[3, 1:] = 0
+    assert np.isfinite(network.describe(segments)[0][[0, 2, 3]]).all()
+
+
 def test_no_segments() -> None:
     vectors, quality = native(random_model("dsm"), 256).describe(np.empty((0, 256, 3), np.float32))
     assert vectors.shape == (0, 16)
@@ -141,8 +152,9 @@ def test_wrong_input() -> None:
     network = native(model, 256)
     with pytest.raises(ValueError, match=r"shape \(P, 256, 3\)"):
         network.describe(np.zeros((2, 255, 3), np.float32))
-    with pytest.raises(ValueError, match="not finite"):
-        network.describe(np.full((1, 256, 3), np.nan, np.float32))
+    for value in (np.nan, np.inf, 1e20):
+        with pytest.raises(ValueError, match="not finite or beyond"):
+            network.describe(np.full((1, 256, 3), value, np.float32))
     tensors = export.folded(model)
     with pytest.raises(ValueError, match="layer table"):
         _native.Network([(160, 8, 99, 32)], tensors)

@@ -17,13 +17,15 @@ pytest.importorskip("segloc.training.train")
 from segloc.datasets.base import Selection  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 from segloc.training.augment import AugmentConfig, augment  # noqa: E402
+from segloc.training.batches import prepared_batch  # noqa: E402
+from segloc.training.config import TrainConfig  # noqa: E402
 from segloc.training.dataset import SegmentDataset  # noqa: E402
 from segloc.training.extract import ExtractConfig, extract, label_objects  # noqa: E402
 from segloc.training.losses import hard_triplet, info_nce, pair_match  # noqa: E402
 from segloc.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
 from segloc.training.sampling import reorder  # noqa: E402
 from segloc.training.shapes import shapes_dataset  # noqa: E402
-from segloc.training.train import TrainConfig, prepared_batch, train  # noqa: E402
+from segloc.training.train import train  # noqa: E402
 
 torch.set_num_threads(1)
 
@@ -125,7 +127,13 @@ def test_scores_of_known_descriptors() -> None:
     empty = np.zeros((n, 3), np.float32)
     centroids = np.column_stack([100.0 * labels, np.zeros(n), np.zeros(n)])
     dataset = SegmentDataset(
-        empty, np.arange(n + 1, dtype=np.int64), labels, sessions, np.zeros(n, np.int64), centroids
+        empty,
+        np.arange(n + 1, dtype=np.int64),
+        labels,
+        sessions,
+        np.zeros(n, np.int64),
+        centroids,
+        np.zeros(n, np.float32),
     )
     perfect = labels[:, None].astype(np.float32)
     found = score(perfect, dataset, k=5)

@@ -35,6 +35,8 @@ class SegmentDataset:
         Which world a segment is from: segments of different worlds are never the same.
     centroids : (P, 3) float64
         In the frame of the world.
+    heights : (P,) float32
+        Height of each centroid above the ground below it, metres.
     """
 
     points: Float32
@@ -43,6 +45,7 @@ class SegmentDataset:
     sessions: Int64
     places: Int64
     centroids: Float64
+    heights: Float32
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -52,12 +55,12 @@ class SegmentDataset:
         return self.points[self.offsets[index] : self.offsets[index + 1]]
 
     def segments(self, indices: NDArray[np.integer] | None = None) -> Segments:
-        """Some segments (all by default) as the descriptors take them; heights are zero."""
+        """Some segments (all by default) as the descriptors take them."""
         chosen = np.arange(len(self)) if indices is None else indices
         parts = [self.segment(int(i)) for i in chosen]
         points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
         offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-        return Segments(points, offsets, self.centroids[chosen], np.zeros(len(parts), np.float32))
+        return Segments(points, offsets, self.centroids[chosen], self.heights[chosen])
 
     def subset(self, indices: NDArray[np.integer]) -> SegmentDataset:
         """The named segments as a dataset of their own."""
@@ -69,11 +72,14 @@ class SegmentDataset:
             self.sessions[indices],
             self.places[indices],
             self.centroids[indices],
+            self.heights[indices],
         )
 
-    def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
+    def different(
+        self, a: NDArray[np.integer], b: NDArray[np.integer], far_m: float = FAR_M
+    ) -> NDArray[np.bool_]:
         """Whether the segments of `a` and of `b` (broadcast) surely show different objects."""
-        apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > FAR_M
+        apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > far_m
         result: NDArray[np.bool_] = (self.labels[a] != self.labels[b]) & (
             apart | (self.places[a] != self.places[b])
         )
@@ -113,6 +119,7 @@ class SegmentDataset:
             "sessions": (P,),
             "places": (P,),
             "centroids": (P, 3),
+            "heights": (P,),
         }
         for name, shape in shapes.items():
             if getattr(dataset, name).shape != shape:
@@ -147,4 +154,5 @@ class SegmentDataset:
             shifted("sessions"),
             shifted("places"),
             np.concatenate([part.centroids for part in parts]),
+            np.concatenate([part.heights for part in parts]),
         )

@@ -66,6 +66,7 @@ def extract(
     parts: list[Float32] = []
     centroids: list[Float64] = []
     extents: list[Float64] = []
+    heights: list[Float32] = []
     sessions: list[int] = []
     for session, sequence in enumerate(sequences):
         before = len(parts)
@@ -73,6 +74,7 @@ def extract(
             for i in range(len(segments)):
                 parts.append(_thinned(segments.segment(i), config.max_points, rng))
                 extents.append(_sorted_extents(segments.segment(i)))
+            heights.append(segments.heights)
             centroids.append(geometry.transform(T_world_local, segments.centroids))
         sessions += [session] * (len(parts) - before)
         if progress:
@@ -84,7 +86,13 @@ def extract(
     labels = label_objects(places, np.stack(extents), config)
     zero = np.zeros(len(parts), np.int64)
     return SegmentDataset(
-        np.concatenate(parts), offsets, labels, np.array(sessions, np.int64), zero, places
+        np.concatenate(parts),
+        offsets,
+        labels,
+        np.array(sessions, np.int64),
+        zero,
+        places,
+        np.concatenate(heights),
     )
 
 

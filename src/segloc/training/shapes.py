@@ -28,9 +28,15 @@ def shapes_dataset(objects: int, views: int, seed: int) -> SegmentDataset:
             sessions.append(session)
     offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
     places = np.array(labels, np.int64)  # each object is a world of its own
-    centroids = np.zeros((len(parts), 3))
+    heights = np.array([part[:, 2].mean() for part in parts], np.float32)
     return SegmentDataset(
-        np.concatenate(parts), offsets, places, np.array(sessions, np.int64), places, centroids
+        np.concatenate(parts),
+        offsets,
+        places,
+        np.array(sessions, np.int64),
+        places,
+        np.zeros((len(parts), 3)),
+        heights,
     )
 
 

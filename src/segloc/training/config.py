@@ -1,0 +1,45 @@
+"""The settings of a training run."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..descriptors.pointset import Alignment
+from .augment import AugmentConfig
+from .dataset import FAR_M
+from .sampling import Sampler
+
+
+class TrainConfig(BaseModel):
+    """Everything that decides how a network comes out."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    network: Literal["dsm", "esm"] = "dsm"
+    alignment: Alignment = "pca2d"
+    sampler: Sampler = "farthest"
+    loss: Literal["info_nce", "triplet"] = "info_nce"
+    pair_weight: float = Field(0.1, ge=0, description="weight of FC4's loss")
+    steps: int = Field(3000, ge=1)
+    classes: int = Field(32, ge=2, description="objects a batch")
+    views: int = Field(2, ge=2, description="segments of each object a batch")
+    different_m: float = Field(
+        FAR_M, gt=0, description="segments of one world differ beyond this distance"
+    )
+    hard_share: float = Field(0.5, ge=0, le=1, description="objects chosen to be mistakable")
+    mine_every: int = Field(500, ge=1, description="steps between searches for such objects")
+    learning_rate: float = Field(2e-3, gt=0)
+    warmup: int = Field(100, ge=0, description="steps until the full learning rate")
+    weight_decay: float = Field(1e-5, ge=0)
+    clip: float = Field(5.0, gt=0, description="largest norm of the gradient")
+    augmentation: AugmentConfig = AugmentConfig()
+    validation_share: float = Field(0.15, gt=0, lt=1)
+    validation_limit: int = Field(3000, ge=1, description="segments that validation looks at")
+    validate_every: int = Field(250, ge=1)
+    patience: int = Field(8, ge=1, description="validations without a better one until the end")
+    max_minutes: float = Field(math.inf, gt=0)
+    threads: int = Field(1, ge=1)
+    seed: int = 0
