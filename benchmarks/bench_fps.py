@@ -1,6 +1,0 @@
-"""Farthest-point sampling against NumPy and fpsample: ``python benchmarks/bench_fps.py``."""
-
-from segloc.evaluation.bench.report import main
-
-if __name__ == "__main__":
-    main("fps")
