@@ -1,10 +1,12 @@
 #include "consensus.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 
 #include "cells.h"
+#include "kernels.h"
 #include "parallel.h"
 
 namespace segloc {
@@ -16,6 +18,7 @@ constexpr double kBinWidth = 2.0 * kPi / kBins;
 constexpr double kMaxVoteHalfWidth = 10.0 * kPi / 180.0;
 constexpr double kSameYaw = 15.0 * kPi / 180.0;
 constexpr std::size_t kBlock = 256;
+constexpr std::size_t kMaxWidth = 16;
 
 double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }
 
@@ -39,13 +42,17 @@ std::vector<std::uint32_t> group_by_distance(const double* points, std::size_t n
 
 // Matches sorted by cell of the map plane; structure of arrays for the pair test.
 struct Field {
-  std::vector<float> qx, qy, qz, mx, my, mz;
+  std::vector<float> qx, qy, qz, mx, my, mz;  // a vector's width longer than the matches
   std::vector<std::uint32_t> group, map_index;
   std::vector<std::uint64_t> keys;
   std::int64_t stride = 0;
   std::size_t groups = 0;
+  double farthest = 0.0;  // largest coordinate
 
-  std::size_t size() const { return qx.size(); }
+  std::size_t size() const { return group.size(); }
+  MatchField columns() const {
+    return {qx.data(), qy.data(), qz.data(), mx.data(), my.data(), mz.data()};
+  }
 };
 
 double longest_edge(const double* query, std::size_t q) {
@@ -83,6 +90,10 @@ Field make_field(const double* query, std::size_t q, const double* map, const st
     f.group.push_back(group[static_cast<std::size_t>(mq[k])]);
     f.map_index.push_back(static_cast<std::uint32_t>(mm[k]));
   }
+  for (std::vector<float>* column : {&f.qx, &f.qy, &f.qz, &f.mx, &f.my, &f.mz}) {
+    for (const float v : *column) f.farthest = std::max(f.farthest, std::fabs(static_cast<double>(v)));
+    column->resize(n + kMaxWidth, 0.0f);
+  }
   return f;
 }
 
@@ -101,70 +112,56 @@ void ranges_around(const Field& f, std::uint64_t key, Range ranges[3]) {
   }
 }
 
-// Marks the matches of a block whose edge to the pivot has the same length in both frames.
-// |lm - lq| <= tol is tested without roots: (lm^2 - lq^2)^2 <= tol^2 (2 (lm^2 + lq^2) - tol^2).
-void test_edges(const Field& f, std::size_t pivot, std::size_t begin, std::size_t count,
-                const ConsensusOptions& o, std::uint8_t* pass) {
-  const float qx = f.qx[pivot], qy = f.qy[pivot], qz = f.qz[pivot];
-  const float mx = f.mx[pivot], my = f.my[pivot], mz = f.mz[pivot];
-  const auto tol2 = static_cast<float>(o.edge_tolerance * o.edge_tolerance);
-  const auto min2 = static_cast<float>(o.min_edge * o.min_edge);
-  const auto height = static_cast<float>(o.height_tolerance);
-  const float *fqx = &f.qx[begin], *fqy = &f.qy[begin], *fqz = &f.qz[begin];
-  const float *fmx = &f.mx[begin], *fmy = &f.my[begin], *fmz = &f.mz[begin];
-  for (std::size_t k = 0; k < count; ++k) {
-    const float ax = fqx[k] - qx, ay = fqy[k] - qy, bx = fmx[k] - mx, by = fmy[k] - my;
-    const float dz = (fqz[k] - qz) - (fmz[k] - mz);
-    const float lq2 = ax * ax + ay * ay, lm2 = bx * bx + by * by;
-    const float d = lm2 - lq2;
-    pass[k] = static_cast<std::uint8_t>((d * d <= tol2 * (2.0f * (lm2 + lq2) - tol2)) &
-                                        (lq2 >= min2) & (std::fabs(dz) <= height));
-  }
-}
-
 // Distinct objects for every bin of yaw, as bit sets.
 class YawVotes {
  public:
   explicit YawVotes(std::size_t groups) : words_((groups + 63) / 64), bits_(kBins * words_) {}
 
-  void clear() { std::fill(bits_.begin(), bits_.end(), 0); }
+  void clear() {
+    for (const int bin : touched_) {
+      counts_[bin] = 0;
+      std::fill_n(bits_.begin() + static_cast<std::ptrdiff_t>(bin * words_), words_, 0);
+    }
+    touched_.clear();
+  }
 
   void add(double yaw, double half_width, std::uint32_t group) {
     const int low = static_cast<int>(std::floor((yaw - half_width + kPi) / kBinWidth));
     const int high = static_cast<int>(std::floor((yaw + half_width + kPi) / kBinWidth));
     for (int b = low; b <= high; ++b) {
       const int bin = (b + kBins) % kBins;
-      bits_[static_cast<std::size_t>(bin) * words_ + group / 64] |= std::uint64_t{1} << (group % 64);
+      std::uint64_t& word = bits_[static_cast<std::size_t>(bin) * words_ + group / 64];
+      const std::uint64_t bit = std::uint64_t{1} << (group % 64);
+      if ((word & bit) != 0) continue;
+      word |= bit;
+      if (counts_[bin]++ == 0) touched_.push_back(bin);
     }
   }
 
   // The middle of the first longest run of best bins.
   double best(std::size_t& count) const {
-    int counts[kBins];
-    for (int b = 0; b < kBins; ++b) {
-      int c = 0;
-      for (std::size_t w = 0; w < words_; ++w) {
-        c += __builtin_popcountll(bits_[static_cast<std::size_t>(b) * words_ + w]);
-      }
-      counts[b] = c;
-    }
-    const int top = *std::max_element(counts, counts + kBins);
+    const int top = *std::max_element(counts_.begin(), counts_.end());
     int at = 0, length = 0;
-    for (int b = 0; b < kBins; ++b) {
-      int run = 0;
-      while (run < kBins && counts[(b + run) % kBins] == top) ++run;
-      if (run > length) {
+    for (const int b : touched_) {
+      const bool starts = counts_[b] == top && counts_[(b + kBins - 1) % kBins] != top;
+      if (!starts) continue;
+      int run = 1;
+      while (counts_[(b + run) % kBins] == top) ++run;
+      if (run > length || (run == length && b < at)) {
         at = b;
         length = run;
       }
     }
     count = static_cast<std::size_t>(top);
+    if (length == 0) length = kBins;  // all bins are best: there is no start
     return wrap((at + 0.5 * length) * kBinWidth - kPi);
   }
 
  private:
   std::size_t words_;
   std::vector<std::uint64_t> bits_;
+  std::array<int, kBins> counts_{};
+  std::vector<int> touched_;
 };
 
 struct Pivot {
@@ -172,20 +169,25 @@ struct Pivot {
   double yaw = 0.0;
 };
 
-Pivot vote(const Field& f, std::size_t i, const ConsensusOptions& o, YawVotes& votes) {
+Pivot vote(const Field& f, std::size_t i, const ConsensusOptions& o, const Kernels& kernels,
+           YawVotes& votes) {
   Range ranges[3];
   ranges_around(f, f.keys[i], ranges);
-  std::uint8_t pass[kBlock];
+  const EdgeTest test{i, static_cast<float>(o.edge_tolerance * o.edge_tolerance),
+                      static_cast<float>(o.min_edge * o.min_edge),
+                      static_cast<float>(o.height_tolerance)};
+  const MatchField columns = f.columns();
+  std::uint32_t agreeing[kBlock];
+  votes.clear();
   bool any = false;
   for (const Range& range : ranges) {
     for (std::size_t begin = range.begin; begin < range.end; begin += kBlock) {
-      const std::size_t count = std::min(kBlock, range.end - begin);
-      test_edges(f, i, begin, count, o, pass);
+      const std::size_t end = std::min(begin + kBlock, range.end);
+      const std::size_t count = kernels.equal_edges(columns, test, begin, end, agreeing);
       for (std::size_t k = 0; k < count; ++k) {
-        if (!pass[k] || f.group[begin + k] == f.group[i]) continue;
-        if (!any) votes.clear();
+        const std::size_t j = agreeing[k];
+        if (f.group[j] == f.group[i]) continue;
         any = true;
-        const std::size_t j = begin + k;
         const double ax = f.qx[j] - f.qx[i], ay = f.qy[j] - f.qy[i];
         const double bx = f.mx[j] - f.mx[i], by = f.my[j] - f.my[i];
         const double yaw = std::atan2(ax * by - ay * bx, ax * bx + ay * by);
@@ -207,16 +209,30 @@ struct Inlier {
 
 // One match for each object of the query and each segment of the map, nearest first.
 std::vector<Inlier> distinct_inliers(const Field& f, const Range ranges[3],
-                                     const PoseHypothesis& pose, double tolerance, double height) {
+                                     const PoseHypothesis& pose, double tolerance, double height,
+                                     const Kernels& kernels) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
+  // Single precision finds all that double precision may accept; that then decides.
+  const double farthest = f.farthest + std::fabs(pose.t[0]) + std::fabs(pose.t[1]);
+  const double reach = tolerance + 1e-6 * (farthest + tolerance);
+  const PoseTest test{static_cast<float>(c),         static_cast<float>(s),
+                      static_cast<float>(pose.t[0]), static_cast<float>(pose.t[1]),
+                      static_cast<float>(reach * reach)};
+  const MatchField columns = f.columns();
+  std::uint32_t close[kBlock];
   std::vector<Inlier> near;
   for (int r = 0; r < 3; ++r) {
-    for (std::size_t k = ranges[r].begin; k < ranges[r].end; ++k) {
-      const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
-      const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
-      const double d2 = dx * dx + dy * dy;
-      if (d2 > tolerance * tolerance) continue;
-      if (std::fabs(f.qz[k] + pose.t[2] - f.mz[k]) <= height) near.push_back({k, d2});
+    for (std::size_t begin = ranges[r].begin; begin < ranges[r].end; begin += kBlock) {
+      const std::size_t end = std::min(begin + kBlock, ranges[r].end);
+      const std::size_t count = kernels.near_pose(columns, test, begin, end, close);
+      for (std::size_t i = 0; i < count; ++i) {
+        const std::size_t k = close[i];
+        const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
+        const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
+        const double d2 = dx * dx + dy * dy;
+        if (d2 > tolerance * tolerance) continue;
+        if (std::fabs(f.qz[k] + pose.t[2] - f.mz[k]) <= height) near.push_back({k, d2});
+      }
     }
   }
   std::sort(near.begin(), near.end(), [](const Inlier& a, const Inlier& b) {
@@ -254,7 +270,8 @@ void fit(const Field& f, const std::vector<Inlier>& inliers, PoseHypothesis& pos
   pose.t[2] = m[2] - q[2];
 }
 
-PoseHypothesis refine(const Field& f, const Pivot& pivot, const ConsensusOptions& o) {
+PoseHypothesis refine(const Field& f, const Pivot& pivot, const ConsensusOptions& o,
+                      const Kernels& kernels) {
   Range ranges[3];
   ranges_around(f, f.keys[pivot.index], ranges);
   PoseHypothesis pose;
@@ -263,12 +280,12 @@ PoseHypothesis refine(const Field& f, const Pivot& pivot, const ConsensusOptions
   // Far inliers are off by the error of the first yaw: the tolerance starts wide.
   for (const double factor : {2.0, 1.5, 1.0, 1.0}) {
     const auto inliers = distinct_inliers(f, ranges, pose, factor * o.inlier_tolerance,
-                                          o.height_tolerance);
+                                          o.height_tolerance, kernels);
     if (inliers.size() < 2) break;
     fit(f, inliers, pose);
   }
   for (const Inlier& in :
-       distinct_inliers(f, ranges, pose, o.inlier_tolerance, o.height_tolerance)) {
+       distinct_inliers(f, ranges, pose, o.inlier_tolerance, o.height_tolerance, kernels)) {
     ++pose.inliers;
     pose.score += 1.0 - in.squared / (o.inlier_tolerance * o.inlier_tolerance);
   }
@@ -301,11 +318,12 @@ std::vector<PoseHypothesis> pair_consensus(const double* query, std::size_t q, c
   const double reach = std::max(longest_edge(query, q) + o.edge_tolerance, 1.0);
   const Field f = make_field(query, q, map, mq, mm, matches, origin, o.distinct_radius, reach);
 
+  const Kernels& kernel_table = kernels(parse_isa("auto"));
   std::vector<Pivot> pivots(f.size());
   std::vector<YawVotes> votes(static_cast<std::size_t>(resolve_threads(threads)), YawVotes(f.groups));
   parallel_for(f.size(), 64, threads, [&](std::size_t begin, std::size_t end, int worker) {
     for (std::size_t i = begin; i < end; ++i) {
-      pivots[i] = vote(f, i, o, votes[static_cast<std::size_t>(worker)]);
+      pivots[i] = vote(f, i, o, kernel_table, votes[static_cast<std::size_t>(worker)]);
     }
   });
   std::stable_sort(pivots.begin(), pivots.end(),
@@ -317,7 +335,7 @@ std::vector<PoseHypothesis> pair_consensus(const double* query, std::size_t q, c
     const bool known = std::any_of(refined.begin(), refined.end(), [&](const PoseHypothesis& pose) {
       return explains(pose, f, pivot, 2.0 * o.inlier_tolerance);
     });
-    if (!known) refined.push_back(refine(f, pivot, o));
+    if (!known) refined.push_back(refine(f, pivot, o, kernel_table));
   }
   std::stable_sort(refined.begin(), refined.end(), [](const auto& a, const auto& b) {
     return a.score > b.score;

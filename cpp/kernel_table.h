@@ -1,6 +1,7 @@
 // The table of one instruction set; included once by each kernels_*.cpp.
 #pragma once
 
+#include "consensus_kernel.h"
 #include "fps_kernel.h"
 #include "knn_kernel.h"
 #include "neighbors_kernel.h"
@@ -11,7 +12,8 @@ namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth, kBlock, kPanel,   &fps,
-                        &neighbors,      &xconv, &dense, &knn_scan};
+                        &neighbors,      &xconv, &dense, &knn_scan,
+                        &equal_edges,    &near_pose};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

@@ -51,6 +51,30 @@ struct KnnScan {
   size_t counts[4];
 };
 
+// Matches as columns: query and map coordinates. Up to 15 values behind the last one may be read.
+struct MatchField {
+  const float* qx;
+  const float* qy;
+  const float* qz;
+  const float* mx;
+  const float* my;
+  const float* mz;
+};
+
+// Which matches agree with a pivot match on the length of the edge between them.
+struct EdgeTest {
+  size_t pivot;
+  float tolerance2;  // squared difference of the lengths
+  float min2;        // squared length
+  float height;      // difference along z
+};
+
+// Which matches lie near each other in the plane under a pose, in single precision.
+struct PoseTest {
+  float cosine, sine, x, y;
+  float reach2;
+};
+
 struct Kernels {
   Isa isa;
   size_t width;     // floats in a vector
@@ -62,6 +86,11 @@ struct Kernels {
   void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
                 float* output, size_t output_stride);
   void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
+  // Both write the indices of the matches in [begin, end) that pass, and return how many.
+  size_t (*equal_edges)(const MatchField& f, const EdgeTest& test, size_t begin, size_t end,
+                        uint32_t* found);
+  size_t (*near_pose)(const MatchField& f, const PoseTest& test, size_t begin, size_t end,
+                      uint32_t* found);
 };
 
 const Kernels& kernels(Isa isa);

@@ -1,0 +1,81 @@
+"""``segloc bench``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..evaluation.bench.harness import Row
+
+
+def bench(
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the measurements here, too.")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Only these benchmarks.")
+    ] = None,
+    threads: Annotated[
+        str, typer.Option(metavar="N,...", help="Each benchmark runs once with each number.")
+    ] = "1,2",
+    repeats: Annotated[int, typer.Option(min=1, help="Runs of which the median is taken.")] = 9,
+) -> None:
+    """Time the engine against other software, in turns, and against the processor's own limits.
+
+    Rivals that are not installed are left out: pip install 'segloc[bench]' brings them.
+    """
+    import os
+
+    from ..evaluation.bench.report import machine, write_json
+    from ..evaluation.bench.suite import BENCHMARKS, run
+    from .console import busy, note
+
+    rows: list[Row] = []
+    measurements = run(_names(only, list(BENCHMARKS)), _numbers(threads), repeats)
+    while True:
+        with busy("Measuring"):
+            row = next(measurements, None)
+        if row is None:
+            break
+        rows.append(row)
+    _show(rows, f"{machine()}, {os.cpu_count()} cores, {_isa()}")
+    skipped = sorted({name for row in rows for name in row.skipped})
+    if skipped:
+        note(f"not installed, so not measured: {', '.join(skipped)}")
+    if json is not None:
+        write_json(json, rows)
+
+
+def _isa() -> str:
+    from .._native import instruction_set
+
+    return instruction_set()
+
+
+def _names(only: str | None, every: list[str]) -> list[str]:
+    return every if only is None else [name.strip() for name in only.split(",")]
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--threads must be numbers joined by commas, not {text!r}") from error
+
+
+def _show(rows: list[Row], title: str) -> None:
+    from ..evaluation.bench.report import table_rows
+    from .console import table
+
+    lines = [line for row in rows for line in table_rows(row)]
+    shown = [(f"{name} {threads}".strip(), *rest) for name, threads, *rest in lines]
+    table(title, ("benchmark, threads", "", "ms", "ratio"), shown)
+    for row in rows:
+        if row.details:
+            text = ", ".join(f"{name} {value:.4g}" for name, value in row.details.items())
+            print(f"{row.name}, {row.threads} thread{'s' * (row.threads > 1)}: {text}")

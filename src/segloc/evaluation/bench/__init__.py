@@ -1,0 +1,1 @@
+"""Measurements of the native engine against what else does the same work."""

@@ -1,0 +1,163 @@
+"""Fair timing: interleaved runs of ours and of every rival, and the machine's own speed."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+Result = TypeVar("Result")
+Runs = Mapping[str, Callable[[], object]]
+
+OURS = "segloc"
+"""Name of our own run among the others."""
+
+_BUDGET_S = 4.0
+_MIN_RUNS = 2
+_SGEMM_SIZE = 1024
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one benchmark measured with one number of threads.
+
+    Attributes
+    ----------
+    name : str
+    threads : int
+    ours_ms : float
+        Median; see :func:`interleaved`.
+    rivals : dict of str to float
+        The same for everything that was run against it, milliseconds.
+    bound_ms : float or None
+        What the machine cannot go below, measured in the same run; None where nothing tells.
+    bound : str
+        What the bound is.
+    details : dict of str to float
+        Parts of our time, or figures beside it; each name says its unit.
+    skipped : tuple of str
+        Rivals that are not installed.
+    """
+
+    name: str
+    threads: int
+    ours_ms: float
+    rivals: dict[str, float] = field(default_factory=dict)
+    bound_ms: float | None = None
+    bound: str = ""
+    details: dict[str, float] = field(default_factory=dict)
+    skipped: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """In values that JSON can hold."""
+        return {**asdict(self), "skipped": list(self.skipped)}
+
+
+def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:
+    """Median milliseconds of each run: one of each in turn, again and again, after a warm-up.
+
+    With one thread the time is the processor's, which other work on the machine disturbs less than
+    the clock on the wall; with several it is the wall's. A run that is slow is repeated less often
+    than the others, but at least twice.
+
+    Parameters
+    ----------
+    runs : dict of str to callable
+    threads : int
+    repeats : int
+    """
+    clock = processor_clock if threads == 1 else time.perf_counter
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for run in runs.values():
+        run()
+    for _ in range(repeats):
+        for name, run in runs.items():
+            if len(times[name]) >= _MIN_RUNS and sum(times[name]) > _BUDGET_S:
+                continue
+            start = clock()
+            run()
+            times[name].append(clock() - start)
+    return {name: 1e3 * statistics.median(values) for name, values in times.items()}
+
+
+def processor_clock() -> float:
+    """Seconds of processor time of this process; of the wall where that is too coarse."""
+    return time.perf_counter() if sys.platform == "win32" else time.process_time()
+
+
+def row(
+    name: str,
+    threads: int,
+    repeats: int,
+    runs: Runs,
+    *,
+    bound: tuple[str, float] | None = None,
+    details: Mapping[str, float] | None = None,
+    skipped: tuple[str, ...] = (),
+) -> Row:
+    """Time ``runs``, one of which is :data:`OURS`.
+
+    Parameters
+    ----------
+    bound : (str, float), optional
+        What the bound is, and its milliseconds.
+    """
+    times = interleaved(runs, threads, repeats)
+    ours = times.pop(OURS)
+    text, limit = bound or ("", None)
+    return Row(name, threads, ours, times, limit, text, dict(details or {}), skipped)
+
+
+def sgemm_flops(threads: int, repeats: int = 5) -> float:
+    """Floating-point operations a second of NumPy's float32 matrix product.
+
+    The process must have been started with that number of threads for NumPy: see
+    :func:`in_process`.
+    """
+    rng = np.random.default_rng(0)
+    a, b = rng.random((2, _SGEMM_SIZE, _SGEMM_SIZE), dtype=np.float32)
+    out = np.empty_like(a)
+    ms = interleaved({OURS: lambda: np.matmul(a, b, out=out)}, threads, repeats)[OURS]
+    return 2.0 * _SGEMM_SIZE**3 / (1e-3 * ms)
+
+
+def optional(*names: str) -> list[Any] | None:
+    """The modules of these names, or None if one is not installed."""
+    try:
+        return [importlib.import_module(name) for name in names]
+    except ImportError:
+        return None
+
+
+def in_process(threads: int, work: Callable[..., Result], *arguments: object) -> Result:
+    """Run ``work`` in a fresh process where NumPy and its like use that many threads."""
+    with (
+        _environment(dict.fromkeys(_THREAD_VARIABLES, str(threads))),
+        ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool,
+    ):
+        return pool.submit(work, *arguments).result()
+
+
+@contextmanager
+def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

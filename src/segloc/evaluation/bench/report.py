@@ -1,0 +1,79 @@
+"""Rows of measurements as tables and as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from ..._native import instruction_set
+from ...errors import SeglocError
+from .harness import Row
+from .suite import run
+
+REPEATS = 15
+
+
+def table_rows(row: Row) -> list[tuple[str, str, str, str, str]]:
+    """(benchmark, threads, what, ms, ratio) of ours, of every rival and of the bound."""
+    rows = [(row.name, str(row.threads), "segloc", _ms(row.ours_ms), "1.0")]
+    for name, ms in sorted(row.rivals.items(), key=lambda item: item[1]):
+        rows.append(("", "", name, _ms(ms), _ratio(ms, row.ours_ms)))
+    if row.bound_ms is not None:
+        share = f"{100 * row.bound_ms / row.ours_ms:.0f} % reached"
+        rows.append(("", "", f"bound: {row.bound}", _ms(row.bound_ms), share))
+    return rows
+
+
+def _ms(value: float) -> str:
+    return f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def _ratio(theirs: float, ours: float) -> str:
+    return f"{theirs / ours:.1f}"
+
+
+def show(rows: Sequence[Row]) -> None:
+    """Print rows as lines of text."""
+    for row in rows:
+        for name, threads, what, ms, ratio in table_rows(row):
+            print(f"{name:>12} {threads:>2} {what:<44} {ms:>9} ms {ratio:>14}")
+        print(
+            "".join(f"{'':>16}{name}: {value:.5g}\n" for name, value in row.details.items()), end=""
+        )
+        if row.skipped:
+            print(f"{'':>16}not installed: {', '.join(row.skipped)}")
+
+
+def main(*names: str) -> None:
+    """What a script of one claim does: measure with one and with two threads, and print."""
+    print(f"{machine()}, {os.cpu_count()} cores, {instruction_set()}")
+    for measured in run(names, (1, 2), REPEATS):
+        show([measured])
+
+
+def write_json(path: Path, rows: Iterable[Row]) -> None:
+    """Write the rows as a JSON list.
+
+    Raises
+    ------
+    SeglocError
+        If the file cannot be written.
+    """
+    try:
+        path.write_text(json.dumps([row.as_json() for row in rows], indent=1) + "\n", "utf-8")
+    except OSError as error:
+        raise SeglocError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def machine() -> str:
+    """The processor in one line."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        lines = info.read_text("utf-8", "replace").splitlines()
+        names = {line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")}
+        model = ", ".join(sorted(names)) or model
+    return model
