@@ -173,6 +173,15 @@ def test_a_map_of_another_descriptor_is_refused(site: SegmentMap) -> None:
         Localizer(SegmentMap.empty("nonesuch", site.fingerprint, site.dim), Config.preset("geo"))
 
 
+def test_a_configuration_of_another_method_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "segloc.yaml"
+    path.write_text("method: geo\nmatching: {neighbours: 7}\n")
+    assert Config.load(path).matching.neighbours == 7
+    assert Config.load(path, "geo").local_cloud == GEO.local_cloud
+    with pytest.raises(ConfigError, match="'geo', where 'dsm' is needed"):
+        Config.load(path, "dsm")
+
+
 def test_mapping_needs_poses_and_something_to_see(plaza: Plaza) -> None:
     sequence = PlazaSequence(plaza)
     sequence.poses = None  # type: ignore[assignment]

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from .descriptors import available
 from .errors import ConfigError
 from .local_cloud import LocalCloudConfig
 from .mapping import MappingConfig
@@ -16,16 +17,13 @@ from .pose import PoseConfig
 from .segmentation import SegmentationConfig
 from .verification import VerificationConfig
 
-METHODS = ("geo", "dsm", "dsm-fq")
-"""Names that ``--method`` accepts."""
-
 
 class Config(BaseModel):
     """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: str = Field("geo", description="how segments are described: " + ", ".join(METHODS))
+    method: str = Field("geo", description="how segments are described; see descriptors/")
     threads: int = Field(0, ge=0, description="0: all cores; results do not depend on it")
     seed: int = Field(0, ge=0, description="of the estimators that draw samples")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
@@ -44,8 +42,8 @@ class Config(BaseModel):
         ConfigError
             If there is no such method.
         """
-        if method not in METHODS:
-            raise ConfigError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        if method not in available():
+            raise ConfigError(f"no method {method!r}; there are {', '.join(available())}")
         return cls(method=method)
 
     @classmethod
@@ -55,10 +53,13 @@ class Config(BaseModel):
         Raises
         ------
         ConfigError
-            If the file is no YAML mapping, or a key or value is wrong; names file and key.
+            If the file is no YAML mapping, a key or value is wrong, or the file asks for another
+            method than the caller; names file and key.
         """
         values = {} if path is None else _read_yaml(Path(path))
         preset = cls.preset(method or str(values.get("method", "geo")))
+        if values.get("method", preset.method) != preset.method:
+            raise ConfigError(f"{path}: method: {values['method']!r}, where {method!r} is needed")
         try:
             return cls.model_validate(
                 _merged(preset.model_dump(), {**values, "method": preset.method})
