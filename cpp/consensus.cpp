@@ -91,7 +91,7 @@ Field make_field(const double* query, std::size_t q, const double* map, const st
     f.map_index.push_back(static_cast<std::uint32_t>(mm[k]));
   }
   for (std::vector<float>* column : {&f.qx, &f.qy, &f.qz, &f.mx, &f.my, &f.mz}) {
-    for (const float v : *column) f.farthest = std::max(f.farthest, std::fabs(static_cast<double>(v)));
+    for (const float v : *column) f.farthest = std::max<double>(f.farthest, std::fabs(v));
     column->resize(n + kMaxWidth, 0.0f);
   }
   return f;
