@@ -1,0 +1,68 @@
+"""Ask maps for places that they do not hold: every localized query is false.
+
+Scans of simulated towns, single and accumulated, are asked in maps of other places (``.segmap``
+files, of any recording), and in the map of another simulated town.
+
+    python benchmarks/negatives.py --towns 2 first.segmap later.segmap
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from pathlib import Path
+
+from segloc import Config, Localization, Localizer, SegmentMap, build_map
+from segloc.local_cloud import window
+from segloc.simulation import SimulatedSequence, demo_sessions
+from segloc.types import LocalCloud
+
+
+def clouds(drive: SimulatedSequence, localizer: Localizer) -> list[LocalCloud]:
+    """A local cloud of every scan alone, and one accumulated behind every fourth."""
+    config = localizer.config.local_cloud
+    gathered = [localizer.accumulator.gather(drive.scan(i)) for i in range(len(drive))]
+    for i in range(8, len(drive), 4):
+        behind = window(drive.poses, i, config.window_m, centred=False, max_gap_m=config.max_gap_m)
+        gathered.append(localizer.accumulator.gather([drive.scan(k) for k in behind]))
+    return gathered
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("maps", nargs="*", type=Path)
+    parser.add_argument("--towns", type=int, default=2)
+    parser.add_argument("--first-seed", type=int, default=4000)
+    parser.add_argument("--method", default="geo")
+    args = parser.parse_args()
+
+    config = Config.preset(args.method)
+    drives = demo_sessions(args.first_seed - 1)
+    sites = {"simulated town": build_map(drives["map"], config)}
+    sites |= {path.name: SegmentMap.load(path) for path in args.maps}
+    localizers = {name: Localizer(site, config) for name, site in sites.items()}
+    answers: dict[str, list[Localization]] = {name: [] for name in sites}
+    for seed in range(args.first_seed, args.first_seed + args.towns):
+        for drive in demo_sessions(seed).values():
+            for cloud in clouds(drive, next(iter(localizers.values()))):
+                for name, localizer in localizers.items():
+                    answers[name].append(localizer.localize(cloud))
+        report(answers)
+
+
+def report(answers: dict[str, list[Localization]]) -> None:
+    """Counts for every map, and what so many queries say of the rate."""
+    total = Counter(false=0, queries=0)
+    for name, results in answers.items():
+        false = sum(r.localized for r in results)
+        total.update(false=false, queries=len(results))
+        most = max(r.inliers for r in results)
+        print(f"{name}: {false} false of {len(results)}, most inliers {most}", flush=True)
+    if not total["false"]:
+        bound = 1 - math.exp(math.log(0.05) / total["queries"])
+        print(f"false rate below {100 * bound:.2f} % with 95 % confidence", flush=True)
+
+
+if __name__ == "__main__":
+    main()
