@@ -116,8 +116,8 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
     """What bounds the front garden, with a gate or a drive left open."""
     rng = site.rng
     kinds = ["hedge", "shrubs", "wall", "fence", "bushes", "none"]
-    kind = str(rng.choice(kinds, p=[0.26, 0.16, 0.22, 0.18, 0.06, 0.12]))
-    border = rng.random() < 0.45
+    kind = str(rng.choice(kinds, p=[0.28, 0.2, 0.2, 0.16, 0.06, 0.1]))
+    border = rng.random() < 0.65
     end = min(end, front.street.length - 2.0)
     gate = rng.uniform(begin, max(begin, end))
     opening = rng.uniform(0.6, 2.0)

@@ -120,7 +120,7 @@ def _pavement(site: Site, front: Frontage) -> None:
         for s in np.arange(rng.uniform(6, 25), length - 6, rng.uniform(28, 42)):
             at, yaw = front.at(s + rng.normal(0, 1.5), front.pavement - 0.25)
             site.stand("pole", utility_pole(rng), at, float(yaw), 0.4)
-    if rng.random() < 0.5:
+    if rng.random() < 0.6:
         pitch = rng.uniform(7, 13)
         for s in np.arange(rng.uniform(8, 14), length - 8, pitch):
             at, yaw = front.at(s + rng.normal(0, 0.5), rng.uniform(0.6, 0.9))

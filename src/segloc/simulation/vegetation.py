@@ -82,12 +82,12 @@ def bush(rng: np.random.Generator) -> Mesh:
 def shrubs(rng: np.random.Generator, line: Float64) -> Mesh:
     """A loose border of shrubs along a (n, 3) ground line, up to 3.5 m high."""
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    size = rng.uniform(0.5, 1.2)
-    count = max(2, int(length * rng.uniform(0.8, 1.6) / size))
+    size = rng.uniform(0.5, 1.4)
+    count = max(2, int(length * rng.uniform(1.0, 2.0) / size))
     t = np.sort(rng.uniform(0, len(line) - 1, count))
     center = np.stack([np.interp(t, np.arange(len(line)), line[:, k]) for k in range(3)], axis=1)
     radii = size * rng.uniform(0.5, 1.3, (count, 3))
-    center[:, :2] += rng.normal(0, 0.3 * size, (count, 2))
+    center[:, :2] += rng.normal(0, 0.4 * size, (count, 2))
     center[:, 2] += radii[:, 2] * rng.uniform(0.5, 1.6, count)
     return _crown(rng, center, radii, rng.uniform(12, 28), 0.14)
 
@@ -109,9 +109,11 @@ def hedge(rng: np.random.Generator, line: Float64, height: float, width: float) 
     shape = spine.copy()
     shape[:, :2] += side[piece] * (across * wave)[:, None]
     shape[:, 2] += up * wave
-    shape += rng.normal(0, 0.045, (n, 3))
+    inward = np.minimum(rng.exponential(0.12, n), 0.45 * width)
+    shape[:, :2] -= side[piece] * (np.sign(across) * inward)[:, None]
+    shape += rng.normal(0, rng.uniform(0.04, 0.1), (n, 3))
     coat = scraps(rng, shape, 0.1, _LEAF)
-    return join([coat, wall_along(line, 0.86 * height, 0.55 * width, 0.3)])
+    return join([coat, wall_along(line, 0.8 * height, 0.25 * width, 0.3)])
 
 
 def wall_along(line: Float64, height: float, width: float, reflectance: float) -> Mesh:
