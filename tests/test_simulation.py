@@ -15,6 +15,7 @@ from segloc.datasets.base import parse_select
 from segloc.datasets.folder import FolderSequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.simulation import (
+    OdometryNoise,
     Route,
     Scene,
     SpinningLidar,
@@ -27,7 +28,7 @@ from segloc.simulation import (
     town,
     vlp16,
 )
-from segloc.simulation.mesh import boxes
+from segloc.simulation.mesh import GLASS, boxes, quads
 from segloc.simulation.terrain import Terrain
 from segloc.simulation.worlds import SESSION_IDS, Objects, World
 
@@ -229,6 +230,41 @@ def test_foliage_lets_part_of_the_rays_through(small: World) -> None:
     assert 0.0 < np.mean(passed) < 0.6
 
 
+def test_glass_is_dirty_or_clear_or_a_mirror() -> None:
+    """Many panes leaning towards the sensor at x = 10, a wall at x = 15, ground at z = -2."""
+    edge = np.arange(-8.0, 8.0, 0.25)
+    y, z = (grid.reshape(-1) for grid in np.meshgrid(edge, np.arange(-0.5, 4.0, 0.25)))
+
+    def lean(y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.stack([10.0 + 0.5 * z, y, z], axis=1)
+
+    corners = np.stack(
+        [lean(y + a, z + b) for a, b in ((0, 0), (0.25, 0), (0.25, 0.25), (0, 0.25))]
+    )
+    panes = quads(corners.transpose(1, 0, 2), GLASS)
+    wall = boxes([15.0, 0, 0], [0.02, 400.0, 400.0], 0.5)
+    things = Objects.of([("panes", panes), ("wall", wall)], 1)
+    flat = Terrain(np.array([-40.0, -40.0]), 40.0, np.full((3, 3), -2.0))
+    scene = Scene(flat, np.full(8, 0.5, dtype=np.float32), [things])
+    sensor = replace(hdl64e(6000).ideal(), glass=True)
+    points, ids = sensor.scan(scene, np.eye(4), np.random.default_rng(0))
+    towards = (points[:, 0] > 8) & (np.abs(points[:, 1] / points[:, 0]) < 0.6)
+    towards &= (points[:, 2] / points[:, 0] > -0.04) & (points[:, 0] < 200)
+    points, ids = points[towards], ids[towards]
+    plain, _ = replace(sensor, glass=False).scan(scene, np.eye(4), np.random.default_rng(0))
+    np.testing.assert_allclose(points[ids == 1, 0] - 0.5 * points[ids == 1, 2], 10.0, atol=1e-3)
+    np.testing.assert_allclose(points[ids == 2, 0], 14.99, atol=1e-3)
+    shares = [(ids == k).mean() for k in (1, 2)]
+    assert 0.15 < shares[0] < 0.35
+    assert shares[1] > 0.6
+    assert (plain[:, 0] < 14.9).all()
+    ghosts = points[ids == -1]
+    assert 0 < len(ghosts) < 0.06 * len(points)
+    mirror = np.array([1.0, 0.0, -0.5]) / np.sqrt(1.25)
+    seen = ghosts - 2 * ((ghosts - [10.0, 0.0, 0.0]) @ mirror)[:, None] * mirror
+    np.testing.assert_allclose(seen[:, 2], -2.0, atol=5e-3)
+
+
 # --- drives ---------------------------------------------------------------------------------------
 
 
@@ -280,6 +316,24 @@ def test_recording_is_the_same_on_two_processes_and_reads_back(
     assert len(chosen.object_ids(1)) == len(scan)
 
 
+def test_odometry_drifts_and_starts_level(small: World) -> None:
+    sequence = simulate_session(small, 0, route_in(small, 60.0), hdl64e(30), seed=5)
+    exact = sequence.with_odometry(OdometryNoise(0, 0, 0, 0))
+    relative = np.linalg.inv(sequence.truth[3]) @ sequence.truth[20]
+    np.testing.assert_allclose(np.linalg.inv(exact.poses[3]) @ exact.poses[20], relative, atol=1e-9)
+    np.testing.assert_allclose(exact.poses[:, 2, :3], sequence.truth[:, 2, :3], atol=1e-9)
+    np.testing.assert_allclose(exact.poses[0, :3, 3], 0.0, atol=1e-9)
+    noisy = sequence.with_odometry()
+    error = np.linalg.inv(exact.poses) @ noisy.poses
+    far = np.linalg.norm(error[:, :3, 3], axis=1)
+    assert 0.0 < far[0] < 0.1
+    assert far.max() < 0.6
+    scan = noisy.scan(4)
+    np.testing.assert_array_equal(scan.points, sequence.scan(4).points)
+    np.testing.assert_array_equal(scan.T_odom_sensor, noisy.poses[4])
+    np.testing.assert_array_equal(noisy.select(parse_select("4:6")).poses, noisy.poses[4:7])
+
+
 def test_a_pickled_sequence_is_small_and_casts_the_same(small: World) -> None:
     sequence = simulate_session(small, 0, route_in(small, 20.0), hdl64e(30), seed=5)
     expected = sequence.scan(4).points
@@ -319,6 +373,8 @@ def test_demo_sessions_share_streets_turn_back_and_leave_the_map() -> None:
         lambda: replace(hdl64e(), min_range_m=5.0, max_range_m=4.0),
         lambda: replace(hdl64e(), reference_range_m=0.0),
         lambda: replace(hdl64e(), mount_height_m=float("nan")),
+        lambda: replace(hdl64e(), beam_bias_sigma_m=float("nan")),
+        lambda: OdometryNoise(drift_m=-1.0),
         lambda: Route((0, 1), spacing_m=0.0),
         lambda: Route((0, 1), lane_offset_m=5.0),
         lambda: Route((0, 1), length_m=-3.0),

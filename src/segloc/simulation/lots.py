@@ -135,7 +135,7 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
         behind, _ = front.at(s, front.pavement + 1.4)
         if border and site.clear_line(behind, 1.5):
             _edge(site, "shrubs", behind)
-    if rng.random() < 0.5:
+    if rng.random() < 0.3:
         at, yaw = front.at(
             gate + rng.uniform(-1, 1) * opening, front.pavement + rng.uniform(0.1, 0.9)
         )
@@ -145,7 +145,7 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
 def _front_garden(site: Site, lot: Lot) -> None:
     front, setback, middle = lot.front, lot.setback, (lot.begin + lot.end) / 2
     rng = site.rng
-    for _ in range(int(rng.integers(1, 6))):
+    for _ in range(int(rng.integers(0, 4))):
         along = middle + rng.uniform(-0.5, 0.5) * lot.house_width
         at, yaw = front.at(along, front.pavement + rng.uniform(0.9, max(1.0, setback - 0.7)))
         pick = rng.random()

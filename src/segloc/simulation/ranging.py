@@ -145,7 +145,7 @@ class Lidar(ABC):
         behind = scene.cast(start, onward, self.max_range_m)
         lost = behind.reflectance == np.float32(GLASS)
         left = np.where(mirrored, np.float32(_MIRRORED_TWICE), np.float32(_THROUGH_TWICE))
-        hits.ranges[pane] += np.where(lost, np.float32(np.inf), behind.ranges)
+        hits.ranges[pane] += np.where(lost, np.float32(np.inf), behind.ranges + np.float32(_SKIN))
         hits.object_ids[pane] = np.where(mirrored, -1, behind.object_ids)
         hits.reflectance[pane] = behind.reflectance * left
         hits.cosines[pane] = behind.cosines

@@ -127,7 +127,7 @@ def _pavement(site: Site, front: Frontage) -> None:
             if rng.random() < 0.85:
                 site.stand("tree", tree(rng), at, float(yaw), 0.7)
     shares = np.array([share for _, _, share, _ in FURNITURE])
-    for s in rng.uniform(7, max(8.0, length - 7), int(length / 11)):
+    for s in rng.uniform(7, max(8.0, length - 7), int(length / 17)):
         kind, make, _, out = FURNITURE[int(rng.choice(len(FURNITURE), p=shares / shares.sum()))]
         at, yaw = front.at(s, min(out, front.pavement - 0.2))
         turn = 0.0 if kind in ("traffic sign", "name sign") else -np.pi / 2
@@ -157,7 +157,7 @@ def _street_parking(site: Site, front: Frontage) -> None:
     rng, street = site.rng, front.street
     if rng.random() < 0.1:
         return
-    busy = rng.uniform(0.45, 0.95)
+    busy = rng.uniform(0.6, 1.0)
     for s in np.arange(9.0, street.length - 9.0, rng.uniform(5.6, 6.6)):
         at, yaw = front.at(s, -0.55)
         ends, _ = front.at(np.array([s - 3.5, s + 3.5]), -0.55)
@@ -171,7 +171,7 @@ def _street_parking(site: Site, front: Frontage) -> None:
 def _gardens(site: Site, size_m: float) -> None:
     """Trees, bushes and sheds behind and between the houses."""
     rng = site.rng
-    for at in rng.uniform(3, size_m - 3, (int(size_m**2 / 55), 2)):
+    for at in rng.uniform(3, size_m - 3, (int(size_m**2 / 75), 2)):
         if site.roads.clearance(at) < 4.5:
             continue
         pick, yaw = rng.random(), float(rng.uniform(0, 2 * np.pi))
