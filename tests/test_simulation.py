@@ -236,7 +236,7 @@ def test_glass_is_dirty_or_clear_or_a_mirror() -> None:
     y, z = (grid.reshape(-1) for grid in np.meshgrid(edge, np.arange(-0.5, 4.0, 0.25)))
 
     def lean(y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        return np.stack([10.0 + 0.5 * z, y, z], axis=1)
+        return np.stack([10.0 - 0.5 * z, y, z], axis=1)
 
     corners = np.stack(
         [lean(y + a, z + b) for a, b in ((0, 0), (0.25, 0), (0.25, 0.25), (0, 0.25))]
@@ -247,20 +247,23 @@ def test_glass_is_dirty_or_clear_or_a_mirror() -> None:
     flat = Terrain(np.array([-40.0, -40.0]), 40.0, np.full((3, 3), -2.0))
     scene = Scene(flat, np.full(8, 0.5, dtype=np.float32), [things])
     sensor = replace(hdl64e(6000).ideal(), glass=True)
-    points, ids = sensor.scan(scene, np.eye(4), np.random.default_rng(0))
-    towards = (points[:, 0] > 8) & (np.abs(points[:, 1] / points[:, 0]) < 0.6)
-    towards &= (points[:, 2] / points[:, 0] > -0.04) & (points[:, 0] < 200)
-    points, ids = points[towards], ids[towards]
-    plain, _ = replace(sensor, glass=False).scan(scene, np.eye(4), np.random.default_rng(0))
-    np.testing.assert_allclose(points[ids == 1, 0] - 0.5 * points[ids == 1, 2], 10.0, atol=1e-3)
+
+    def seen_ahead(lidar: SpinningLidar) -> tuple[np.ndarray, np.ndarray]:
+        points, ids = lidar.scan(scene, np.eye(4), np.random.default_rng(0))
+        ahead = (points[:, 0] > 8) & (np.abs(points[:, 1] / points[:, 0]) < 0.6)
+        ahead &= (points[:, 2] / points[:, 0] > -0.04) & (points[:, 0] < 200)
+        return points[ahead], ids[ahead]
+
+    assert set(seen_ahead(replace(sensor, glass=False))[1]) == {1}
+    points, ids = seen_ahead(sensor)
+    np.testing.assert_allclose(points[ids == 1, 0] + 0.5 * points[ids == 1, 2], 10.0, atol=1e-3)
     np.testing.assert_allclose(points[ids == 2, 0], 14.99, atol=1e-3)
     shares = [(ids == k).mean() for k in (1, 2)]
     assert 0.15 < shares[0] < 0.35
     assert shares[1] > 0.6
-    assert (plain[:, 0] < 14.9).all()
     ghosts = points[ids == -1]
     assert 0 < len(ghosts) < 0.06 * len(points)
-    mirror = np.array([1.0, 0.0, -0.5]) / np.sqrt(1.25)
+    mirror = np.array([1.0, 0.0, 0.5]) / np.sqrt(1.25)
     seen = ghosts - 2 * ((ghosts - [10.0, 0.0, 0.0]) @ mirror)[:, None] * mirror
     np.testing.assert_allclose(seen[:, 2], -2.0, atol=5e-3)
 
