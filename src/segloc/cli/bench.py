@@ -73,8 +73,7 @@ def _show(rows: list[Row], title: str) -> None:
     from .console import table
 
     lines = [line for row in rows for line in table_rows(row)]
-    shown = [(f"{name} {threads}".strip(), *rest) for name, threads, *rest in lines]
-    table(title, ("benchmark, threads", "", "ms", "ratio"), shown)
+    table(title, ("", "ms", "ratio"), lines)
     for row in rows:
         if row.details:
             text = ", ".join(f"{name} {value:.4g}" for name, value in row.details.items())

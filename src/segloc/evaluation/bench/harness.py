@@ -24,7 +24,8 @@ OURS = "segloc"
 
 _BUDGET_S = 4.0
 _MIN_RUNS = 2
-_SGEMM_SIZE = 1024
+_SGEMM, _SGEMM_SIZE = "sgemm", 1024
+_SGEMM_FLOPS = 2.0 * _SGEMM_SIZE**3
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -102,7 +103,7 @@ def row(
     repeats: int,
     runs: Runs,
     *,
-    bound: tuple[str, float] | None = None,
+    flops: tuple[str, float] | None = None,
     details: Mapping[str, float] | None = None,
     skipped: tuple[str, ...] = (),
 ) -> Row:
@@ -110,26 +111,26 @@ def row(
 
     Parameters
     ----------
-    bound : (str, float), optional
-        What the bound is, and its milliseconds.
+    flops : (str, float), optional
+        Which arithmetic the work cannot do without, and how many operations that is. The bound is
+        the time that NumPy's float32 matrix product needs for as many, measured in turns with the
+        rest. NumPy must have been given the same number of threads: see :func:`in_process`.
     """
-    times = interleaved(runs, threads, repeats)
+    if flops is None:
+        times = interleaved(runs, threads, repeats)
+        bound, limit = "", None
+    else:
+        times = interleaved({**runs, _SGEMM: _matrix_product()}, threads, repeats)
+        bound, limit = f"{flops[0]} at sgemm's rate", times.pop(_SGEMM) * flops[1] / _SGEMM_FLOPS
     ours = times.pop(OURS)
-    text, limit = bound or ("", None)
-    return Row(name, threads, ours, times, limit, text, dict(details or {}), skipped)
+    return Row(name, threads, ours, times, limit, bound, dict(details or {}), skipped)
 
 
-def sgemm_flops(threads: int, repeats: int = 5) -> float:
-    """Floating-point operations a second of NumPy's float32 matrix product.
-
-    The process must have been started with that number of threads for NumPy: see
-    :func:`in_process`.
-    """
+def _matrix_product() -> Callable[[], object]:
     rng = np.random.default_rng(0)
     a, b = rng.random((2, _SGEMM_SIZE, _SGEMM_SIZE), dtype=np.float32)
     out = np.empty_like(a)
-    ms = interleaved({OURS: lambda: np.matmul(a, b, out=out)}, threads, repeats)[OURS]
-    return 2.0 * _SGEMM_SIZE**3 / (1e-3 * ms)
+    return lambda: np.matmul(a, b, out=out)
 
 
 def optional(*names: str) -> list[Any] | None:

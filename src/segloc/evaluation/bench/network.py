@@ -15,7 +15,7 @@ from ...descriptors.pointset import DSM_LAYERS, ESM_LAYERS, POINTS, Layer
 from ...errors import SeglocError
 from ...types import Float32
 from . import inputs
-from .harness import OURS, Row, optional, row, sgemm_flops
+from .harness import OURS, Row, optional, row
 
 SEGMENTS, DIM = 300, 16
 CHUNKS = (10, 30, 100)
@@ -24,13 +24,12 @@ CHUNKS = (10, 30, 100)
 def network(threads: int, repeats: int) -> Row:
     """DSM against PyTorch and ONNX Runtime, which are handed the neighbours for nothing."""
     prepared = prepared_segments()
-    flops = sum(layer_flops(DSM_LAYERS)) * SEGMENTS
-    bound = "its arithmetic at sgemm's rate", 1e3 * flops / sgemm_flops(threads)
+    flops = "its arithmetic", float(sum(layer_flops(DSM_LAYERS)) * SEGMENTS)
     torch = optional("torch")
     if torch is None:
         engine = build(DSM_LAYERS, random_tensors(DSM_LAYERS))
         runs = {OURS: partial(engine.describe, prepared, threads)}
-        return row("network", threads, repeats, runs, bound=bound, skipped=("torch", "onnxruntime"))
+        return row("network", threads, repeats, runs, flops=flops, skipped=("torch", "onnxruntime"))
     model, tensors = _torch_model(torch[0], threads)
     engine = build(DSM_LAYERS, tensors)
     runs = {OURS: partial(engine.describe, prepared, threads)}
@@ -42,7 +41,7 @@ def network(threads: int, repeats: int) -> Row:
         runs[name] = _onnx_run(torch[0], found[2], model, prepared, size, threads)
     _check(runs)
     skipped = () if found else ("onnxruntime",)
-    return row("network", threads, repeats, runs, bound=bound, skipped=skipped)
+    return row("network", threads, repeats, runs, flops=flops, skipped=skipped)
 
 
 def dsm_vs_esm(threads: int, repeats: int) -> Row:
@@ -54,12 +53,9 @@ def dsm_vs_esm(threads: int, repeats: int) -> Row:
         OURS: partial(engines["dsm"].describe, prepared, threads),
         "esm": partial(engines["esm"].describe, prepared, threads),
     }
-    bound = (
-        "its arithmetic at sgemm's rate",
-        1e3 * flops["dsm"] * SEGMENTS / sgemm_flops(threads),
-    )
+    arithmetic = "its arithmetic", float(flops["dsm"] * SEGMENTS)
     details = {f"{name}, MFLOP a segment": count / 1e6 for name, count in flops.items()}
-    return row("dsm_vs_esm", threads, repeats, runs, bound=bound, details=details)
+    return row("dsm_vs_esm", threads, repeats, runs, flops=arithmetic, details=details)
 
 
 def _both() -> dict[str, Sequence[Layer]]:

@@ -18,7 +18,7 @@ from ...errors import SeglocError
 from ...localizer import Localizer
 from ...map import SegmentMap
 from ...mapping import build_map
-from ...types import Descriptors, Localization, Pose, Scan
+from ...types import Descriptors, LocalCloud, Localization, Pose, Scan
 from . import inputs
 from .harness import OURS, Row, optional, processor_clock, row
 
@@ -39,14 +39,14 @@ class Scene:
     Attributes
     ----------
     site : SegmentMap
-    queries : list of (Scan, Pose)
-        Scans without a pose, and their true T_map_sensor.
+    queries : list of (Scan or LocalCloud, Pose)
+        Without a pose in the map, and their true T_map_sensor.
     mapped : Scan
         What a scan-to-scan method is given in place of the map.
     """
 
     site: SegmentMap
-    queries: list[tuple[Scan, Pose]]
+    queries: list[tuple[Scan | LocalCloud, Pose]]
     mapped: Scan
 
 
@@ -103,14 +103,16 @@ def query_row(
     return Row(name, threads, ours, result.rivals, details=details, skipped=skipped)
 
 
-def stage_ms(localizer: Localizer, scan: Scan, clock: Callable[[], float]) -> dict[str, float]:
+def stage_ms(
+    localizer: Localizer, query: Scan | LocalCloud, clock: Callable[[], float]
+) -> dict[str, float]:
     """Milliseconds that each stage of :meth:`Localizer.localize` takes, by a clock of choice."""
     marks = [("", clock())]
 
     def mark(stage: str) -> None:
         marks.append((stage, clock()))
 
-    cloud = localizer.accumulator.gather(scan)
+    cloud = localizer.accumulator.gather(query) if isinstance(query, Scan) else query
     mark("local cloud")
     scene = localizer.segmenter.segment(cloud)
     mark("segmentation")
@@ -175,7 +177,9 @@ def _scene(
     site: SegmentMap, later: Recording, mapped: Recording | Scan, positions: Sequence[int]
 ) -> Scene:
     assert later.poses is not None
-    scans = [(_unposed(later.scan(i)), later.poses[i]) for i in positions]
+    scans: list[tuple[Scan | LocalCloud, Pose]] = [
+        (_unposed(later.scan(i)), later.poses[i]) for i in positions
+    ]
     return Scene(site, scans, mapped if isinstance(mapped, Scan) else mapped.scan(positions[0]))
 
 

@@ -16,14 +16,14 @@ from .suite import run
 REPEATS = 15
 
 
-def table_rows(row: Row) -> list[tuple[str, str, str, str, str]]:
-    """(benchmark, threads, what, ms, ratio) of ours, of every rival and of the bound."""
-    rows = [(row.name, str(row.threads), "segloc", _ms(row.ours_ms), "1.0")]
+def table_rows(row: Row) -> list[tuple[str, str, str]]:
+    """(what, ms, how many times ours) of ours, of every rival and of the bound."""
+    threads = f"{row.threads} thread{'s' if row.threads > 1 else ''}"
+    rows = [(f"{row.name}, {threads}", _ms(row.ours_ms), "1.0")]
     for name, ms in sorted(row.rivals.items(), key=lambda item: item[1]):
-        rows.append(("", "", name, _ms(ms), _ratio(ms, row.ours_ms)))
+        rows.append((f"  {name}", _ms(ms), _ratio(ms, row.ours_ms)))
     if row.bound_ms is not None:
-        share = f"{100 * row.bound_ms / row.ours_ms:.0f} % reached"
-        rows.append(("", "", f"bound: {row.bound}", _ms(row.bound_ms), share))
+        rows.append((f"  bound: {row.bound}", _ms(row.bound_ms), _ratio(row.bound_ms, row.ours_ms)))
     return rows
 
 
@@ -32,19 +32,17 @@ def _ms(value: float) -> str:
 
 
 def _ratio(theirs: float, ours: float) -> str:
-    return f"{theirs / ours:.1f}"
+    return f"{theirs / ours:.1f}" if theirs > ours else f"{theirs / ours:.2f}"
 
 
 def show(rows: Sequence[Row]) -> None:
     """Print rows as lines of text."""
     for row in rows:
-        for name, threads, what, ms, ratio in table_rows(row):
-            print(f"{name:>12} {threads:>2} {what:<44} {ms:>9} ms {ratio:>14}")
-        print(
-            "".join(f"{'':>16}{name}: {value:.5g}\n" for name, value in row.details.items()), end=""
-        )
+        for what, ms, ratio in table_rows(row):
+            print(f"{what:<60} {ms:>9} ms {ratio:>8}")
+        print("".join(f"    {name}: {value:.5g}\n" for name, value in row.details.items()), end="")
         if row.skipped:
-            print(f"{'':>16}not installed: {', '.join(row.skipped)}")
+            print(f"    not installed: {', '.join(row.skipped)}")
 
 
 def main(*names: str) -> None:
