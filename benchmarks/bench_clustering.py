@@ -25,7 +25,9 @@ def real_cloud(folder: Path) -> Float32:
     cloud = Accumulator().gather([sequence.scan(i) for i in range(len(sequence))])
     config = SegmentationConfig()
     points = _native.voxel_grid(cloud.points, config.accumulated.voxel_size)
-    heights = _native.heights_above_ground(points, config.ground_cell, config.ground_slope, 0.8)
+    heights = _native.heights_above_ground(
+        points, config.ground_cell, config.ground_slope, config.ground_step
+    )
     return np.ascontiguousarray(points[heights > config.structure_height])
 
 

@@ -28,7 +28,7 @@ WAY_M = 20.0
 def scan_figures(points: Float32) -> dict[str, float]:
     """Figures of one full scan."""
     ranges = np.linalg.norm(points, axis=1)
-    height = _native.heights_above_ground(points, 1.0, 0.2, 0.8)
+    height = _native.heights_above_ground(points, 1.0, 0.2, 0.3)
     figures = {"points a scan": float(len(points))}
     for q in (10, 25, 50, 75, 90, 99):
         figures[f"range, {q} % of points nearer (m)"] = float(np.percentile(ranges, q))

@@ -10,6 +10,10 @@ namespace segloc {
 namespace {
 
 constexpr double kMaxCells = 6.4e7;
+constexpr std::int64_t kSupportReach = 10;  // cells
+constexpr double kSupportSlope = 0.05;      // how fast the band of support widens with distance
+constexpr int kEnoughSupport = 24;          // cells
+constexpr double kSupportShare = 0.15;
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
 struct Grid {
@@ -50,28 +54,39 @@ Grid lowest_points(const float* points, std::size_t n, double cell) {
   return grid;
 }
 
-// Stray returns below the ground (reflections) would pull the whole envelope down: a cell far below
-// the median of its neighbourhood is forgotten.
-void drop_outliers(Grid& grid, double margin, double max_slope) {
-  const std::vector<float> lowest = grid.z;
-  const auto limit = static_cast<float>(margin + 2.0 * max_slope * grid.cell);
-  std::vector<float> near;
+// Whether enough of the cells around one have their lowest point at about the same height. Rings are
+// searched from the inside out, so that ordinary ground is settled after a few cells.
+bool is_supported(const Grid& grid, std::int64_t ix, std::int64_t iy, double margin) {
+  const float z = grid.get(ix, iy);
+  int known = 0, level = 0;
+  for (std::int64_t reach = 1; reach <= kSupportReach; ++reach) {
+    const auto band = static_cast<float>(margin + kSupportSlope * grid.cell * double(reach));
+    for (std::int64_t y = std::max<std::int64_t>(iy - reach, 0); y <= std::min(iy + reach, grid.ny - 1); ++y) {
+      // The two rows of a ring are walked in full, the sides only at their ends.
+      const std::int64_t step = std::abs(y - iy) == reach ? 1 : 2 * reach;
+      for (std::int64_t x = ix - reach; x <= ix + reach; x += step) {
+        if (x < 0 || x >= grid.nx || grid.get(x, y) == kUnknown) continue;
+        ++known;
+        if (std::fabs(grid.get(x, y) - z) <= band) ++level;
+      }
+    }
+    if (level >= kEnoughSupport) return true;
+  }
+  return level >= kSupportShare * known;
+}
+
+// Stray returns below the ground (mirror images in windows and car doors), alone or in clumps, would
+// pull the whole envelope down: what the surroundings do not support is forgotten.
+void drop_outliers(Grid& grid, double margin) {
+  std::vector<float> kept = grid.z;
   for (std::int64_t iy = 0; iy < grid.ny; ++iy) {
     for (std::int64_t ix = 0; ix < grid.nx; ++ix) {
-      near.clear();
-      for (std::int64_t y = std::max<std::int64_t>(iy - 2, 0); y <= std::min(iy + 2, grid.ny - 1); ++y) {
-        for (std::int64_t x = std::max<std::int64_t>(ix - 2, 0); x <= std::min(ix + 2, grid.nx - 1); ++x) {
-          const float z = lowest[static_cast<std::size_t>(y * grid.nx + x)];
-          if (z != kUnknown && (x != ix || y != iy)) near.push_back(z);
-        }
-      }
-      if (near.size() < 4 || grid.get(ix, iy) == kUnknown) continue;
-      // The lower quartile rather than the median: around a building most cells hold walls only.
-      const auto quartile = near.begin() + static_cast<std::ptrdiff_t>(near.size() / 4);
-      std::nth_element(near.begin(), quartile, near.end());
-      if (grid.get(ix, iy) < *quartile - limit) grid.at(ix, iy) = kUnknown;
+      if (grid.get(ix, iy) == kUnknown || is_supported(grid, ix, iy, margin)) continue;
+      kept[static_cast<std::size_t>(iy * grid.nx + ix)] = kUnknown;
     }
   }
+  const bool any = std::any_of(kept.begin(), kept.end(), [](float z) { return z != kUnknown; });
+  if (any) grid.z = std::move(kept);
 }
 
 // Two chamfer sweeps give the lower envelope of cones of slope max_slope.
@@ -118,7 +133,7 @@ std::vector<float> heights_above_ground(const float* points, std::size_t n,
   std::vector<float> heights(n);
   if (n == 0) return heights;
   Grid grid = lowest_points(points, n, options.cell);
-  drop_outliers(grid, options.outlier, options.max_slope);
+  drop_outliers(grid, options.outlier);
   lower_envelope(grid, options.max_slope);
   for (std::size_t i = 0; i < n; ++i) {
     heights[i] = points[3 * i + 2] - ground_at(grid, points[3 * i], points[3 * i + 1]);

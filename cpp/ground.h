@@ -9,7 +9,7 @@ namespace segloc {
 struct GroundOptions {
   double cell = 1.0;        // edge of a grid cell, metres
   double max_slope = 0.2;   // rise over run; steeper things are not ground
-  double outlier = 0.8;     // a cell this far below its surroundings is a stray return, metres
+  double outlier = 0.3;    // cells that differ by less than this support each other, metres
 };
 
 // The ground is the highest surface that lies under the lowest point of every cell and is nowhere

@@ -79,7 +79,7 @@ def test_heights_are_those_above_a_sloping_ground(slope: float) -> None:
     foot = ground[rng.choice(len(ground), 300)]
     above = rng.uniform(0.5, 5, 300)
     points = np.vstack([ground, foot + above[:, None] * [0, 0, 1]]).astype(np.float32)
-    heights = _native.heights_above_ground(points, 1.0, 0.2, 0.8)
+    heights = _native.heights_above_ground(points, 1.0, 0.2, 0.3)
     assert np.percentile(np.abs(heights[: len(ground)]), 99) < 0.3
     assert np.abs(heights[len(ground) :] - above).max() < 0.4
 
@@ -87,8 +87,17 @@ def test_heights_are_those_above_a_sloping_ground(slope: float) -> None:
 def test_a_stray_return_below_ground_lifts_nothing() -> None:
     points = hillside(np.random.default_rng(1), 0.0).astype(np.float32)
     stray = np.vstack([points, [[0, 0, -4.0], [10, 5, -9.0]]]).astype(np.float32)
-    heights = _native.heights_above_ground(stray, 1.0, 0.2, 0.8)
+    heights = _native.heights_above_ground(stray, 1.0, 0.2, 0.3)
     assert np.percentile(np.abs(heights[:-2]), 99) < 0.3
+
+
+def test_a_clump_of_mirror_images_below_ground_lifts_nothing() -> None:
+    rng = np.random.default_rng(2)
+    points = hillside(rng, 0.05)
+    ghosts = rng.uniform([6, -3, -2.5], [10, 1, -1.0], (400, 3))
+    both = np.vstack([points, ghosts]).astype(np.float32)
+    heights = _native.heights_above_ground(both, 1.0, 0.2, 0.3)
+    assert np.percentile(np.abs(heights[: len(points)]), 99) < 0.4
 
 
 def pillars(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -159,4 +168,4 @@ def test_kernels_refuse_what_they_cannot_use() -> None:
     with pytest.raises(ValueError, match="too"):
         _native.voxel_grid(wide, 1e-6)
     with pytest.raises(ValueError, match="too wide"):
-        _native.heights_above_ground(wide, 1.0, 0.2, 0.8)
+        _native.heights_above_ground(wide, 1.0, 0.2, 0.3)

@@ -35,6 +35,9 @@ class SegmentationConfig(BaseModel):
     single: ClusterConfig = ClusterConfig(voxel_size=0.1, tolerance=0.5, min_points=30)
     ground_cell: float = Field(1.0, gt=0, description="edge of a cell of the ground grid, metres")
     ground_slope: float = Field(0.2, gt=0, description="steepest ground, rise over run")
+    ground_step: float = Field(
+        0.3, gt=0, description="neighbouring cells of ground differ by less, metres"
+    )
     structure_height: float = Field(
         0.4, description="points higher above ground than this serve verification, metres"
     )
@@ -79,7 +82,9 @@ class Segmenter:
         config = self.config
         cluster = config.single if cloud.num_scans == 1 else config.accumulated
         points = _native.voxel_grid(cloud.points, cluster.voxel_size)
-        heights = _native.heights_above_ground(points, config.ground_cell, config.ground_slope, 0.8)
+        heights = _native.heights_above_ground(
+            points, config.ground_cell, config.ground_slope, config.ground_step
+        )
         parts = [self._clusters(points, heights, cut, cluster) for cut in cluster.height_cuts]
         structure = heights > config.structure_height
         ground = _native.voxel_grid(points[~structure], config.ground_voxel)
