@@ -10,7 +10,7 @@ namespace segloc {
 
 // Floats of scratch memory that the kernel needs.
 static constexpr std::size_t neighbor_scratch_size(std::size_t sources) {
-  return 5 * padded(sources, 16) + 128;
+  return 5 * padded(sources, 16) + 8 * 16;
 }
 
 // result (clouds, queries, neighbors): for each of the first `queries` points of each cloud

@@ -45,11 +45,12 @@ inline float rank_bound(const float* d, size_t sources, size_t m, float* low) {
   Vec bound = broadcast(__builtin_inff());
   for (size_t i = 0; i < Kept * kColumns; i += kWidth) {
     const Vec value = load(low + i);
-    Vec count = broadcast(0.0f);
-    for (size_t j = 0; j < Kept * kColumns; ++j) {
-      count = count_not_above(count, broadcast(low[j]), value);
+    Vec count[2] = {broadcast(0.0f), broadcast(0.0f)};  // two chains of additions, not one
+    for (size_t j = 0; j < Kept * kColumns; j += 2) {
+      count[0] = count_not_above(count[0], broadcast(low[j]), value);
+      count[1] = count_not_above(count[1], broadcast(low[j + 1]), value);
     }
-    bound = min(bound, choose(count, rank, value, bound));
+    bound = min(bound, choose(count[0] + count[1], rank, value, bound));
   }
   return -reduce_max(broadcast(0.0f) - bound);
 }
@@ -64,16 +65,15 @@ inline float bound_of_nearest(const float* d, size_t sources, size_t m, float* l
   return kLargest;
 }
 
-// Indices of the values up to `bound`, in order; the values go to `kept`.
-inline size_t compress(const float* d, size_t sources, float bound, float* kept, int32_t* index) {
+// Indices of the values up to `bound`, in order. The last block of 16 is filled up with `sources`,
+// where d holds infinity.
+inline size_t compress(const float* d, size_t sources, float bound, int32_t* index) {
   size_t count = 0;
 #if defined(__AVX512F__)
   const __m512 limit = _mm512_set1_ps(bound);
   __m512i lane = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
   for (size_t j = 0; j < sources; j += 16) {
-    const __m512 value = _mm512_loadu_ps(d + j);
-    const __mmask16 mask = _mm512_cmp_ps_mask(value, limit, _CMP_LE_OQ);
-    _mm512_storeu_ps(kept + count, _mm512_maskz_compress_ps(mask, value));
+    const __mmask16 mask = _mm512_cmp_ps_mask(_mm512_loadu_ps(d + j), limit, _CMP_LE_OQ);
     _mm512_storeu_si512(index + count, _mm512_maskz_compress_epi32(mask, lane));
     lane = _mm512_add_epi32(lane, _mm512_set1_epi32(16));
     count += static_cast<size_t>(__builtin_popcount(mask));
@@ -82,42 +82,63 @@ inline size_t compress(const float* d, size_t sources, float bound, float* kept,
   const Vec limit = broadcast(bound);
   for (size_t j = 0; j < sources; j += kWidth) {
     for (uint32_t hits = less_equal(load(d + j), limit); hits != 0; hits &= hits - 1) {
-      const size_t i = j + static_cast<size_t>(__builtin_ctz(hits));
-      kept[count] = d[i];
-      index[count++] = static_cast<int32_t>(i);
+      index[count++] = static_cast<int32_t>(j + static_cast<size_t>(__builtin_ctz(hits)));
     }
   }
 #endif
+  for (size_t c = 0; c < kColumns; ++c) index[count + c] = static_cast<int32_t>(sources);
   return count;
 }
 
-// Sorts `count` values (padded with infinity to a multiple of 16) by counting, for each, those
-// before it: no branch depends on the data.
-inline void sort_by_rank(const float* values, const int32_t* index, size_t count, float* rank,
+inline void gather(const float* d, const int32_t* index, size_t size, float* values) {
+#if defined(__AVX512F__)
+  for (size_t i = 0; i < size; i += 16) {
+    _mm512_storeu_ps(values + i, _mm512_i32gather_ps(_mm512_loadu_si512(index + i), d, 4));
+  }
+#else
+  for (size_t i = 0; i < size; ++i) values[i] = d[index[i]];
+#endif
+}
+
+// Sorts values by counting, for each, those before it: no branch depends on the data. There is a
+// whole number of blocks of 16, so that most searches run the same course.
+inline void sort_by_rank(const float* values, const int32_t* index, size_t size, int32_t* rank,
                          int32_t* sorted) {
   float lanes[kWidth];
   for (size_t c = 0; c < kWidth; ++c) lanes[c] = static_cast<float>(c);
-  for (size_t i = 0; i < count; i += kWidth) {
+  const Vec two = broadcast(2.0f);
+  for (size_t i = 0; i < size; i += kWidth) {
     const Vec value = load(values + i);
     const Vec position = load(lanes) + broadcast(static_cast<float>(i));
-    Vec before = broadcast(0.0f), j_position = broadcast(0.0f);
-    for (size_t j = 0; j < count; ++j) {
-      before = count_before(before, broadcast(values[j]), value, j_position, position);
-      j_position = j_position + broadcast(1.0f);
+    Vec before[2] = {broadcast(0.0f), broadcast(0.0f)};
+    Vec j_position[2] = {broadcast(0.0f), broadcast(1.0f)};
+    for (size_t block = 0; block < size; block += kColumns) {
+      SEGLOC_UNROLL
+      for (size_t c = 0; c < kColumns; ++c) {
+        const size_t chain = c % 2;
+        before[chain] = count_before(before[chain], broadcast(values[block + c]), value,
+                                     j_position[chain], position);
+        j_position[chain] = j_position[chain] + two;
+      }
     }
-    store(rank + i, before);
+    store_whole(rank + i, before[0] + before[1]);
   }
-  for (size_t i = 0; i < count; ++i) sorted[static_cast<int32_t>(rank[i])] = index[i];
+  for (size_t block = 0; block < size; block += kColumns) {
+    SEGLOC_UNROLL
+    for (size_t c = 0; c < kColumns; ++c) sorted[rank[block + c]] = index[block + c];
+  }
 }
 
 void neighbors(const NeighborTask& task) {
   const size_t sources = padded(task.sources, kColumns);
   const size_t m = static_cast<size_t>(task.neighbors) * static_cast<size_t>(task.dilation);
   float* d = task.scratch;
-  float* rank = d + sources;  // and, before that, the lowest of each column
-  float* values = rank + sources + kColumns;
-  int32_t* index = reinterpret_cast<int32_t*>(values + sources + 2 * kColumns);
+  float* low = d + sources + kColumns;  // the lowest of each column, and later the ranks
+  float* values = low + sources + kColumns;
+  int32_t* rank = reinterpret_cast<int32_t*>(low);
+  int32_t* index = reinterpret_cast<int32_t*>(values + sources + kColumns);
   int32_t* sorted = index + sources + 2 * kColumns;
+  for (size_t c = 0; c < kColumns; ++c) d[sources + c] = __builtin_inff();
   for (size_t q = 0; q < task.queries; ++q) {
     const Vec x = broadcast(task.x[q]), y = broadcast(task.y[q]), z = broadcast(task.z[q]);
     for (size_t j = 0; j < sources; j += kWidth) {
@@ -126,10 +147,10 @@ void neighbors(const NeighborTask& task) {
       const Vec dz = load(task.z + j) - z;
       store(d + j, dx * dx + dy * dy + dz * dz);
     }
-    const float bound = bound_of_nearest(d, sources, m, rank);
-    const size_t count = compress(d, sources, bound, values, index);
-    for (size_t c = 0; c < kColumns; ++c) values[count + c] = __builtin_inff();
-    sort_by_rank(values, index, count, rank, sorted);
+    const float bound = bound_of_nearest(d, sources, m, low);
+    const size_t size = padded(compress(d, sources, bound, index), kColumns);
+    gather(d, index, size, values);
+    sort_by_rank(values, index, size, rank, sorted);
     uint16_t* result = task.result + q * static_cast<size_t>(task.neighbors);
     for (int k = 0; k < task.neighbors; ++k) {
       result[k] = static_cast<uint16_t>(sorted[k * task.dilation]);

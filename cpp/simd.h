@@ -35,6 +35,7 @@ constexpr int kRegisters = 32;
 
 inline Vec load(const float* p) { return _mm512_loadu_ps(p); }
 inline void store(float* p, Vec a) { _mm512_storeu_ps(p, a); }
+inline void store_whole(int32_t* p, Vec a) { _mm512_storeu_si512(p, _mm512_cvtps_epi32(a)); }
 inline Vec broadcast(float a) { return _mm512_set1_ps(a); }
 inline Vec min(Vec a, Vec b) { return _mm512_min_ps(a, b); }
 inline Vec max(Vec a, Vec b) { return _mm512_max_ps(a, b); }
@@ -69,6 +70,9 @@ constexpr int kRegisters = 16;
 
 inline Vec load(const float* p) { return _mm256_loadu_ps(p); }
 inline void store(float* p, Vec a) { _mm256_storeu_ps(p, a); }
+inline void store_whole(int32_t* p, Vec a) {
+  _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), _mm256_cvtps_epi32(a));
+}
 inline Vec broadcast(float a) { return _mm256_set1_ps(a); }
 inline Vec min(Vec a, Vec b) { return _mm256_min_ps(a, b); }
 inline Vec max(Vec a, Vec b) { return _mm256_max_ps(a, b); }
@@ -117,6 +121,10 @@ inline Vec load(const float* p) {
   return a;
 }
 inline void store(float* p, Vec a) { __builtin_memcpy(p, &a, sizeof(a)); }
+inline void store_whole(int32_t* p, Vec a) {
+  const IntVec whole = __builtin_convertvector(a, IntVec);
+  __builtin_memcpy(p, &whole, sizeof(whole));
+}
 inline Vec broadcast(float a) { return Vec{a, a, a, a}; }
 inline Vec select(IntVec mask, Vec a, Vec b) {
   return reinterpret_cast<Vec>((mask & reinterpret_cast<IntVec>(a)) |
