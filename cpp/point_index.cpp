@@ -23,15 +23,16 @@ std::uint64_t PointIndex::key(std::int64_t x, std::int64_t y, std::int64_t z) co
          static_cast<std::uint64_t>(z + kAxis);
 }
 
-PointIndex::PointIndex(const float* points, std::size_t n, double radius) : cell_(radius) {
-  const CellOrder cells = sort_into_cells(points, n, radius);
+// Cells twice as wide as the radius: a neighbourhood touches eight of them at most.
+PointIndex::PointIndex(const float* points, std::size_t n, double radius) : cell_(2.0 * radius) {
+  const CellOrder cells = sort_into_cells(points, n, cell_);
   points_.resize(n);
   original_.assign(cells.order.begin(), cells.order.end());
   std::size_t occupied = 0;
   for (std::size_t i = 0; i < n; ++i) {
     const float* p = points + 3 * static_cast<std::size_t>(cells.order[i]);
     for (int a = 0; a < 3; ++a) {
-      if (std::abs(p[a] / radius) >= double(kAxis - 2)) throw std::invalid_argument("cloud too wide");
+      if (std::abs(p[a] / cell_) >= double(kAxis - 2)) throw std::invalid_argument("cloud too wide");
     }
     points_[i] = {p[0], p[1], p[2]};
     if (i == 0 || cells.keys[i] != cells.keys[i - 1]) ++occupied;
@@ -44,7 +45,7 @@ PointIndex::PointIndex(const float* points, std::size_t n, double radius) : cell
     std::size_t j = i;
     while (j < n && cells.keys[j] == cells.keys[i]) ++j;
     std::int64_t c[3];
-    for (int a = 0; a < 3; ++a) c[a] = static_cast<std::int64_t>(std::floor(points_[i][a] / radius));
+    for (int a = 0; a < 3; ++a) c[a] = static_cast<std::int64_t>(std::floor(points_[i][a] / cell_));
     const std::uint64_t k = key(c[0], c[1], c[2]);
     std::size_t slot = hash(k) & mask_;
     while (table_[slot].begin != table_[slot].end) slot = (slot + 1) & mask_;
@@ -72,15 +73,17 @@ const PointIndex::Slot* PointIndex::find(std::uint64_t k) const {
 }
 
 float PointIndex::nearest_squared(const Point& p, float limit) const {
-  std::int64_t c[3];
+  const double reach = std::sqrt(static_cast<double>(limit)) * (1.0 + 1e-6);
+  std::int64_t low[3], high[3];
   for (int a = 0; a < 3; ++a) {
     if (!(std::abs(p[a] / cell_) < double(kAxis - 2))) return limit * 2.0f;
-    c[a] = static_cast<std::int64_t>(std::floor(p[a] / cell_));
+    low[a] = static_cast<std::int64_t>(std::floor((p[a] - reach) / cell_));
+    high[a] = static_cast<std::int64_t>(std::floor((p[a] + reach) / cell_));
   }
   float best = limit * 2.0f;
-  for (std::int64_t x = c[0] - 1; x <= c[0] + 1; ++x) {
-    for (std::int64_t y = c[1] - 1; y <= c[1] + 1; ++y) {
-      for (std::int64_t z = c[2] - 1; z <= c[2] + 1; ++z) {
+  for (std::int64_t x = low[0]; x <= high[0]; ++x) {
+    for (std::int64_t y = low[1]; y <= high[1]; ++y) {
+      for (std::int64_t z = low[2]; z <= high[2]; ++z) {
         const Slot* slot = find(key(x, y, z));
         if (slot == nullptr) continue;
         for (std::uint32_t i = slot->begin; i < slot->end; ++i) {

@@ -25,7 +25,7 @@ class PointIndex {
   std::vector<std::int64_t> within(double x, double y, double radius) const;
 
   std::size_t size() const { return points_.size(); }
-  double radius() const { return cell_; }
+  double radius() const { return cell_ / 2; }
 
  private:
   struct Slot {

@@ -1,0 +1,70 @@
+"""Nearest map points against a k-d tree, and the gates of verification one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import Plaza, PlazaSequence
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from segloc import Config, Localizer, build_map, geometry
+from segloc._native import PointIndex
+from segloc.types import Hypothesis
+from segloc.verification import VerificationConfig, confidence
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 500), st.floats(0.05, 1.0), st.floats(0.1, 1.0))
+def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-4, 4, (count, 3)).astype(np.float32)
+    query = rng.uniform(-5, 5, (200, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    asked = radius * share
+    distance = cKDTree(cloud).query(geometry.transform(T, query))[0]
+    if np.abs(distance - asked).min() < 1e-5:  # decided by rounding
+        return
+    near = distance < asked
+    overlap, rmse = PointIndex(cloud, radius).overlap(query, T[None], asked)
+    assert overlap[0] == near.mean()
+    if near.any():
+        assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.1, 80.0))
+def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-60, 60, (count, 3)).astype(np.float32)
+    x, y = rng.uniform(-70, 70, 2)
+    expected = np.flatnonzero(np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius)
+    assert PointIndex(cloud, 0.5).within(x, y, radius).tolist() == expected.tolist()
+
+
+def test_confidence_rises_with_both_witnesses() -> None:
+    few, many = (Hypothesis(np.eye(4), n, overlap=0.6) for n in (3, 20))
+    little, much = (Hypothesis(np.eye(4), 8, overlap=v) for v in (0.2, 0.9))
+    assert 0 <= confidence(few) < 0.5 < confidence(many) <= 1
+    assert confidence(little) < confidence(much)
+    assert confidence(Hypothesis(np.eye(4), 0)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("gate", "reason"),
+    [
+        ({"min_inliers": 10_000}, "too few inliers"),
+        ({"min_overlap": 1.0}, "too little overlap"),
+        ({"min_confidence": 1.0}, "too uncertain"),
+        ({"ambiguity": 1e-9}, "ambiguous"),
+    ],
+)
+def test_each_gate_refuses_and_says_so(plaza: Plaza, gate: dict[str, float], reason: str) -> None:
+    config = Config.preset("geo")
+    site = build_map(PlazaSequence(plaza, steps=6), config)
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    assert Localizer(site, config).localize(scan).localized
+    gates = VerificationConfig(**gate)  # type: ignore[arg-type]
+    result = Localizer(site, config.model_copy(update={"verification": gates})).localize(scan)
+    assert not result.localized and result.reason.startswith(reason)
+    assert result.T_map_sensor is None
