@@ -4,21 +4,14 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "aligned.h"
 #include "kernels.h"
 
 namespace segloc {
 
-// Scratch memory for clouds of up to `capacity` points.
-class FpsScratch {
- public:
-  explicit FpsScratch(std::size_t capacity);
-  FpsCloud cloud(int32_t* order);
-
- private:
-  std::size_t padded_;
-  AlignedFloats memory_;
-};
+// Floats of scratch memory for a cloud of n points.
+constexpr std::size_t fps_scratch_size(std::size_t n) {
+  return 4 * padded(n, kFpsGroup) + fps_group_max_size(n);
+}
 
 // order (clouds, samples): for each of the clouds (clouds, n, 3), indices in the order in which
 // farthest-point sampling takes its points. It starts at the point farthest from the centroid; each

@@ -12,14 +12,10 @@ namespace segloc {
 
 enum class Isa { portable, avx2, avx512 };
 
-// One cloud for farthest-point sampling; every pointer is to scratch memory of the caller.
-// x, y, z and distance hold padded(n, 64) values, group_max fps_group_max_size(n).
+// One cloud for farthest-point sampling, in scratch memory of the caller: x, y, z and the distance
+// to the set, padded(n, 64) values each, one after another, then fps_group_max_size(n) more.
 struct FpsCloud {
-  float* x;
-  float* y;
-  float* z;
-  float* distance;
-  float* group_max;
+  float* memory;
   int32_t* order;  // receives `samples` indices
 };
 

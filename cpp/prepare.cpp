@@ -7,6 +7,7 @@
 #include <limits>
 #include <vector>
 
+#include "aligned.h"
 #include "fps.h"
 #include "parallel.h"
 
@@ -163,7 +164,7 @@ uint64_t hash_point(const float* p) {
 class Preparer {
  public:
   Preparer(std::size_t count, Alignment alignment, const Kernels& kernels)
-      : count_(count), alignment_(alignment), kernels_(kernels), scratch_(kThinnedPoints) {
+      : count_(count), alignment_(alignment), kernels_(kernels), scratch_(fps_scratch_size(kThinnedPoints)) {
     order_.resize(count);
   }
 
@@ -184,23 +185,23 @@ class Preparer {
 
  private:
   void sample(const float* points, std::size_t n, float* output) {
-    const FpsCloud cloud = scratch_.cloud(order_.data());
     const uint64_t limit = hash_limit(points, n);
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < n && kept < kThinnedPoints; ++i) {
+    const std::size_t kept = std::min(n, kThinnedPoints), stride = padded(kept, kFpsGroup);
+    const FpsCloud cloud = {scratch_.data(), order_.data()};
+    float* x = cloud.memory;
+    for (std::size_t i = 0, next = 0; i < n && next < kept; ++i) {
       if (n > kThinnedPoints && hashes_[i] > limit) continue;
-      cloud.x[kept] = cloud_[3 * i];
-      cloud.y[kept] = cloud_[3 * i + 1];
-      cloud.z[kept] = cloud_[3 * i + 2];
-      ++kept;
+      for (std::size_t d = 0; d < 3; ++d) x[next + d * stride] = cloud_[3 * i + d];
+      ++next;
+    }
+    for (std::size_t d = 0; d < 3; ++d) {
+      std::fill(x + kept + d * stride, x + (d + 1) * stride, 0.0f);
     }
     const std::size_t samples = std::min(kept, count_);
     kernels_.fps(&cloud, 1, kept, samples);
     for (std::size_t s = 0; s < count_; ++s) {
       const auto i = static_cast<std::size_t>(order_[s % samples]);
-      output[3 * s] = cloud.x[i];
-      output[3 * s + 1] = cloud.y[i];
-      output[3 * s + 2] = cloud.z[i];
+      for (std::size_t d = 0; d < 3; ++d) output[3 * s + d] = x[i + d * stride];
     }
   }
 
@@ -217,7 +218,7 @@ class Preparer {
   std::size_t count_;
   Alignment alignment_;
   const Kernels& kernels_;
-  FpsScratch scratch_;
+  AlignedFloats scratch_;
   std::vector<int32_t> order_;
   std::vector<float> cloud_;
   std::vector<uint64_t> hashes_, ranked_;
