@@ -23,6 +23,8 @@ OURS = "segloc"
 """Name of our own run among the others."""
 
 _BUDGET_S = 2.0
+_SETTLE_S = 0.1
+_WAKE_S = 0.05
 _MIN_RUNS = 2
 _SGEMM, _SGEMM_SIZE = "sgemm", 1024
 _SGEMM_FLOPS = 2.0 * _SGEMM_SIZE**3
@@ -69,8 +71,10 @@ def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:
     """Median milliseconds of each run: one of each in turn, again and again, after a warm-up.
 
     With one thread the time is the processor's, which other work on the machine disturbs less than
-    the clock on the wall; with several it is the wall's. A run that is slow is repeated less often
-    than the others, but at least twice.
+    the clock on the wall; with several it is the wall's, and each run waits until the idle threads
+    of the one before have stopped spinning for work, and then goes on for a while untimed, until its
+    own threads are awake (a virtual processor takes milliseconds). A run that is slow is repeated
+    less often than the others, but at least twice.
 
     Parameters
     ----------
@@ -86,10 +90,19 @@ def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:
         for name, run in runs.items():
             if len(times[name]) >= _MIN_RUNS and sum(times[name]) > _BUDGET_S:
                 continue
+            if threads > 1:
+                time.sleep(_SETTLE_S)
+                _wake(run)
             start = clock()
             run()
             times[name].append(clock() - start)
     return {name: 1e3 * statistics.median(values) for name, values in times.items()}
+
+
+def _wake(run: Callable[[], object]) -> None:
+    end = time.perf_counter() + _WAKE_S
+    while time.perf_counter() < end:
+        run()
 
 
 def processor_clock() -> float:
