@@ -71,10 +71,10 @@ def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:
     """Median milliseconds of each run: one of each in turn, again and again, after a warm-up.
 
     With one thread the time is the processor's, which other work on the machine disturbs less than
-    the clock on the wall; with several it is the wall's, and each run waits until the idle threads
-    of the one before have stopped spinning for work, and then goes on for a while untimed, until its
-    own threads are awake (a virtual processor takes milliseconds). A run that is slow is repeated
-    less often than the others, but at least twice.
+    the clock on the wall; with several it is the wall's. Then each run first waits until the idle
+    threads of the one before have stopped spinning for work, and goes on for a while untimed, until
+    its own threads are awake (a virtual processor takes milliseconds). A run that is slow is
+    repeated less often than the others, but at least twice.
 
     Parameters
     ----------
