@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The two protocols on real scans: KITTI odometry 00 as keyframes and full scans with TUM poses.
+# The protocols on real scans: KITTI odometry 00 as keyframes and full scans with TUM poses.
 #   benchmarks/kitti00.sh DATA OUT METHOD...
 set -euo pipefail
 data=$1 out=$2
@@ -11,6 +11,9 @@ for method in "$@"; do
     --out "$out/first-$method.segmap" --threads 1
   segloc localize "$data/keyframes" --map "$out/first-$method.segmap" --poses keyframes.tum \
     --select 948:1820 --every 10 --truth keyframes.tum --threads 1 --out "$out/accumulated-$method"
+  # Sparse: the same places, asked with one thinned keyframe each.
+  segloc localize "$data/keyframes" --map "$out/first-$method.segmap" --select 948:1820 --every 10 \
+    --truth keyframes.tum --threads 1 --out "$out/sparse-$method"
   # One-shot: a map of the later passes, and every full scan of the first 827 m by itself.
   segloc map build "$data/keyframes" --poses keyframes.tum --select 619:654,988:1003,1361:1600 \
     --method "$method" --out "$out/later-$method.segmap" --threads 1

@@ -32,7 +32,7 @@ class SegmentationConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     accumulated: ClusterConfig = ClusterConfig(voxel_size=0.2, tolerance=0.4, min_points=30)
-    single: ClusterConfig = ClusterConfig(voxel_size=0.1, tolerance=0.5, min_points=30)
+    single: ClusterConfig = ClusterConfig(voxel_size=0.1, tolerance=0.7, min_points=10)
     ground_cell: float = Field(1.0, gt=0, description="edge of a cell of the ground grid, metres")
     ground_slope: float = Field(0.2, gt=0, description="steepest ground, rise over run")
     ground_step: float = Field(
