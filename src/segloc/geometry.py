@@ -62,10 +62,15 @@ def orthonormal(T: Pose) -> Pose:
     return rigid(R, T[:3, 3])
 
 
+def arc_length(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Length of a polyline of (N, D) points up to each of them, (N,)."""
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])[: len(line)]
+
+
 def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance travelled up to each of (N, 4, 4) poses, metres, (N,)."""
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])[: len(poses)]
+    return arc_length(poses[:, :3, 3])
 
 
 def rotated_covariance(

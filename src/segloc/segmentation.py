@@ -68,7 +68,7 @@ class Segmentation:
 
 
 class Segmenter:
-    """Divides a local cloud into segments (paper: Euclidean segmentation; FACTS of SegMatch)."""
+    """Divides a local cloud into segments (arXiv 2301.13583: Euclidean segmentation)."""
 
     def __init__(self, config: SegmentationConfig | None = None) -> None:
         self.config = config or SegmentationConfig()
@@ -103,7 +103,7 @@ class Segmenter:
 
 
 def _packed(parts: list[tuple[Float32, Float32, np.ndarray]]) -> Segments:
-    """One set of segments from the clusters of every cut; exact repeats are left out."""
+    """One set of segments from the clusters of every cut."""
     points = np.concatenate([p for p, _, _ in parts])
     heights = np.concatenate([h for _, h, _ in parts])
     starts = np.cumsum([0, *(len(p) for p, _, _ in parts)])

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from ..errors import ConfigError
+from ..geometry import arc_length
 from ..types import Float64, Int64
 
 
@@ -44,7 +45,7 @@ class Street:
 
 def along(line: Float64, distance: Float64, offset: ArrayLike = 0.0) -> tuple[Float64, Float64]:
     """Points and headings at arc lengths of a polyline, ``offset`` metres to its left."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    arc = arc_length(line)
     tangent = np.gradient(line, arc, axis=0)
     x, y = (np.interp(distance, arc, line[:, k]) for k in (0, 1))
     yaw = np.arctan2(

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
+from ..geometry import arc_length
 from ..types import Float32, Float64, Int64, Scan
 from .lidar import hdl64e
 from .odometry import OdometryNoise
@@ -70,7 +71,7 @@ class Route:
 
 def _driven_line(centre: Float64, offset: float) -> Float64:
     """A lane beside a centre line, corners rounded as a vehicle drives them."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
+    arc = arc_length(centre)
     s = np.arange(0.0, arc[-1], 0.25)
     even = np.stack([np.interp(s, arc, centre[:, k]) for k in (0, 1)], axis=1)
     smooth = gaussian_filter1d(even, 2.5 / 0.25, axis=0, mode="nearest")

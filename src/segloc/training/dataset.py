@@ -15,7 +15,7 @@ from ..errors import DatasetError
 from ..types import Float32, Float64, Int64, Segments
 
 FAR_M = 20.0
-"""Segments of one town count as different objects only beyond this distance (FACTS of SegMap)."""
+"""Segments of one town count as different objects only beyond this distance, as in SegMap."""
 
 
 @dataclass(frozen=True)
