@@ -8,9 +8,10 @@ from .ranging import Lidar
 from .record import process_pool, record
 from .town import town
 from .traversal import Route, SimulatedSequence, demo_sessions, simulate_session
-from .worlds import Scene, World
+from .worlds import Conditions, Scene, World
 
 __all__ = [
+    "Conditions",
     "Lidar",
     "OdometryNoise",
     "Route",

@@ -17,7 +17,7 @@ from .odometry import OdometryNoise
 from .ranging import Lidar
 from .roads import along
 from .town import town
-from .worlds import Int32, World
+from .worlds import Conditions, Int32, World
 
 _WHEELBASE = 2.6
 _TRACK = 1.5
@@ -119,6 +119,8 @@ class SimulatedSequence:
         T_odom_sensor, what the scans say: the truth, unless :meth:`with_odometry` made it worse.
     seed : int
         Of noise and lost returns. A scan depends on the seed, the session and its index alone.
+    conditions : Conditions
+        Of the session: season, what has been replaced.
     """
 
     name: str
@@ -129,6 +131,7 @@ class SimulatedSequence:
     truth: Float64
     poses: Float64
     seed: int
+    conditions: Conditions = field(default_factory=Conditions)
     _last: tuple[int, Float32, Int32] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
@@ -148,7 +151,7 @@ class SimulatedSequence:
     def object_ids(self, i: int) -> Int32:
         """Which object each point of the scan at position i lies on, (N,) int32.
 
-        What an id is, ``world.session(session).kinds`` says.
+        What an id is, ``world.session(session, conditions).kinds`` says.
         """
         return self._cast(i)[1]
 
@@ -168,7 +171,7 @@ class SimulatedSequence:
             raise DatasetError(f"{self.name}: no scan at position {i}, there are {len(self)}")
         if self._last is None or self._last[0] != i:
             rng = np.random.default_rng([self.seed, self.session, int(self.indices[i])])
-            scene = self.world.session(self.session)
+            scene = self.world.session(self.session, self.conditions)
             self._last = (i, *self.sensor.scan(scene, self.truth[i], rng))
         return self._last[1], self._last[2]
 
@@ -177,13 +180,22 @@ class SimulatedSequence:
 
 
 def simulate_session(
-    world: World, session: int, route: Route, sensor: Lidar, seed: int, *, name: str = ""
+    world: World,
+    session: int,
+    route: Route,
+    sensor: Lidar,
+    seed: int,
+    *,
+    name: str = "",
+    conditions: Conditions | None = None,
 ) -> SimulatedSequence:
     """A drive along a route in one session of a world."""
     poses = route.poses(world, sensor.mount_height_m)
     label = name or f"{world.name}-session-{session}"
     indices = np.arange(len(poses), dtype=np.int64)
-    return SimulatedSequence(label, world, session, sensor, indices, poses, poses, seed)
+    return SimulatedSequence(
+        label, world, session, sensor, indices, poses, poses, seed, conditions or Conditions()
+    )
 
 
 def _revisit(world: World, rng: np.random.Generator, mapped: list[int], length: float) -> list[int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Float64
-from .mesh import GLASS, Mesh, boxes, join, loft, tubes
+from .mesh import Mesh, boxes, glass, join, loft, tubes
 
 _TYRE = 0.08
 
@@ -145,7 +145,7 @@ def _body(
     cabin = np.flatnonzero(inside | tall)
     upper = _sections(x[cabin], belt[cabin], wide[cabin], roof[cabin], narrow[cabin])
     box = np.flatnonzero(tall & (stations >= shape.windows[1]))
-    parts = [loft(lower, paint), loft(upper, GLASS)]
+    parts = [loft(lower, paint), glass(loft(upper, 0.0))]
     top = _sections(x[cabin], roof[cabin] - 0.05, narrow[cabin], roof[cabin] + 0.01, narrow[cabin])
     parts.append(loft(top, paint))
     if len(box) > 1:
