@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from .industrial import industrial
 from .lidar import SpinningLidar, hdl32e, hdl64e, vlp16
 from .odometry import OdometryNoise
 from .ranging import Lidar
 from .record import process_pool, record
+from .scenes import SCENES
 from .town import town
 from .traversal import Route, SimulatedSequence, demo_sessions, simulate_session
 from .worlds import Conditions, Scene, World
 
 __all__ = [
+    "SCENES",
     "Conditions",
     "Lidar",
     "OdometryNoise",
@@ -22,6 +25,7 @@ __all__ = [
     "demo_sessions",
     "hdl32e",
     "hdl64e",
+    "industrial",
     "process_pool",
     "record",
     "simulate_session",

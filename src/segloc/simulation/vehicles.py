@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Float64
+from .lorries import lorry
 from .mesh import Mesh, boxes, glass, join, loft, tubes
 
 _TYRE = 0.08
+_LORRY = 7.5  # where a lorry fits, there mostly is one; metres
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,8 @@ _ODDS = {"hatchback": 0.3, "saloon": 0.17, "estate": 0.2, "suv": 0.16, "van": 0.
 
 def vehicle(rng: np.random.Generator, longest: float = 6.2) -> tuple[Mesh, tuple[float, float]]:
     """A vehicle on its wheels, centred on the origin, front towards +x, with length and width."""
+    if longest >= _LORRY and rng.random() < 0.8:
+        return lorry(rng, longest)
     names = [name for name, shape in _SHAPES.items() if shape.size[0][0] < longest]
     odds = np.array([_ODDS[name] for name in names])
     shape = _SHAPES[names[int(rng.choice(len(names), p=odds / odds.sum()))]]
