@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..types import Float32, Int64
 from .worlds import Hits
@@ -63,35 +64,41 @@ def _beams_on_edges(
 
     At most one edge a ray.
     """
-    pairs = []
+    rays, others, shares = [], [], []
     for step in sorted({1, stride}):
-        first = _edges(hits, ways, stride, step)
-        second = first + step
-        apart = np.linalg.norm(ways[second] - ways[first], axis=1)
+        first = _jumps(hits.ranges, stride, step)
+        apart = np.linalg.norm(ways[first + step] - ways[first], axis=1)
         edge = rng.random(len(first), dtype=np.float32) * apart
-        pairs.append((first, second, 0.5 - edge / np.float32(divergence)))
-        pairs.append((second, first, 0.5 - (apart - edge) / np.float32(divergence)))
-    ray, other, share = (np.concatenate(column) for column in zip(*pairs, strict=True))
+        near = np.flatnonzero(np.minimum(edge, apart - edge) < divergence / 2)
+        near = near[_edges(hits, ways, first[near], first[near] + step)]
+        first, edge, apart = first[near], edge[near], apart[near]
+        rays += [first, first + step]
+        others += [first + step, first]
+        shares += [
+            0.5 - edge / np.float32(divergence),
+            0.5 - (apart - edge) / np.float32(divergence),
+        ]
+    ray, other, share = np.concatenate(rays), np.concatenate(others), np.concatenate(shares)
     over = np.flatnonzero(share > 0)
     _, once = np.unique(ray[over], return_index=True)
     chosen = over[once]
     return ray[chosen], other[chosen], share[chosen]
 
 
-def _edges(hits: Hits, ways: Float32, stride: int, step: int) -> Int64:
-    """Rays between which and the ray ``step`` further on there is an edge."""
-    ranges = hits.ranges
+def _jumps(ranges: Float32, stride: int, step: int) -> Int64:
+    """Rays whose range differs from that of the ray ``step`` further on, same firing or beam."""
     with np.errstate(invalid="ignore"):  # infinity less infinity is no jump
         first = np.flatnonzero(np.abs(ranges[step:] - ranges[:-step]) > _JUMP_M)
-    if step < stride:
-        first = first[first % stride < stride - step]
-    second = first + step
+    return first if step == stride else first[first % stride < stride - step]
+
+
+def _edges(hits: Hits, ways: Float32, first: Int64, second: Int64) -> NDArray[np.bool_]:
+    """Whether two rays meet surfaces of which neither continues the other."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        smooth = _continues(hits, ways, first, second) | _continues(hits, ways, second, first)
-    return first[~smooth]
+        return ~(_continues(hits, ways, first, second) | _continues(hits, ways, second, first))
 
 
-def _continues(hits: Hits, ways: Float32, ray: Int64, other: Int64) -> np.ndarray:
+def _continues(hits: Hits, ways: Float32, ray: Int64, other: Int64) -> NDArray[np.bool_]:
     """Whether the other ray meets the plane in which this one's surface lies."""
     normal = hits.normals[ray]
     here = np.einsum("ij,ij->i", normal, ways[ray])

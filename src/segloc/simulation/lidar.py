@@ -46,12 +46,12 @@ class SpinningLidar(Lidar):
         """One column after another; ``phase`` is a share of one step."""
         turn = -2 * np.pi * (np.arange(self.azimuth_steps) + phase) / self.azimuth_steps
         elevation = np.radians(np.array(self.elevations_deg))
-        offset = np.resize(np.radians(np.array(self.azimuths_deg)), len(elevation))
-        azimuth = turn[:, None] + offset
+        azimuth = turn[:, None] + np.radians(np.array(self.azimuths_deg))
+        column = np.arange(len(elevation)) % len(self.azimuths_deg)
         flat = np.cos(elevation)
-        directions = np.empty((*azimuth.shape, 3), dtype=np.float32)
-        directions[..., 0] = np.cos(azimuth) * flat
-        directions[..., 1] = np.sin(azimuth) * flat
+        directions = np.empty((len(turn), len(elevation), 3), dtype=np.float32)
+        directions[..., 0] = np.cos(azimuth)[:, column] * flat
+        directions[..., 1] = np.sin(azimuth)[:, column] * flat
         directions[..., 2] = np.sin(elevation)
         beams = np.tile(np.arange(len(elevation), dtype=np.int64), self.azimuth_steps)
         times = np.arange(self.azimuth_steps) / (self.azimuth_steps * self.rate_hz)

@@ -198,15 +198,12 @@ class Lidar(ABC):
             How many scans went before.
         """
         rays = self.rays(rng.random(), number)
-        if callable(T_world_sensor):
-            T = T_world_sensor(rays.times).astype(np.float32)
-            local = rays.directions.reshape(len(T), -1, 3)
-            ways = (local @ T[:, :3, :3].transpose(0, 2, 1)).reshape(-1, 3)
-            origins = np.repeat(T[:, :3, 3], rays.beams_a_firing, axis=0)
-        else:
-            T = np.asarray(T_world_sensor, dtype=np.float32)
-            ways = rays.directions @ T[:3, :3].T
-            origins = np.broadcast_to(T[:3, 3], ways.shape)
+        poses = T_world_sensor(rays.times) if callable(T_world_sensor) else T_world_sensor
+        T = np.asarray(poses, dtype=np.float32).reshape(-1, 4, 4)  # one, or one a firing
+        local = rays.directions.reshape(len(rays.times), -1, 3)
+        ways = local @ T[:, :3, :3].transpose(0, 2, 1)
+        origins = np.broadcast_to(T[:, None, :3, 3], ways.shape).reshape(-1, 3)
+        ways = ways.reshape(-1, 3)
         return self._measure(scene, rays, origins, ways, rng)
 
     def _measure(
@@ -257,7 +254,8 @@ class Lidar(ABC):
             return found
         far = np.where(found, hits.ranges, np.float32(1.0)) / np.float32(self.reference_range_m)
         strength = hits.reflectance * hits.cosines ** np.float32(self.incidence_exponent) / far**2
-        return np.asarray(found & (draw * (1 + np.maximum(strength, 1e-4) ** -4) < 1))
+        square = np.maximum(strength, np.float32(1e-4)) ** 2
+        return np.asarray(found & (draw * (1 + 1 / square**2) < 1))
 
 
 def _lot(numbers: Int64) -> Float64:

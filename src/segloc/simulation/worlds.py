@@ -23,8 +23,6 @@ GROUND_ID = 0
 SESSION_IDS = 1_000_000
 """Objects that stay have ids below this; those of session k start at ``(k + 1) * SESSION_IDS``."""
 
-_BATCH = 32_768
-
 
 @dataclass(frozen=True)
 class Objects:
@@ -141,8 +139,11 @@ class Scene:
         self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
         self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
         ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        self._ids = np.concatenate([ground, *(group.object_ids for group in filled)])
-        self._reflectance = np.concatenate([ground_reflectance, *(g.reflectance for g in filled)])
+        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
+        # The last entry, number -1, is what rays that met nothing met.
+        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
+        shine = [group.reflectance for group in filled]
+        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
         sizes = [len(faces), *(len(group.triangles) for group in filled)]
         self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self.kinds: dict[int, str] = {GROUND_ID: "ground"}
@@ -151,29 +152,22 @@ class Scene:
 
     def cast(self, origins: Float32, directions: Float32, max_range: float) -> Hits:
         """First hits of rays from (R, 3) origins along (R, 3) unit directions."""
-        count = len(origins)
-        ranges = np.full(count, np.inf, dtype=np.float32)
-        ids = np.full(count, -1, dtype=np.int32)
-        triangles = np.full(count, -1, dtype=np.int64)
-        normals = np.zeros((count, 3), dtype=np.float32)
-        shine = np.zeros(count, dtype=np.float32)
-        for start in range(0, count, _BATCH):
-            part = slice(start, min(start + _BATCH, count))
-            way = np.ascontiguousarray(directions[part], dtype=np.float32)
-            source = np.ascontiguousarray(origins[part], dtype=np.float32)
-            far = np.full(len(way), max_range, dtype=np.float32)
-            found = self._embree.run(source, way, dists=far, output=True)
-            hit = np.flatnonzero(found["primID"] >= 0)
-            triangle = self._first[found["geomID"][hit]] + found["primID"][hit]
-            at = start + hit
-            triangles[at] = triangle
-            ranges[at] = found["tfar"][hit]
-            ids[at] = self._ids[triangle]
-            normals[at] = found["Ng"][hit]
-            shine[at] = self._reflectance[triangle]
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        slant = np.abs(np.einsum("ij,ij->i", normals, directions))
-        return Hits(ranges, ids, triangles, normals, np.minimum(slant, 1.0), shine)
+        found = self._embree.run(
+            np.ascontiguousarray(origins, dtype=np.float32),
+            np.ascontiguousarray(directions, dtype=np.float32),
+            dists=np.full(len(origins), max_range, dtype=np.float32),
+            output=True,
+        )
+        ranges, normals, missed = found["tfar"], found["Ng"], found["primID"] < 0
+        triangles = self._first[found["geomID"]] + found["primID"]
+        triangles[missed] = -1
+        ranges[missed] = np.inf
+        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        normals /= np.maximum(length, np.float32(1e-12))[:, None]
+        normals[missed] = 0.0
+        slant = np.minimum(np.abs(np.einsum("ij,ij->i", normals, directions)), np.float32(1.0))
+        ids, shine = self._ids[triangles], self._reflectance[triangles]
+        return Hits(ranges, ids, triangles, normals, slant, shine)
 
 
 @dataclass
