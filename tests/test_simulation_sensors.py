@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
@@ -159,7 +158,7 @@ def test_far_apart_surfaces_are_not_mixed_but_the_near_one_grows() -> None:
     assert (np.minimum(np.abs(depth - 10.0), np.abs(depth - 16.0)) < 1e-3).all()
     assert ((depth < 11) == (ids == FRONT)).all()
     wide = [np.abs(cloud[cloud[:, 0] < 11, 1]).max() for cloud in (exact, points)]
-    assert 0.25 <= wide[0] + 1e-3 <= wide[1] <= wide[0] + 0.02
+    assert wide[0] <= 0.25 < wide[1] <= 0.25 + 0.016
 
 
 def test_wider_beams_mix_more_and_smooth_surfaces_not_at_all() -> None:
@@ -171,9 +170,12 @@ def test_wider_beams_mix_more_and_smooth_surfaces_not_at_all() -> None:
     assert 1.6 < share(3.0) / share(1.5) < 2.4
     slope = Terrain(np.array([-40.0, -40.0]), 80.0, np.array([[-3.0, 0.0], [-3.0, 0.0]]))
     scene = Scene(slope, np.full(2, 0.3, dtype=np.float32), [])
-    exact = broad(0.0).scan(scene, np.eye(4), np.random.default_rng(0))
-    broader = broad(4.0).scan(scene, np.eye(4), np.random.default_rng(0))
-    np.testing.assert_array_equal(exact[0], broader[0])
+    clouds = [
+        broad(width).scan(scene, np.eye(4), np.random.default_rng(0))[0] for width in (0.0, 4.0)
+    ]
+    exact, broader = (cloud[np.linalg.norm(cloud, axis=1) < 30.0] for cloud in clouds)
+    assert len(exact) > 100_000
+    np.testing.assert_array_equal(exact, broader)  # inside its border the slope has no edge
 
 
 # --- motion ---------------------------------------------------------------------------------------
@@ -272,21 +274,24 @@ def test_deskewing_with_the_known_motion_gives_the_geometry_back(
     assert np.abs(world[:, 2] - small.terrain.height(*world[:, :2].T)).max() < 3e-3
 
 
-def test_skew_bends_what_a_scan_at_rest_keeps_straight(small: World, route: Route) -> None:
-    sensor = hdl64e(600).ideal()
-    drive = simulate_session(small, 0, route, sensor, 5, by_rate=True, skew=True)
-    rest = replace(drive, skew=False)
-    assert drive.motion is not None
-    assert drive.stamps is not None
-    i = int(np.diff(travelled(drive.truth)).argmax())
-    straight = deskew(drive.scan(i), drive.motion, float(drive.stamps[i])).points
-    tree = cKDTree(rest.scan(i).points)
-    raw = np.median(tree.query(drive.scan(i).points)[0])
-    fixed = np.median(tree.query(straight)[0])
-    assert fixed < 0.03 < raw
-    np.testing.assert_allclose(rest.truth, drive.truth)
+def test_skew_bends_a_wall_and_deskewing_straightens_it() -> None:
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, :3, 3] = [5.0, 1.0, 0.0]
+    poses[1, :3, :3] = Rotation.from_euler("z", 20, degrees=True).as_matrix()
+    motion = Motion(np.array([0.0, 0.5]), poses)
+    sensor = replace(hdl64e(2000).ideal(), elevations_deg=(0.0, 2.0))
+
+    def wall_of(cloud: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        T = motion.at([0.1])[0]
+        return (cloud.astype(float) @ T[:3, :3].T + T[:3, 3])[ids == BACK, 0]
+
+    returns = sensor.take(walls(3.0), lambda t: motion.at(0.1 + t), np.random.default_rng(0))
+    bent = wall_of(returns.points, returns.object_ids)
+    assert np.ptp(bent) > 0.9
+    scan = deskew(Scan(returns.points, times=returns.times), motion, 0.1)
+    np.testing.assert_allclose(wall_of(scan.points, returns.object_ids), 13.0, atol=1e-3)
     with pytest.raises(InvalidScan, match="without times"):
-        deskew(rest.scan(i), drive.motion, 0.0)
+        deskew(Scan(returns.points), motion, 0.1)
 
 
 # --- swathes --------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -142,10 +143,10 @@ class Platform:
         ConfigError
             If the line has no length.
         """
-        distance, stamps = self._timetable(line)
+        distance, stamps, speed = self._timetable(line)
         if self.gait is not None:
             even = np.arange(0.0, stamps[-1], _KNOT_S)
-            distance, stamps = np.interp(even, stamps, distance), even
+            distance, stamps = CubicHermiteSpline(stamps, distance, speed)(even), even
         xy, yaw = along(line, distance)
         feet = Footprint(self.wheelbase_m, self.track_m)
         poses = on_ground(terrain, xy, yaw, self.mount_height_m, feet, self._ride(distance))
@@ -157,8 +158,8 @@ class Platform:
         """``ride_m`` as a number of knots."""
         return self.ride_m / float(np.median(np.diff(distance)))
 
-    def _timetable(self, line: Float64) -> tuple[Float64, Float64]:
-        """Distances along the line, and when each is reached."""
+    def _timetable(self, line: Float64) -> tuple[Float64, Float64, Float64]:
+        """Distances along the line, when each is reached, and how fast."""
         length = arc_length(line)[-1]
         if not length > 2 * _KNOT_M:
             raise ConfigError(f"{self.name}: a way of {length:.2f} m is too short to move along")
@@ -170,7 +171,7 @@ class Platform:
         gain = 2 * self.braking_mps2 * step
         speed = _eased(_eased(speed, gain)[::-1], gain)[::-1]
         between = 2 * step / (speed[1:] + speed[:-1])
-        return distance, np.concatenate([[0.0], np.cumsum(between)])
+        return distance, np.concatenate([[0.0], np.cumsum(between)]), speed
 
 
 def car() -> Platform:
