@@ -23,8 +23,6 @@ GROUND_ID = 0
 SESSION_IDS = 1_000_000
 """Objects that stay have ids below this; those of session k start at ``(k + 1) * SESSION_IDS``."""
 
-_BATCH = 32_768
-
 
 @dataclass(frozen=True)
 class Conditions:
@@ -199,12 +197,15 @@ class Scene:
         self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
         self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
         ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        earth = np.full(len(faces), SOLID, dtype=np.uint8)
+        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
+        earth, blank = np.full(len(faces), SOLID, dtype=np.uint8), np.full(1, SOLID, dtype=np.uint8)
         same = np.zeros(len(faces), dtype=np.float32)
-        self._ids = np.concatenate([ground, *(group.object_ids for group in filled)])
-        self._material = np.concatenate([earth, *(group.material for group in filled)])
-        self._lots = np.concatenate([same, *(group.lots for group in filled)])
-        self._reflectance = np.concatenate([ground_reflectance, *(g.reflectance for g in filled)])
+        # The last entry, number -1, is what rays that met nothing met.
+        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
+        self._material = np.concatenate([earth, *(group.material for group in filled), blank])
+        self._lots = np.concatenate([same, *(group.lots for group in filled), dark])
+        shine = [group.reflectance for group in filled]
+        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
         sizes = [len(faces), *(len(group.triangles) for group in filled)]
         self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self.kinds: dict[int, str] = {GROUND_ID: "ground"}
@@ -213,31 +214,29 @@ class Scene:
 
     def cast(self, origins: Float32, directions: Float32, max_range: float) -> Hits:
         """First hits of rays from (R, 3) origins along (R, 3) unit directions."""
-        count = len(origins)
-        ranges = np.full(count, np.inf, dtype=np.float32)
-        ids = np.full(count, -1, dtype=np.int32)
-        material = np.full(count, SOLID, dtype=np.uint8)
-        lots = np.zeros(count, dtype=np.float32)
-        normals = np.zeros((count, 3), dtype=np.float32)
-        shine = np.zeros(count, dtype=np.float32)
-        for start in range(0, count, _BATCH):
-            part = slice(start, min(start + _BATCH, count))
-            way = np.ascontiguousarray(directions[part], dtype=np.float32)
-            source = np.ascontiguousarray(origins[part], dtype=np.float32)
-            far = np.full(len(way), max_range, dtype=np.float32)
-            found = self._embree.run(source, way, dists=far, output=True)
-            hit = np.flatnonzero(found["primID"] >= 0)
-            triangle = self._first[found["geomID"][hit]] + found["primID"][hit]
-            at = start + hit
-            ranges[at] = found["tfar"][hit]
-            ids[at] = self._ids[triangle]
-            material[at] = self._material[triangle]
-            lots[at] = self._lots[triangle]
-            normals[at] = found["Ng"][hit]
-            shine[at] = self._reflectance[triangle]
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        slant = np.abs(np.einsum("ij,ij->i", normals, directions))
-        return Hits(ranges, ids, material, lots, normals, np.minimum(slant, 1.0), shine)
+        found = self._embree.run(
+            np.ascontiguousarray(origins, dtype=np.float32),
+            np.ascontiguousarray(directions, dtype=np.float32),
+            dists=np.full(len(origins), max_range, dtype=np.float32),
+            output=True,
+        )
+        ranges, normals, missed = found["tfar"], found["Ng"], found["primID"] < 0
+        triangles = self._first[found["geomID"]] + found["primID"]
+        triangles[missed] = -1
+        ranges[missed] = np.inf
+        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        normals /= np.maximum(length, np.float32(1e-12))[:, None]
+        normals[missed] = 0.0
+        slant = np.minimum(np.abs(np.einsum("ij,ij->i", normals, directions)), np.float32(1.0))
+        return Hits(
+            ranges,
+            self._ids[triangles],
+            self._material[triangles],
+            self._lots[triangles],
+            normals,
+            slant,
+            self._reflectance[triangles],
+        )
 
 
 @dataclass
