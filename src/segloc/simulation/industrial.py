@@ -67,7 +67,7 @@ def industrial(seed: int, *, size_m: float = 330.0) -> World:
     if seed < 0:
         raise ConfigError(f"seed must not be negative, not {seed}")
     rng = np.random.default_rng([seed, 15_485_863])
-    roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width_m=(3.6, 5.6))
+    roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=(3.6, 5.6))
     paved = float(rng.uniform(4.0, 14.0))
     terrain, reflectance = paved_ground(rng, roads, size_m, slope=0.015, paved_m=paved)
     site = Site(rng, terrain, roads, Occupancy(size_m))

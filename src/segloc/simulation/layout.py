@@ -21,6 +21,7 @@ class Occupancy:
 
     def __init__(self, size_m: float, step: float = 0.25) -> None:
         self._step = step
+        self.size_m = size_m
         side = int(np.ceil(size_m / step)) + 1
         self._taken = np.zeros((side, side), dtype=bool)
 
