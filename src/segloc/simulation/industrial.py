@@ -16,9 +16,10 @@ from .containers import barriers, container_stack, drums, pallets, rubble
 from .layout import Frontage, Occupancy, Site, lay_kerb, paved_ground
 from .mesh import Mesh, above, boxes, join, quads, tubes
 from .plant import gantry, light_mast, lying_tank, pipe_rack, silos, stair_tower, upright_tank
+from .planting import town_tree
 from .roads import street_network
 from .street import cabinet, lamp, name_sign, skip_container, traffic_sign
-from .vegetation import bush, shrubs, tree
+from .vegetation import bush, shrubs
 from .vehicles import vehicle
 from .works import hall, training_house
 from .worlds import Objects, World
@@ -256,4 +257,4 @@ def _scatter(site: Site, size_m: float) -> None:
             small = shed(rng)
             site.erect("shed", small.mesh, at, (small.width, small.depth), yaw, margin=0.3)
         elif clear > 8 or pick > 0.95:
-            site.stand("tree", tree(rng), at, yaw, 1.2)
+            site.stand("tree", town_tree(rng, 3.0, 14.0), at, yaw, 1.2)
