@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from .forest import forest
 from .lidar import SpinningLidar, hdl32e, hdl64e, vlp16
+from .meadow import meadow
 from .odometry import OdometryNoise
+from .park import park
 from .ranging import Lidar
 from .record import process_pool, record
 from .town import town
@@ -20,8 +23,11 @@ __all__ = [
     "SpinningLidar",
     "World",
     "demo_sessions",
+    "forest",
     "hdl32e",
     "hdl64e",
+    "meadow",
+    "park",
     "process_pool",
     "record",
     "simulate_session",

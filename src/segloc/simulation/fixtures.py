@@ -191,7 +191,9 @@ def gate(rng: np.random.Generator) -> Mesh:
 def post_row(rng: np.random.Generator, line: Float64) -> Mesh:
     """Fence posts over a (n, 3) ground line, leaning each its own way, with wires or rails."""
     high = rng.uniform(0.9, 1.5)
-    top = line + above(high) + np.column_stack([rng.normal(0, 0.07, (len(line), 2)), 0 * line[:, 0]])
+    top = (
+        line + above(high) + np.column_stack([rng.normal(0, 0.07, (len(line), 2)), 0 * line[:, 0]])
+    )
     radius = rng.uniform(0.04, 0.09)
     posts = tubes(line - above(0.2), top, [radius, 0.9 * radius], _WOOD, sides=6)
     parts, thick = [posts], 0.04 if rng.random() < 0.4 else 0.006
