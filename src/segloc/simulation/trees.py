@@ -137,9 +137,7 @@ EVERGREEN = frozenset({"spruce", "pine", "yew"})
 """Species that keep their leaves in winter."""
 
 
-def grow(
-    rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: float = 1.0
-) -> Mesh:
+def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: float = 1.0) -> Mesh:
     """A tree with its foot at the origin.
 
     Parameters
@@ -243,9 +241,7 @@ def _branches(
     reach = wide * profile * rng.uniform(0.65, 1.15, count)
     turn = rng.uniform(0, 2 * np.pi) + _GOLDEN * np.arange(count) + rng.normal(0, 0.4, count)
     rise = np.interp(up, [0, 1], species.rise) + rng.normal(0, 0.15, count)
-    way = np.stack(
-        [np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], axis=1
-    )
+    way = np.stack([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], axis=1)
     s = np.array([0.0, 0.33, 0.67, 1.0])[:, None]
     line = start[:, None] + reach[:, None, None] * (s * way[:, None])
     line[:, :, 2] -= species.droop * reach[:, None] * s[:, 0] ** 2
