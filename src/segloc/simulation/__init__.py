@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .industrial import industrial
 from .lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
 from .linescan import LineLidar, lms151
 from .motion import Motion, deskew
@@ -11,14 +12,17 @@ from .ranging import Lidar, Rays, Returns
 from .record import process_pool, record
 from .rosette import RosetteLidar, solid_state
 from .route import Route
+from .scenes import SCENES
 from .sensors import SENSORS
 from .town import town
 from .traversal import SimulatedSequence, demo_sessions, simulate_session
-from .worlds import Scene, World
+from .worlds import Conditions, Scene, World
 
 __all__ = [
     "PLATFORMS",
+    "SCENES",
     "SENSORS",
+    "Conditions",
     "Gait",
     "Lidar",
     "LineLidar",
@@ -39,6 +43,7 @@ __all__ = [
     "handheld",
     "hdl32e",
     "hdl64e",
+    "industrial",
     "legged",
     "lms151",
     "os1_64",

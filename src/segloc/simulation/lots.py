@@ -80,23 +80,13 @@ def _draw_building(
 
 
 def _place(site: Site, front: Frontage, building: Building, s: float, beyond_kerb: float) -> bool:
-    """Build if the plan is free and off every street."""
+    """Put a building with its front on a line along the street, unless it would stand on others.
+
+    Nor may it stand on any street.
+    """
     at, yaw = front.at(s, beyond_kerb + building.depth / 2)
     turn = float(yaw + site.rng.normal(0, 0.012))
-    size = (building.width, building.depth)
-    grid = (
-        np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 5)), -1).reshape(
-            -1, 2
-        )
-        * size
-    )
-    c, si = np.cos(turn), np.sin(turn)
-    plan = grid @ np.array([[c, si], [-si, c]]) + at
-    if site.roads.clearance(plan).min() < 1.2 or not site.ground.claim(at, size, turn):
-        return False
-    z = float(site.terrain.height(*plan.T).mean())
-    site.items.append(("house", building.mesh.moved([*at, z], turn)))
-    return True
+    return site.erect("house", building.mesh, at, (building.width, building.depth), turn)
 
 
 def _edge(site: Site, kind: str, points: Float64) -> None:

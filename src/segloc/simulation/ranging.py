@@ -231,8 +231,8 @@ class Lidar(ABC):
 
     def _meet_glass(self, scene: Scene, origins: Float32, ways: Float32, hits: Hits) -> None:
         """Follow rays through panes or off them; changes ``hits`` in place."""
-        pane = np.flatnonzero(hits.reflectance == np.float32(GLASS))
-        kind = _lot(hits.triangles[pane])
+        pane = np.flatnonzero(hits.material == GLASS)
+        kind = hits.lots[pane]
         pane, kind = pane[kind > _DIRTY], kind[kind > _DIRTY]
         mirrored = kind > 1 - _MIRRORED
         way, normal = ways[pane], hits.normals[pane]
@@ -240,7 +240,7 @@ class Lidar(ABC):
         onward = np.where(mirrored[:, None], bounced, way).astype(np.float32)
         start = origins[pane] + way * hits.ranges[pane, None] + onward * np.float32(_SKIN)
         behind = scene.cast(start, onward, self.max_range_m)
-        lost = behind.reflectance == np.float32(GLASS)
+        lost = behind.material == GLASS
         left = np.where(mirrored, np.float32(_MIRRORED_TWICE), np.float32(_THROUGH_TWICE))
         hits.ranges[pane] += np.where(lost, np.float32(np.inf), behind.ranges + np.float32(_SKIN))
         hits.object_ids[pane] = np.where(mirrored, -1, behind.object_ids)
@@ -256,11 +256,3 @@ class Lidar(ABC):
         strength = hits.reflectance * hits.cosines ** np.float32(self.incidence_exponent) / far**2
         square = np.maximum(strength, np.float32(1e-4)) ** 2
         return np.asarray(found & (draw * (1 + 1 / square**2) < 1))
-
-
-def _lot(numbers: Int64) -> Float64:
-    """A number in [0, 1) for each of (n,) numbers: always the same, without a pattern."""
-    mixed = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    mixed ^= mixed >> np.uint64(29)
-    mixed *= np.uint64(0xBF58476D1CE4E5B9)
-    return np.asarray((mixed >> np.uint64(11)).astype(np.float64) / 2.0**53)

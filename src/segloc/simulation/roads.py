@@ -152,7 +152,12 @@ class RoadNetwork:
 
 
 def street_network(
-    rng: np.random.Generator, size_m: float, *, margin_m: float, block_m: float
+    rng: np.random.Generator,
+    size_m: float,
+    *,
+    margin_m: float,
+    block_m: float,
+    half_width_m: tuple[float, float] = (3.4, 4.8),
 ) -> RoadNetwork:
     """A lattice of junctions bent out of shape, some streets missing, each street curved."""
     count = max(2, round((size_m - 2 * margin_m) / block_m) + 1)
@@ -163,7 +168,7 @@ def street_network(
     pairs = _lattice_pairs(count)
     kept = _drop_some(rng, pairs, len(nodes), share=0.22)
     streets = tuple(
-        Street((int(a), int(b)), _curve(rng, nodes[a], nodes[b]), float(rng.uniform(3.4, 4.8)))
+        Street((int(a), int(b)), _curve(rng, nodes[a], nodes[b]), float(rng.uniform(*half_width_m)))
         for a, b in kept
     )
     return RoadNetwork(nodes, streets)

@@ -7,12 +7,10 @@ from functools import lru_cache
 import numpy as np
 
 from ..errors import ConfigError
-from ..types import Float32
 from .buildings import shed
-from .layout import Frontage, Occupancy, Site
+from .layout import Frontage, Occupancy, Site, lay_kerb, paved_ground
 from .lots import build_along, dress
-from .mesh import loft
-from .roads import RoadNetwork, Street, street_network
+from .roads import Street, street_network
 from .street import (
     FURNITURE,
     lamp,
@@ -20,14 +18,11 @@ from .street import (
     traffic_sign,
     utility_pole,
 )
-from .terrain import Terrain, relief, roughness
 from .vegetation import bush, tree
-from .worlds import Objects, Spots, World
+from .worlds import Objects, World
 
 _MARGIN = 38.0
 _BLOCK = 68.0
-_KERB = 0.12
-_STEP = 0.5
 
 
 @lru_cache(maxsize=2)
@@ -45,11 +40,11 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
         raise ConfigError(f"seed must not be negative, not {seed}")
     rng = np.random.default_rng([seed, 104729])
     roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK)
-    terrain, reflectance = _ground(rng, roads, size_m)
+    terrain, reflectance = paved_ground(rng, roads, size_m)
     site = Site(rng, terrain, roads, Occupancy(size_m))
     fronts = [_frontage(rng, street, side) for street in roads.streets for side in (1, -1)]
     for front in fronts:
-        _kerb(site, front)
+        lay_kerb(site, front)
         _pavement(site, front)
     for node in range(len(roads.nodes)):
         _junction(site, node)
@@ -59,14 +54,16 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
     for front in fronts:
         _street_parking(site, front)
     _gardens(site, size_m)
-    spots = Spots(
-        np.array(site.parking).reshape(-1, 5),
-        np.array(site.people).reshape(-1, 2),
-        np.array(site.bicycles).reshape(-1, 3),
-    )
     static = Objects.of(site.items, 1)
     return World(
-        f"town-{seed}", seed, terrain, reflectance, roads, static, spots, (_remake, (seed, size_m))
+        f"town-{seed}",
+        seed,
+        terrain,
+        reflectance,
+        roads,
+        static,
+        site.spots(),
+        (_remake, (seed, size_m)),
     )
 
 
@@ -78,35 +75,6 @@ def _frontage(rng: np.random.Generator, street: Street, side: int) -> Frontage:
     kinds = ["villas", "terrace", "flats", "mixed", "green"]
     character = str(rng.choice(kinds, p=[0.34, 0.24, 0.12, 0.2, 0.1]))
     return Frontage(street, side, float(rng.uniform(1.3, 2.8)), character)
-
-
-def _ground(rng: np.random.Generator, roads: RoadNetwork, size_m: float) -> tuple[Terrain, Float32]:
-    count = int(np.ceil(size_m / _STEP)) + 1
-    axis = _STEP * np.arange(count)
-    x, y = np.meshgrid(axis, axis)
-    clear = roads.clearance(np.stack([x, y], axis=-1))
-    kerb = _KERB * np.clip((clear - 0.1) / 0.3, 0, 1)
-    lawn = np.clip((clear - 2.5) / 1.5, 0, 1)
-    bumps = roughness(rng, x.shape) * (0.008 + 0.032 * lawn)
-    heights = relief(rng, x, y) + kerb + bumps
-    shine = np.where(clear < 0.2, 0.13, np.where(clear < 2.0, 0.25, 0.4)).astype(np.float32)
-    cells = shine[:-1, :-1].reshape(-1)
-    return Terrain(np.zeros(2), _STEP, heights), np.repeat(cells, 2)
-
-
-def _kerb(site: Site, front: Frontage) -> None:
-    """Kerb stones where the pavement meets the carriageway, not across side roads."""
-    s = np.arange(0.0, front.street.length, 1.0)
-    inner, _ = front.at(s, 0.0)
-    outer, _ = front.at(s, 0.18)
-    along = site.roads.clearance(inner) > -0.15
-    z = site.terrain.height(*front.at(s, -0.3)[0].T) + _KERB
-    profile = [(inner, -0.3), (inner, 0.0), (outer, 0.0), (outer, -0.3)]
-    sections = np.stack([np.column_stack([xy, z + dz]) for xy, dz in profile], axis=1)
-    runs = np.flatnonzero(np.diff(np.concatenate([[0], along.astype(int), [0]])))
-    for begin, end in runs.reshape(-1, 2):
-        if end - begin >= 2:
-            site.items.append(("kerb", loft(sections[begin:end], 0.35)))
 
 
 def _pavement(site: Site, front: Frontage) -> None:

@@ -17,7 +17,7 @@ from .platforms import Platform, car
 from .ranging import Lidar, PosesAt, Returns
 from .route import Route
 from .town import town
-from .worlds import Int32, World
+from .worlds import Conditions, Int32, World
 
 
 @dataclass
@@ -45,6 +45,8 @@ class SimulatedSequence:
     skew : bool
         Whether the sensor moves on while it scans. Then scans have times, each point is in the
         frame of its own moment, and poses are those at the start of the scan.
+    conditions : Conditions
+        Of the session: season, what has been replaced.
     """
 
     name: str
@@ -58,6 +60,7 @@ class SimulatedSequence:
     stamps: Float64 | None = None
     motion: Motion | None = None
     skew: bool = False
+    conditions: Conditions = field(default_factory=Conditions)
     _last: tuple[int, Returns] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
@@ -82,7 +85,7 @@ class SimulatedSequence:
     def object_ids(self, i: int) -> Int32:
         """Which object each point of the scan at position i lies on, (N,) int32.
 
-        What an id is, ``world.session(session).kinds`` says.
+        What an id is, ``world.session(session, conditions).kinds`` says.
         """
         return self._cast(i).object_ids
 
@@ -104,7 +107,7 @@ class SimulatedSequence:
         if self._last is None or self._last[0] != i:
             number = int(self.indices[i])
             rng = np.random.default_rng([self.seed, self.session, number])
-            scene = self.world.session(self.session)
+            scene = self.world.session(self.session, self.conditions)
             pose = self._poses_from(i) if self.skew else self.truth[i]
             self._last = (i, self.sensor.take(scene, pose, rng, number))
         return self._last[1]
@@ -130,6 +133,7 @@ def simulate_session(
     platform: Platform | None = None,
     by_rate: bool = False,
     skew: bool = False,
+    conditions: Conditions | None = None,
 ) -> SimulatedSequence:
     """A drive along a route in one session of a world.
 
@@ -150,6 +154,8 @@ def simulate_session(
         Scans at the sensor's rate instead of every ``spacing_m`` of the route.
     skew : bool
         Let the sensor move while it scans.
+    conditions : Conditions, optional
+        Of the session: season, what has been replaced.
 
     Raises
     ------
@@ -166,7 +172,18 @@ def simulate_session(
         poses = motion.at(stamps)
     indices = np.arange(len(poses), dtype=np.int64)
     return SimulatedSequence(
-        label, world, session, sensor, indices, poses, poses, seed, stamps, motion, skew
+        label,
+        world,
+        session,
+        sensor,
+        indices,
+        poses,
+        poses,
+        seed,
+        stamps,
+        motion,
+        skew,
+        conditions or Conditions(),
     )
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError, MissingDependency
-from ..types import Float32, Float64, Int64
-from .mesh import Mesh
+from ..types import Float32, Float64
+from .mesh import LEAF, SOLID, Mesh, UInt8, join
 from .roads import RoadNetwork
 from .street import person
 from .terrain import Terrain
@@ -25,6 +25,37 @@ SESSION_IDS = 1_000_000
 
 
 @dataclass(frozen=True)
+class Conditions:
+    """How a session differs from the world as it was made, beside parked cars and people.
+
+    Attributes
+    ----------
+    foliage : float
+        Share of the leaves that are there: 1 in summer, 0 in winter. Leaves fall in a fixed order,
+        so that what is there at 0.5 is also there at 0.8.
+    replaced : float
+        Share of the replaceable objects that are gone; about as many others stand near by.
+    scaffolding : float
+        Share of the buildings with scaffolding before their front.
+
+    Raises
+    ------
+    ConfigError
+        If a value is not in 0..1.
+    """
+
+    foliage: float = 1.0
+    replaced: float = 0.0
+    scaffolding: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not 0 <= value <= 1:
+                raise ConfigError(f"{item.name} must be in 0..1, not {value}")
+
+
+@dataclass(frozen=True)
 class Objects:
     """Triangles of many objects.
 
@@ -33,14 +64,19 @@ class Objects:
     triangles : (T, 3, 3) float32
         World frame, metres.
     reflectance : (T,) float32
+    material : (T,) uint8
     object_ids : (T,) int32
+    lots : (T,) float32
+        A number in [0, 1) that each triangle keeps: which leaf falls when, which pane is dirty.
     kinds : dict
         What each object id is: "house", "tree", "car", ...
     """
 
     triangles: Float32
     reflectance: Float32
+    material: UInt8
     object_ids: Int32
+    lots: Float32
     kinds: dict[int, str]
 
     @staticmethod
@@ -48,14 +84,33 @@ class Objects:
         """Number (kind, mesh) items upwards from ``first_id``."""
         sizes = [len(mesh) for _, mesh in items]
         ids = first_id + np.repeat(np.arange(len(items)), sizes)
-        soup = [mesh.triangles.astype(np.float32) for _, mesh in items]
-        shine = [mesh.reflectance for _, mesh in items]
+        surface = join(mesh for _, mesh in items)
         return Objects(
-            np.concatenate([np.zeros((0, 3, 3), dtype=np.float32), *soup]),
-            np.concatenate([np.zeros(0, dtype=np.float32), *shine]),
+            surface.triangles.astype(np.float32),
+            surface.reflectance,
+            surface.material,
             ids.astype(np.int32),
+            _lots(first_id, len(ids)),
             {first_id + k: kind for k, (kind, _) in enumerate(items)},
         )
+
+    def only(self, mask: NDArray[np.bool_]) -> Objects:
+        """The triangles of a (T,) mask, and the kinds of the objects that are left."""
+        ids = self.object_ids[mask]
+        return Objects(
+            self.triangles[mask],
+            self.reflectance[mask],
+            self.material[mask],
+            ids,
+            self.lots[mask],
+            {int(k): self.kinds[int(k)] for k in np.unique(ids)},
+        )
+
+    def with_foliage(self, share: float) -> Objects:
+        """The objects with that share of their leaves."""
+        if share == 1:
+            return self
+        return self.only((self.material != LEAF) | (self.lots < share))
 
 
 @dataclass(frozen=True)
@@ -92,8 +147,10 @@ class Hits:
         Metres; infinite where nothing was met.
     object_ids : (R,) int32
         -1 where nothing was met.
-    triangles : (R,) int64
-        Number of the triangle within the scene; -1 where nothing was met.
+    material : (R,) uint8
+        Of the surface; ``SOLID`` where nothing was met.
+    lots : (R,) float32
+        A number in [0, 1) that belongs to the triangle.
     normals : (R, 3) float32
         Unit normals, on either side of the surface.
     cosines : (R,) float32
@@ -103,7 +160,8 @@ class Hits:
 
     ranges: Float32
     object_ids: Int32
-    triangles: Int64
+    material: UInt8
+    lots: Float32
     normals: Float32
     cosines: Float32
     reflectance: Float32
@@ -139,11 +197,18 @@ class Scene:
         self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
         self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
         ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
-        # The last entry, number -1, is what rays that met nothing met.
-        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
+        # The last entry of each, number -1, is what rays that met nothing met.
+        ids = [group.object_ids for group in filled]
+        self._ids = np.concatenate([ground, *ids, np.full(1, -1, dtype=np.int32)])
+        material = [group.material for group in filled]
+        self._material = np.concatenate(
+            [np.full(len(faces), SOLID, dtype=np.uint8), *material, np.full(1, SOLID, np.uint8)]
+        )
+        zero = np.zeros(1, dtype=np.float32)
+        lots = [group.lots for group in filled]
+        self._lots = np.concatenate([np.zeros(len(faces), dtype=np.float32), *lots, zero])
         shine = [group.reflectance for group in filled]
-        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
+        self._reflectance = np.concatenate([ground_reflectance, *shine, zero])
         sizes = [len(faces), *(len(group.triangles) for group in filled)]
         self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self.kinds: dict[int, str] = {GROUND_ID: "ground"}
@@ -166,8 +231,9 @@ class Scene:
         normals /= np.maximum(length, np.float32(1e-12))[:, None]
         normals[missed] = 0.0
         slant = np.minimum(np.abs(np.einsum("ij,ij->i", normals, directions)), np.float32(1.0))
-        ids, shine = self._ids[triangles], self._reflectance[triangles]
-        return Hits(ranges, ids, triangles, normals, slant, shine)
+        surface = (self._ids, self._material, self._lots, self._reflectance)
+        ids, material, lots, shine = (values[triangles] for values in surface)
+        return Hits(ranges, ids, material, lots, normals, slant, shine)
 
 
 @dataclass
@@ -197,10 +263,12 @@ class World:
     static: Objects
     spots: Spots
     recipe: tuple[Callable[..., World], tuple[Any, ...]] | None = None
-    _scenes: dict[int, Scene] = field(default_factory=dict, repr=False)
+    _scenes: dict[tuple[int, Conditions], Scene] = field(default_factory=dict, repr=False)
 
-    def session(self, k: int) -> Scene:
+    def session(self, k: int, conditions: Conditions | None = None) -> Scene:
         """The world in session k: same houses, other parked cars and people.
+
+        The scene depends on the world, k and the conditions alone.
 
         Raises
         ------
@@ -211,11 +279,15 @@ class World:
         """
         if not 0 <= k <= 1000:
             raise ConfigError(f"session must be in 0..1000, not {k}")
-        if k not in self._scenes:
+        conditions = conditions or Conditions()
+        key = (k, conditions)
+        if key not in self._scenes:
             self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
-            groups = [self.static, self.changing(k)]
-            self._scenes[k] = Scene(self.terrain, self.ground_reflectance, groups)
-        return self._scenes[k]
+            groups = [
+                group.with_foliage(conditions.foliage) for group in (self.static, self.changing(k))
+            ]
+            self._scenes[key] = Scene(self.terrain, self.ground_reflectance, groups)
+        return self._scenes[key]
 
     def changing(self, k: int) -> Objects:
         """Vehicles, people and bicycles of session k."""
@@ -244,7 +316,7 @@ class World:
         c, s = np.cos(turn), np.sin(turn)
         front, rear = (self.terrain.height(x + k * c, y + k * s) for k in (1.3, -1.3))
         left, right = (self.terrain.height(x - k * s, y + k * c) for k in (0.7, -0.7))
-        tilted = Mesh(mesh.triangles.copy(), mesh.reflectance)
+        tilted = replace(mesh, triangles=mesh.triangles.copy())
         tilted.triangles[..., 2] += (front - rear) / 2.6 * mesh.triangles[..., 0]
         tilted.triangles[..., 2] += (left - right) / 1.4 * mesh.triangles[..., 1]
         return tilted.moved([float(x), float(y), float((front + rear) / 2)], turn)
@@ -257,3 +329,13 @@ class World:
             return self.recipe
         state = (self.name, self.seed, self.terrain, self.ground_reflectance)
         return World, (*state, self.roads, self.static, self.spots)
+
+
+def _lots(first: int, count: int) -> Float32:
+    """A number in [0, 1) for each of ``count`` numbers from ``first``: without a pattern."""
+    mixed = np.arange(count, dtype=np.uint64) + np.uint64(first)
+    mixed *= np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= mixed >> np.uint64(29)
+    mixed *= np.uint64(0xBF58476D1CE4E5B9)
+    mixed ^= mixed >> np.uint64(32)
+    return np.asarray((mixed >> np.uint64(40)).astype(np.float32) * np.float32(2.0**-24))

@@ -1,0 +1,15 @@
+"""The kinds of worlds by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .industrial import industrial
+from .town import town
+from .worlds import World
+
+SCENES: dict[str, Callable[..., World]] = {
+    "industrial": industrial,
+    "town": town,
+}
+"""Each is called with a seed, and ``size_m`` where its own default does not do."""
