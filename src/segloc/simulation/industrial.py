@@ -16,9 +16,10 @@ from .containers import barriers, container_stack, drums, pallets, rubble
 from .layout import Frontage, Occupancy, Site, lay_kerb, paved_ground
 from .mesh import Mesh, above, boxes, join, quads, tubes
 from .plant import gantry, light_mast, lying_tank, pipe_rack, silos, stair_tower, upright_tank
+from .planting import town_tree
 from .roads import street_network
 from .street import cabinet, lamp, name_sign, skip_container, traffic_sign
-from .vegetation import bush, shrubs, tree
+from .vegetation import bush, shrubs
 from .vehicles import vehicle
 from .works import hall, training_house
 from .worlds import Objects, World
@@ -67,7 +68,7 @@ def industrial(seed: int, *, size_m: float = 330.0) -> World:
     if seed < 0:
         raise ConfigError(f"seed must not be negative, not {seed}")
     rng = np.random.default_rng([seed, 15_485_863])
-    roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width_m=(3.6, 5.6))
+    roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=(3.6, 5.6))
     paved = float(rng.uniform(4.0, 14.0))
     terrain, reflectance = paved_ground(rng, roads, size_m, slope=0.015, paved_m=paved)
     site = Site(rng, terrain, roads, Occupancy(size_m))
@@ -256,4 +257,4 @@ def _scatter(site: Site, size_m: float) -> None:
             small = shed(rng)
             site.erect("shed", small.mesh, at, (small.width, small.depth), yaw, margin=0.3)
         elif clear > 8 or pick > 0.95:
-            site.stand("tree", tree(rng), at, yaw, 1.2)
+            site.stand("tree", town_tree(rng, 3.0, 14.0), at, yaw, 1.2)

@@ -21,6 +21,7 @@ class Occupancy:
 
     def __init__(self, size_m: float, step: float = 0.25) -> None:
         self._step = step
+        self.size_m = size_m
         side = int(np.ceil(size_m / step)) + 1
         self._taken = np.zeros((side, side), dtype=bool)
 
@@ -74,12 +75,15 @@ class Frontage:
         Width, metres.
     character : str
         What is built: "villas", "terrace", "flats", "mixed" or "green".
+    setback : float
+        Times the usual depth of front gardens.
     """
 
     street: Street
     side: int
     pavement: float
     character: str
+    setback: float = 1.0
 
     def at(self, s: float | Float64, beyond_kerb: float | Float64) -> tuple[Float64, Float64]:
         """Points and yaws; local +y leads away from the street."""
@@ -91,7 +95,7 @@ class Frontage:
 
 @dataclass
 class Site:
-    """A settlement being laid out."""
+    """A settlement being laid out; ``green`` says how much grows in it, 0 to 1."""
 
     rng: np.random.Generator
     terrain: Terrain
@@ -101,6 +105,7 @@ class Site:
     parking: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     people: list[Float64] = field(default_factory=list)
     bicycles: list[tuple[float, float, float]] = field(default_factory=list)
+    green: float = 0.5
 
     def stand(self, kind: str, mesh: Mesh, at: Float64, yaw: float, size: float) -> bool:
         """Stand an object of about ``size`` metres on free ground; False if there is none."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from .forest import forest
 from .industrial import industrial
 from .town import town
 from .worlds import World
 
 SCENES: dict[str, Callable[..., World]] = {
+    "forest": forest,
     "industrial": industrial,
     "town": town,
 }

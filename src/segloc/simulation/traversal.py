@@ -130,10 +130,10 @@ def simulate_session(
     seed: int,
     *,
     name: str = "",
+    conditions: Conditions | None = None,
     platform: Platform | None = None,
     by_rate: bool = False,
     skew: bool = False,
-    conditions: Conditions | None = None,
 ) -> SimulatedSequence:
     """A drive along a route in one session of a world.
 
@@ -147,6 +147,8 @@ def simulate_session(
         Of noise, lost returns and sway.
     name : str
         By default that of the world and the session.
+    conditions : Conditions, optional
+        Of the session: season, what has been replaced.
     platform : Platform, optional
         What carries the sensor, at the platform's height. Without one the sensor is put from place
         to place at its own height, unless ``by_rate`` or ``skew`` ask for motion: then by a car.
@@ -154,8 +156,6 @@ def simulate_session(
         Scans at the sensor's rate instead of every ``spacing_m`` of the route.
     skew : bool
         Let the sensor move while it scans.
-    conditions : Conditions, optional
-        Of the session: season, what has been replaced.
 
     Raises
     ------

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Float64
-from .mesh import Mesh, join, quads, scraps
+from .mesh import LEAF, SOLID, Mesh, join, quads, scraps
 
 _GOLDEN = 2.4  # radians from one branch to the next, about the golden angle
 _TWIGS_FROM = 0.45  # detail below which twigs carry leaves but are not drawn
@@ -134,6 +134,7 @@ SPECIES: dict[str, Species] = {
 """Broadleaves, conifers, shrubs of tree shape, and dead wood."""
 
 EVERGREEN = frozenset({"spruce", "pine", "yew"})
+"""Species that keep their leaves in winter."""
 
 
 def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: float = 1.0) -> Mesh:
@@ -161,7 +162,8 @@ def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: flo
     twigs = _twigs(rng, species, branches)
     if detail > _TWIGS_FROM:
         parts.append(limbs(twigs, np.array([0.014, 0.006]), species.bark, 3))
-    parts.append(_leaves(rng, species, twigs, detail))
+    material = SOLID if kind in EVERGREEN else LEAF
+    parts.append(_leaves(rng, species, twigs, detail, material))
     return join(parts)
 
 
@@ -283,7 +285,9 @@ def _twigs(rng: np.random.Generator, species: Species, branches: Float64) -> Flo
     return np.stack([start, start + reach[:, None] * way], axis=1)
 
 
-def _leaves(rng: np.random.Generator, species: Species, twigs: Float64, detail: float) -> Mesh:
+def _leaves(
+    rng: np.random.Generator, species: Species, twigs: Float64, detail: float, material: int
+) -> Mesh:
     length = np.linalg.norm(twigs[:, 1] - twigs[:, 0], axis=1)
     dense = detail * float(rng.uniform(*species.leaves))
     wanted = length * dense * rng.uniform(0.4, 1.6, len(length))
@@ -291,5 +295,6 @@ def _leaves(rng: np.random.Generator, species: Species, twigs: Float64, detail: 
     of = np.repeat(np.arange(len(twigs)), many)
     t = rng.uniform(0.1, 1.1, (len(of), 1))
     center = twigs[of, 0] * (1 - t) + twigs[of, 1] * t
-    center += rng.normal(0, 0.16, (len(of), 3))
-    return scraps(rng, center, species.leaf / np.sqrt(detail), float(rng.uniform(0.4, 0.6)))
+    center += rng.normal(0, 0.22, (len(of), 3))
+    shine = float(rng.uniform(0.4, 0.6))
+    return scraps(rng, center, 1.2 * species.leaf / np.sqrt(detail), shine, material)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError, MissingDependency
 from ..types import Float32, Float64
+from .changes import BUILT, REPLACEABLE, Extent, Footing, replace_some, road_works, scaffold
 from .mesh import LEAF, SOLID, Mesh, UInt8, join
 from .roads import RoadNetwork
 from .street import person
@@ -22,6 +23,8 @@ Int32: TypeAlias = NDArray[np.int32]
 GROUND_ID = 0
 SESSION_IDS = 1_000_000
 """Objects that stay have ids below this; those of session k start at ``(k + 1) * SESSION_IDS``."""
+
+_ROAD_WORKS = 0.012  # at how many of the places to park they dig
 
 
 @dataclass(frozen=True)
@@ -197,18 +200,15 @@ class Scene:
         self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
         self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
         ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        # The last entry of each, number -1, is what rays that met nothing met.
-        ids = [group.object_ids for group in filled]
-        self._ids = np.concatenate([ground, *ids, np.full(1, -1, dtype=np.int32)])
-        material = [group.material for group in filled]
-        self._material = np.concatenate(
-            [np.full(len(faces), SOLID, dtype=np.uint8), *material, np.full(1, SOLID, np.uint8)]
-        )
-        zero = np.zeros(1, dtype=np.float32)
-        lots = [group.lots for group in filled]
-        self._lots = np.concatenate([np.zeros(len(faces), dtype=np.float32), *lots, zero])
+        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
+        earth, blank = np.full(len(faces), SOLID, dtype=np.uint8), np.full(1, SOLID, dtype=np.uint8)
+        same = np.zeros(len(faces), dtype=np.float32)
+        # The last entry, number -1, is what rays that met nothing met.
+        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
+        self._material = np.concatenate([earth, *(group.material for group in filled), blank])
+        self._lots = np.concatenate([same, *(group.lots for group in filled), dark])
         shine = [group.reflectance for group in filled]
-        self._reflectance = np.concatenate([ground_reflectance, *shine, zero])
+        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
         sizes = [len(faces), *(len(group.triangles) for group in filled)]
         self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self.kinds: dict[int, str] = {GROUND_ID: "ground"}
@@ -231,9 +231,15 @@ class Scene:
         normals /= np.maximum(length, np.float32(1e-12))[:, None]
         normals[missed] = 0.0
         slant = np.minimum(np.abs(np.einsum("ij,ij->i", normals, directions)), np.float32(1.0))
-        surface = (self._ids, self._material, self._lots, self._reflectance)
-        ids, material, lots, shine = (values[triangles] for values in surface)
-        return Hits(ranges, ids, material, lots, normals, slant, shine)
+        return Hits(
+            ranges,
+            self._ids[triangles],
+            self._material[triangles],
+            self._lots[triangles],
+            normals,
+            slant,
+            self._reflectance[triangles],
+        )
 
 
 @dataclass
@@ -283,18 +289,54 @@ class World:
         key = (k, conditions)
         if key not in self._scenes:
             self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
-            groups = [
-                group.with_foliage(conditions.foliage) for group in (self.static, self.changing(k))
-            ]
-            self._scenes[key] = Scene(self.terrain, self.ground_reflectance, groups)
+            groups = [*self._standing(k, conditions), self.changing(k)]
+            leafy = [group.with_foliage(conditions.foliage) for group in groups]
+            self._scenes[key] = Scene(self.terrain, self.ground_reflectance, leafy)
         return self._scenes[key]
 
+    def _standing(self, k: int, conditions: Conditions) -> list[Objects]:
+        """What stays, less what is gone in session k; and what is put up instead."""
+        rng = np.random.default_rng([self.seed, 7927, k])
+        gone: set[int] = set()
+        items: list[tuple[str, Mesh]] = []
+        if conditions.replaced:
+            parked = self.spots.parking[:, :2]
+            footing = Footing(self.static.triangles, self.terrain, parked, self.roads.clearance)
+            things = self._extents(frozenset(REPLACEABLE))
+            gone, items = replace_some(rng, conditions.replaced, things, footing, self.terrain)
+        rng = np.random.default_rng([self.seed, 7933, k])
+        if conditions.scaffolding:
+            for _, (_, extent) in sorted(self._extents(BUILT).items()):
+                if rng.random() < conditions.scaffolding:
+                    mesh = scaffold(rng, extent, self.terrain, self.roads.clearance)
+                    items.append(("scaffolding", mesh))
+        if not (gone or items):
+            return [self.static]
+        stays = ~np.isin(self.static.object_ids, sorted(gone))
+        added = Objects.of(items, (k + 1) * SESSION_IDS + SESSION_IDS // 2)
+        return [self.static.only(stays), added]
+
+    def _extents(self, kinds: frozenset[str]) -> dict[int, tuple[str, Extent]]:
+        """The static objects of some kinds by id."""
+        ids = self.static.object_ids
+        wanted = {k: kind for k, kind in self.static.kinds.items() if kind in kinds}
+        numbers = np.array(sorted(wanted), dtype=ids.dtype)
+        first, last = (np.searchsorted(ids, numbers, side) for side in ("left", "right"))
+        return {
+            int(k): (wanted[int(k)], Extent.of(self.static.triangles[a:b]))
+            for k, a, b in zip(numbers, first, last, strict=True)
+            if b > a
+        }
+
     def changing(self, k: int) -> Objects:
-        """Vehicles, people and bicycles of session k."""
+        """Vehicles, people, bicycles and road works of session k."""
         rng = np.random.default_rng([self.seed, 7919, k])
         items: list[tuple[str, Mesh]] = []
         for x, y, yaw, longest, odds in self.spots.parking:
-            if rng.random() < odds:
+            if rng.random() < _ROAD_WORKS and longest < 7:
+                spot = np.array([x, y])
+                items.append(("road works", self._stand(road_works(rng), spot, yaw)))
+            elif rng.random() < odds:
                 items.append(("car", self._park(rng, x, y, yaw, longest)))
         for x, y in self.spots.people[rng.random(len(self.spots.people)) < 1 / 12]:
             at = np.array([x, y]) + rng.normal(0, 0.3, 2)
