@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from .forest import forest
 from .industrial import industrial
 from .lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
 from .linescan import LineLidar, lms151
+from .meadow import meadow
 from .motion import Motion, deskew
 from .odometry import OdometryNoise
+from .park import park
 from .platforms import PLATFORMS, Gait, Platform, car, handheld, legged, wheeled
 from .ranging import Lidar, Rays, Returns
 from .record import process_pool, record
@@ -40,14 +43,17 @@ __all__ = [
     "car",
     "demo_sessions",
     "deskew",
+    "forest",
     "handheld",
     "hdl32e",
     "hdl64e",
     "industrial",
     "legged",
     "lms151",
+    "meadow",
     "os1_64",
     "os1_128",
+    "park",
     "process_pool",
     "record",
     "simulate_session",

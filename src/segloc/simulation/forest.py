@@ -67,10 +67,12 @@ STANDS: tuple[tuple[float, Stand], ...] = (
     (0.08, Stand({"ash": 0.85, "snag": 0.15}, (3.8, 5.2), 0.25, growth=2.0, fallen=1.0)),
     (
         0.07,
-        Stand({"hawthorn": 0.3, "birch": 0.2, "sapling": 0.4, "snag": 0.1}, (9.0, 15.0), growth=3.5),
+        Stand(
+            {"hawthorn": 0.3, "birch": 0.2, "sapling": 0.4, "snag": 0.1}, (9.0, 15.0), growth=3.5
+        ),
     ),
 )
-"""Shares and stands: beech hall, spruce rows, pine rows, mixed wood, young birches, ash, clearing."""
+"""Shares and stands: beech, rows of spruce and of pine, mixed, young birches, ash, clearing."""
 
 
 @lru_cache(maxsize=2)

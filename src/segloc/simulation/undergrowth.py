@@ -51,7 +51,9 @@ def fern(rng: np.random.Generator) -> Mesh:
 def grass(rng: np.random.Generator) -> Mesh:
     """A patch of tall grass or rushes."""
     count, tall = int(rng.integers(25, 90)), rng.uniform(0.35, 1.1)
-    foot = np.column_stack([rng.normal(0, rng.uniform(0.15, 0.6), (count, 2)), np.full(count, -0.05)])
+    foot = np.column_stack(
+        [rng.normal(0, rng.uniform(0.15, 0.6), (count, 2)), np.full(count, -0.05)]
+    )
     up = rng.uniform(0.5, 1.0, count) * tall
     tip = foot + np.column_stack([rng.normal(0, 0.3, (count, 2)) * up[:, None], up])
     side = rng.normal(0, 0.025, (count, 3)) * [1, 1, 0]
@@ -97,7 +99,9 @@ def root_plate(rng: np.random.Generator) -> Mesh:
     )
     back = polygon(disc - [rng.uniform(0.25, 0.6), 0, 0], _WOOD)
     tips = disc * rng.uniform(1.05, 1.3, (11, 1)) + rng.normal(0, 0.1, (11, 3))
-    roots = limbs(np.stack([0.6 * disc + above(0.3 * radius), tips], axis=1), np.array([0.08, 0.02]), _WOOD, 4)
+    roots = limbs(
+        np.stack([0.6 * disc + above(0.3 * radius), tips], axis=1), np.array([0.08, 0.02]), _WOOD, 4
+    )
     return join([polygon(disc, _WOOD), back, roots])
 
 
