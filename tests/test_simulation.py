@@ -319,7 +319,7 @@ def test_recording_is_the_same_on_two_processes_and_reads_back(
 
 def test_odometry_drifts_and_starts_level(small: World) -> None:
     sequence = simulate_session(small, 0, route_in(small, 60.0), hdl64e(30), seed=5)
-    exact = sequence.with_odometry(OdometryNoise(0, 0, 0, 0))
+    exact = sequence.with_odometry(OdometryNoise(0, 0, 0, 0, 0))
     relative = np.linalg.inv(sequence.truth[3]) @ sequence.truth[20]
     np.testing.assert_allclose(np.linalg.inv(exact.poses[3]) @ exact.poses[20], relative, atol=1e-9)
     np.testing.assert_allclose(exact.poses[:, 2, :3], sequence.truth[:, 2, :3], atol=1e-9)

@@ -67,7 +67,8 @@ def _beams_on_edges(
     rays, others, shares = [], [], []
     for step in sorted({1, stride}):
         first = _jumps(hits.ranges, stride, step)
-        apart = np.linalg.norm(ways[first + step] - ways[first], axis=1)
+        chord = ways.take(first + step, axis=0) - ways.take(first, axis=0)
+        apart = np.sqrt(np.einsum("ij,ij->i", chord, chord))
         edge = rng.random(len(first), dtype=np.float32) * apart
         near = np.flatnonzero(np.minimum(edge, apart - edge) < divergence / 2)
         near = near[_edges(hits, ways, first[near], first[near] + step)]
@@ -100,9 +101,9 @@ def _edges(hits: Hits, ways: Float32, first: Int64, second: Int64) -> NDArray[np
 
 def _continues(hits: Hits, ways: Float32, ray: Int64, other: Int64) -> NDArray[np.bool_]:
     """Whether the other ray meets the plane in which this one's surface lies."""
-    normal = hits.normals[ray]
-    here = np.einsum("ij,ij->i", normal, ways[ray])
-    there = np.einsum("ij,ij->i", normal, ways[other])
+    normal = hits.normals.take(ray, axis=0)
+    here = np.einsum("ij,ij->i", normal, ways.take(ray, axis=0))
+    there = np.einsum("ij,ij->i", normal, ways.take(other, axis=0))
     expected = hits.ranges[ray] * here / there
     return np.asarray(np.abs(expected - hits.ranges[other]) < _JUMP_M)
 
