@@ -15,7 +15,7 @@ from .town import town
 from .traversal import SimulatedSequence, simulate_session
 from .worlds import Conditions, World
 
-_LANES = (1.1, 0.3, 1.6, -0.3, 0.8)  # metres right of the centre line, session by session
+_LANES = (1.1, 0.2, 0.7, -0.4, 0.9)  # metres right of the centre line, session by session
 _LANE_OF = 3.4  # half the width of a street that has room for all of these, metres
 
 
