@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -181,3 +182,70 @@ def _show(counts: LabelCounts, title: str) -> None:
     if counts.agreeing == counts.agreeing:
         rows.append(("of the pairs across, truly one object", f"{100 * counts.agreeing:.1f} %"))
     table(title, ("", ""), rows)
+
+
+_EXPLAINED = {
+    "dsm": "DSM, 16 numbers from 160 down to 4 points.",
+    "esm": "ESM, DSM's predecessor with more points.",
+}
+
+
+def _add(network: str, help_text: str) -> None:
+    def command(
+        dataset: Dataset,
+        out: Annotated[Path, typer.Option(metavar="WEIGHTS.safetensors", help="The result.")],
+        config: Annotated[
+            Path | None, typer.Option(help="YAML of a TrainConfig; options come on top.")
+        ] = None,
+        steps: Annotated[int | None, typer.Option(min=1)] = None,
+        minutes: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
+        threads: Annotated[int | None, typer.Option(min=1)] = None,
+        device: Annotated[str | None, typer.Option(metavar="cpu|cuda")] = None,
+        loss: Annotated[str | None, typer.Option(help="Or triplet, esm, multi_similarity.")] = None,
+        seed: Annotated[int | None, typer.Option(min=0)] = None,
+        licence: Annotated[str, typer.Option(help="Of the weights; goes into the file.")] = "MIT",
+    ) -> None:
+        given = {
+            "network": network,
+            "steps": steps,
+            "max_minutes": minutes,
+            "threads": threads,
+            "device": device,
+            "loss": loss,
+            "seed": seed,
+        }
+        _train(dataset, out, config, {k: v for k, v in given.items() if v is not None}, licence)
+
+    command.__doc__ = help_text
+    train.command(network)(command)
+
+
+def _train(
+    dataset: Path, out: Path, config: Path | None, given: dict[str, Any], licence: str
+) -> None:
+    from ..errors import MissingDependency
+    from ..files import checked_target
+
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingDependency("torch", "train", "training") from error
+    from ..training.options import load_train_config
+    from ..training.shards import load_dataset
+    from ..training.train import train as run
+
+    settings = load_train_config(config, given)
+    checked_target(out)
+    data = load_dataset(dataset)
+    card = {
+        "data": dataset.name,
+        "command": " ".join(["segloc", *sys.argv[1:]]),
+        "licence": licence,
+        "torch": torch.__version__,
+    }
+    scores = run(data, out, settings, card, _say)
+    typer.echo(f"{out}: auc {scores.auc:.4f}, recall@25 {scores.recall:.4f}")
+
+
+for _name, _text in _EXPLAINED.items():
+    _add(_name, _text)

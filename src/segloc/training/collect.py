@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from .shards import Session, finished, options_of, read_array, write_shard
 from .worlds import WorldSpec, simulated_drive
 
 Progress = Callable[[str], None]
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
 
 @dataclass(frozen=True)
@@ -104,15 +106,26 @@ def collect_worlds(
     """
     done: list[Session] = []
     tasks = [(spec, k) for spec in worlds for k in range(spec.sessions)]
-    if executor is None and workers == 1:
-        for spec, k in tasks:
-            done.append(_told_world(_world(folder, spec, k, config, segmentation), progress))
-        return done
-    with process_pool(workers) if executor is None else nullcontext(executor) as pool:
+    with _pool(workers) if executor is None else nullcontext(executor) as pool:
         futures = [pool.submit(_world, folder, spec, k, config, segmentation) for spec, k in tasks]
         for future in as_completed(futures):
             done.append(_told_world(future.result(), progress))
     return done
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor]:
+    """Processes with one thread each for linear algebra: more would wait for each other."""
+    before = os.environ.get(_BLAS_THREADS)
+    os.environ[_BLAS_THREADS] = "1"
+    try:
+        with process_pool(workers) as pool:
+            yield pool
+    finally:
+        if before is None:
+            del os.environ[_BLAS_THREADS]
+        else:
+            os.environ[_BLAS_THREADS] = before
 
 
 def _told_world(result: tuple[Session, str], progress: Progress) -> Session:

@@ -183,18 +183,22 @@ class DescriptorNetwork(nn.Module):
             sources = layer.points
         return result
 
-    def activations(self, points: Tensor) -> list[Tensor]:
+    def activations(self, points: Tensor, *neighbors: Tensor) -> list[Tensor]:
         """What each X-conv layer makes of prepared segments (B, 256, 3): (B, N, C) each."""
         features, result = None, []
-        for xconv, index in zip(self.xconvs, self.neighbors(points), strict=True):
+        found = neighbors or self.neighbors(points)
+        for xconv, index in zip(self.xconvs, found, strict=True):
             features = xconv(points, features, index)
             points = points[:, : index.shape[1]]
             result.append(features)
         return result
 
-    def forward(self, points: Tensor) -> Tensor:
-        """Descriptors (B, dim) of prepared segments (B, 256, 3), float32."""
-        last = self.activations(points)[-1]
+    def forward(self, points: Tensor, *neighbors: Tensor) -> Tensor:
+        """Descriptors (B, dim) of prepared segments (B, 256, 3), float32.
+
+        The neighbours of every layer, (B, N, K) int64 each, are searched where they are not given.
+        """
+        last = self.activations(points, *neighbors)[-1]
         position = points[:, : last.shape[1]]
         position = self.global1_norm(position @ self.global1)
         position = self.global2_norm(position @ self.global2)
