@@ -80,6 +80,57 @@ def knn(
     threads: int = 0,
     isa: str = "auto",
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
+def xconv_apply(
+    x: NDArray[np.float32],
+    lift: NDArray[np.float32],
+    features: NDArray[np.float32],
+    neighbors: NDArray[np.int64],
+    depthwise: NDArray[np.float32],
+    output: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def xconv_apply_backward(
+    x: NDArray[np.float32],
+    lift: NDArray[np.float32],
+    features: NDArray[np.float32],
+    neighbors: NDArray[np.int64],
+    depthwise: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+    grad_x: NDArray[np.float32],
+    grad_lift: NDArray[np.float32],
+    grad_features: NDArray[np.float32],
+    grad_depthwise: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def elu_norm(
+    input: NDArray[np.float32],
+    activate: bool,
+    weight: NDArray[np.float32],
+    bias: NDArray[np.float32],
+    eps: float,
+    z: NDArray[np.float32],
+    output: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def elu_norm_backward(
+    gradient: NDArray[np.float32],
+    z: NDArray[np.float32],
+    activate: bool,
+    weight: NDArray[np.float32],
+    eps: float,
+    mean: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    grad_input: NDArray[np.float32],
+    grad_weight: NDArray[np.float32],
+    grad_bias: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
 
 class Network:
     def __init__(
