@@ -7,6 +7,7 @@ namespace segloc::bindings {
 void bind_geometry(nb::module_& m);
 void bind_io(nb::module_& m);
 void bind_network(nb::module_& m);
+void bind_profile(nb::module_& m);
 
 }  // namespace segloc::bindings
 
@@ -17,4 +18,5 @@ NB_MODULE(_native, m) {
   segloc::bindings::bind_geometry(m);
   segloc::bindings::bind_io(m);
   segloc::bindings::bind_network(m);
+  segloc::bindings::bind_profile(m);
 }
