@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,6 +75,9 @@ def dilated_neighbors(
     threads: int = 0,
     isa: str = "auto",
 ) -> NDArray[np.int64]: ...
+def shape_profiles(
+    prepared: NDArray[np.float32], heights: NDArray[np.float32], threads: int = 0
+) -> NDArray[np.float32]: ...
 def knn(
     queries: NDArray[np.float32],
     database: NDArray[np.float32],
@@ -148,3 +153,13 @@ class Network:
     def points(self) -> int: ...
     @property
     def dim(self) -> int: ...
+
+class Perceptron:
+    def __init__(
+        self, tensors: Mapping[str, NDArray[np.float32]], limit: float, isa: str = "auto"
+    ) -> None: ...
+    def run(self, input: NDArray[np.float32], threads: int = 0) -> NDArray[np.float32]: ...
+    @property
+    def inputs(self) -> int: ...
+    @property
+    def outputs(self) -> int: ...
