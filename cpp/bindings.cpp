@@ -7,11 +7,8 @@ namespace segloc::bindings {
 void bind_geometry(nb::module_& m);
 void bind_io(nb::module_& m);
 void bind_network(nb::module_& m);
-<<<<<<< HEAD
 void bind_training(nb::module_& m);
-=======
 void bind_profile(nb::module_& m);
->>>>>>> a88bf496fc5be0cdd877b822bc20dc4279bd198a
 
 }  // namespace segloc::bindings
 
@@ -22,9 +19,6 @@ NB_MODULE(_native, m) {
   segloc::bindings::bind_geometry(m);
   segloc::bindings::bind_io(m);
   segloc::bindings::bind_network(m);
-<<<<<<< HEAD
   segloc::bindings::bind_training(m);
-=======
   segloc::bindings::bind_profile(m);
->>>>>>> a88bf496fc5be0cdd877b822bc20dc4279bd198a
 }
