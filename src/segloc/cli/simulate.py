@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ..datasets import Sequence
     from ..simulation import Conditions, SimulatedSequence
 
+FORMATS = dict.fromkeys(("npy", "npz", "laz", "bin", "pcd", "ply"))
 SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
 _CHANGING = ("summer", "autumn", "winter", "spring")  # of later sessions, where none is named
 _REPLACED, _SCAFFOLDING = 0.15, 0.03
@@ -61,7 +62,9 @@ def simulate(
         float | None,
         typer.Option(metavar="METRES", help="Gather the sweeps of a push-broom LiDAR."),
     ] = None,
-    file_format: Annotated[str, typer.Option("--format", help="Of scans: npy, laz, bin ...")] = "",
+    file_format: Annotated[
+        str | None, typer.Option("--format", metavar="SUFFIX", help="Of scans: npy, npz or laz.")
+    ] = None,
     objects: Annotated[
         bool, typer.Option("--objects", help="Also write which object each point lies on.")
     ] = False,
@@ -76,9 +79,13 @@ def simulate(
     from .results import check_folder
 
     check_folder(out)
-    suffix = f".{file_format.lstrip('.')}" if file_format else None
+    if file_format is not None:
+        _choice(FORMATS, file_format, "--format")
+    suffix = f".{file_format}" if file_format else None
     if (scene is None) == (suite is None):
         raise ConfigError("name either a scene or, with --suite, a suite of test sets")
+    if objects and (suite is not None or swathe is not None):
+        raise ConfigError("--objects goes with single scans, not with --swathe or --suite")
     if suite is not None:
         _write_suite(suite, scale, seed, out, suffix, workers)
         return
@@ -144,6 +151,7 @@ def _drives(
     make = _choice(SCENES, scene, "the scene")
     lidar = _choice(SENSORS, sensor, "--sensor")().thinned(thin)
     carrier = None if platform is None else _choice(PLATFORMS, platform, "--platform")()
+    usual = 0.2 if isinstance(lidar, LineLidar) else 2.0
     with busy(f"Building a {scene}"):
         world = make(seed) if size is None else make(seed, size_m=size)
         drives = simulate_sessions(
@@ -151,7 +159,7 @@ def _drives(
             lidar,
             plan,
             length_m=length,
-            spacing_m=spacing or (0.2 if isinstance(lidar, LineLidar) else 2.0),
+            spacing_m=spacing if spacing is not None else usual,
             seed=seed,
             platform=carrier,
             skew=skew,
