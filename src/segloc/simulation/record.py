@@ -104,7 +104,8 @@ def _write_poses(sequence: Recording, folder: Path) -> None:
         raise DatasetError(f"{sequence.name}: a recording without poses cannot be recorded")
     truth = getattr(sequence, "truth", None)
     stamps = getattr(sequence, "stamps", None)
-    stamps = sequence.indices.astype(np.float64) if stamps is None else stamps
+    if stamps is None or not (np.round(stamps, 9) % 1).any():  # whole ones are read as numbers
+        stamps = sequence.indices.astype(np.float64)
     write_tum(folder / "poses.tum", Trajectory(stamps, poses if truth is None else truth))
     if truth is not None and not np.array_equal(poses, truth):
         write_tum(folder / "odometry.tum", Trajectory(stamps, poses))
