@@ -104,7 +104,7 @@ def _edge(site: Site, kind: str, points: Float64) -> None:
     """A hedge, wall or fence along a (n, 2) line."""
     rng, line = site.rng, site.ground_line(points)
     if kind == "hedge":
-        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.8, 0.5], [2.6, 1.3]))))
+        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.6, 0.5], [2.2, 1.3]))))
     elif kind == "shrubs":
         site.items.append(("shrubs", shrubs(rng, line)))
     elif kind == "wall":
@@ -117,10 +117,8 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
     """What bounds the front garden, with a gate or a drive left open."""
     rng = site.rng
     kinds = ["hedge", "shrubs", "wall", "fence", "bushes", "none"]
-    lush, bare = (
-        np.array([0.36, 0.3, 0.1, 0.1, 0.1, 0.04]),
-        np.array([0.12, 0.1, 0.34, 0.24, 0.05, 0.15]),
-    )
+    lush = np.array([0.4, 0.2, 0.12, 0.12, 0.12, 0.04])
+    bare = np.array([0.12, 0.1, 0.34, 0.24, 0.05, 0.15])
     kind = str(rng.choice(kinds, p=site.green * lush + (1 - site.green) * bare))
     border = rng.random() < 0.3 + 0.6 * site.green
     end = min(end, front.street.length - 2.0)
@@ -150,7 +148,7 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
 def _front_garden(site: Site, lot: Lot) -> None:
     front, setback, middle = lot.front, lot.setback, (lot.begin + lot.end) / 2
     rng = site.rng
-    for _ in range(int(rng.integers(0, 3 + round(6 * site.green)))):
+    for _ in range(int(rng.integers(0, 3 + round((2 + lot.setback) * 1.3 * site.green)))):
         along = middle + rng.uniform(-0.5, 0.5) * lot.house_width
         at, yaw = front.at(along, front.pavement + rng.uniform(0.9, max(1.0, setback - 0.7)))
         pick = rng.random()

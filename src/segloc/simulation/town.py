@@ -46,7 +46,7 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
     roads = street_network(
         rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=character.half_width
     )
-    terrain, reflectance = paved_ground(rng, roads, size_m)
+    terrain, reflectance = paved_ground(rng, roads, size_m, slope=float(rng.uniform(0.015, 0.045)))
     site = Site(rng, terrain, roads, Occupancy(size_m), green=character.green)
     fronts = [
         _frontage(rng, character, street, side) for street in roads.streets for side in (1, -1)
