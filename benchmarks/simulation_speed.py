@@ -8,6 +8,10 @@ have noise, lost and mixed returns, glass and object ids. Needs the extra ``benc
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process a core is the fastest way to share
+
 import argparse
 import multiprocessing
 import time

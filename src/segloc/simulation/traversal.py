@@ -165,7 +165,8 @@ def simulate_session(
         poses = route.poses(world, sensor.mount_height_m)
     else:
         rate = sensor.rate_hz if by_rate else None
-        motion, stamps = route.drive(world, platform or car(), seed, rate)
+        rng = np.random.default_rng([seed, session, 50_021])
+        motion, stamps = route.drive(world, platform or car(), rng, rate)
         poses = motion.at(stamps)
     indices = np.arange(len(poses), dtype=np.int64)
     return SimulatedSequence(
