@@ -289,7 +289,7 @@ def _leaves(
     rng: np.random.Generator, species: Species, twigs: Float64, detail: float, material: int
 ) -> Mesh:
     length = np.linalg.norm(twigs[:, 1] - twigs[:, 0], axis=1)
-    dense = detail * float(rng.uniform(*species.leaves))
+    dense = 1.5 * detail * float(rng.uniform(*species.leaves))
     wanted = length * dense * rng.uniform(0.4, 1.6, len(length))
     many = (wanted + rng.random(len(length))).astype(int)
     of = np.repeat(np.arange(len(twigs)), many)
@@ -297,4 +297,4 @@ def _leaves(
     center = twigs[of, 0] * (1 - t) + twigs[of, 1] * t
     center += rng.normal(0, 0.22, (len(of), 3))
     shine = float(rng.uniform(0.4, 0.6))
-    return scraps(rng, center, 1.2 * species.leaf / np.sqrt(detail), shine, material)
+    return scraps(rng, center, 1.3 * species.leaf / np.sqrt(detail), shine, material)
