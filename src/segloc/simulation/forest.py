@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..types import Float64
 from .land import Ground, Land, check_world, lay_out, scattered
-from .mesh import Mesh
 from .roads import street_network
 from .street import bench, name_sign
 from .trees import grow
@@ -97,12 +96,17 @@ def forest(seed: int, *, size_m: float = 280.0) -> World:
     chosen = rng.choice(len(STANDS), len(seeds), p=shares / shares.sum())
     nearest = cKDTree(seeds)
     for k, pick in enumerate(chosen):
-        _plant(land, STANDS[pick][1], lambda xy, k=k: nearest.query(xy)[1] == k)
+        _plant(land, STANDS[pick][1], partial(_belongs, nearest, k))
     return land.world("forest", seed, _remake, seed, size_m)
 
 
 def _remake(seed: int, size_m: float) -> World:
     return forest(seed, size_m=size_m)
+
+
+def _belongs(seeds: cKDTree, stand: int, xy: Float64) -> np.ndarray:
+    """Which points (n, 2) are nearest to the seed of a stand."""
+    return np.asarray(seeds.query(xy)[1] == stand)
 
 
 def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> None:
@@ -113,11 +117,7 @@ def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> N
     kinds = rng.choice(list(stand.mix), len(points), p=np.array(list(stand.mix.values())))
     for at, kind in zip(points[rng.random(len(points)) < 0.88], kinds, strict=False):
         detail, scale = land.detail(at), float(rng.uniform(*stand.scale))
-
-        def make(kind: str = str(kind), detail: float = detail, scale: float = scale) -> Mesh:
-            return grow(rng, kind, detail=detail, scale=scale)
-
-        land.grow("tree", make, at, 1.2)
+        land.grow("tree", partial(grow, rng, str(kind), detail=detail, scale=scale), at, 1.2)
     patches = scattered(rng, size_m, 10.0 / np.sqrt(stand.growth), 0.6)
     for at in patches[mine(patches)]:
         if land.distance(at) < _LOOKED_AT:

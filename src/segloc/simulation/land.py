@@ -42,7 +42,7 @@ class Land(Site):
 
     def detail(self, at: Float64) -> float:
         """How finely to draw what stands there: fully by the paths, coarsely far away."""
-        return float(np.clip(1.05 - self.distance(at) / 22.0, 0.12, 0.8))
+        return float(np.clip(1.05 - self.distance(at) / 24.0, 0.18, 0.8))
 
     def grow(
         self, kind: str, make: Callable[[], Mesh], at: Float64, size: float, *, yaw: float = 0.0

@@ -10,7 +10,7 @@ from ..types import Float64
 from .mesh import LEAF, SOLID, Mesh, join, quads, scraps
 
 _GOLDEN = 2.4  # radians from one branch to the next, about the golden angle
-_TWIGS_FROM = 0.45  # detail below which twigs carry leaves but are not drawn
+_TWIGS_FROM = 0.45  # detail below which twigs carry leaves but are not drawn, nor are bends
 
 Range = tuple[float, float]
 
@@ -155,13 +155,20 @@ def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: flo
     tall = scale * float(rng.uniform(*species.height))
     radius = tall * float(rng.uniform(*species.girth))
     axes, radii = _axes(rng, species, tall, radius)
-    sides = 9 if detail > _TWIGS_FROM else 5
-    parts = [limbs(axes, radii, species.bark, sides, rng.normal(1, 0.06, (*radii.shape, sides)))]
+    rough = rng.normal(1, 0.06, (*radii.shape, 9))
     branches, thick = _branches(rng, species, axes, radii, tall)
-    parts.append(limbs(branches, thick, species.bark, 4 if detail > _TWIGS_FROM else 3))
     twigs = _twigs(rng, species, branches)
     if detail > _TWIGS_FROM:
-        parts.append(limbs(twigs, np.array([0.014, 0.006]), species.bark, 3))
+        parts = [
+            limbs(axes, radii, species.bark, 9, rough),
+            limbs(branches, thick, species.bark, 4),
+            limbs(twigs, np.array([0.014, 0.006]), species.bark, 3),
+        ]
+    else:
+        parts = [
+            limbs(axes[:, ::2], radii[:, ::2], species.bark, 5),
+            limbs(branches[:, ::3], thick[:, ::3], species.bark, 3),
+        ]
     material = SOLID if kind in EVERGREEN else LEAF
     parts.append(_leaves(rng, species, twigs, detail, material))
     return join(parts)
