@@ -28,8 +28,9 @@ from segloc.simulation import (
     simulate_session,
 )
 from segloc.simulation.mesh import LEAF, SOLID, Mesh, triangles
+from segloc.simulation.species import EVERGREEN, SPECIES
 from segloc.simulation.terrain import Terrain
-from segloc.simulation.trees import EVERGREEN, SPECIES, grow
+from segloc.simulation.trees import grow
 from segloc.simulation.worlds import Hits, Objects
 
 SIZES = {"park": 160.0, "meadow": 140.0, "forest": 120.0}

@@ -17,8 +17,8 @@ from .terrain import Terrain, relief, roughness
 from .worlds import Objects, Spots, World
 
 _STEP = 0.5
-_VERGE = 0.9  # kept clear beside paths, metres
-_CORNER = 4.6  # radius about junctions, where corners are cut
+_VERGE = 1.0  # kept clear beside paths, metres
+_CORNER = 5.2  # radius about junctions, where corners are cut
 _HEADROOM = 3.4
 
 
