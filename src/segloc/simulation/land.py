@@ -17,8 +17,8 @@ from .terrain import Terrain, relief, roughness
 from .worlds import Objects, Spots, World
 
 _STEP = 0.5
-_VERGE = 0.9  # kept clear beside paths, metres
-_CORNER = 4.6  # radius about junctions, where corners are cut
+_VERGE = 1.0  # kept clear beside paths, metres
+_CORNER = 5.2  # radius about junctions, where corners are cut
 _HEADROOM = 3.4
 
 
@@ -42,7 +42,7 @@ class Land(Site):
 
     def detail(self, at: Float64) -> float:
         """How finely to draw what stands there: fully by the paths, coarsely far away."""
-        return float(np.clip(1.05 - self.distance(at) / 22.0, 0.12, 0.8))
+        return float(np.clip(1.05 - self.distance(at) / 24.0, 0.18, 0.8))
 
     def grow(
         self, kind: str, make: Callable[[], Mesh], at: Float64, size: float, *, yaw: float = 0.0

@@ -121,7 +121,7 @@ def _single(land: Land, at: Float64) -> None:
 def _hedgerows(land: Land) -> None:
     """Old field boundaries: hawthorns with gaps, here and there a tree, or a row of posts."""
     rng, size_m = land.rng, land.ground.size_m
-    for _ in range(max(2, int((size_m / 95) ** 2))):
+    for _ in range(max(2, int((size_m / 75) ** 2))):
         start, turn = rng.uniform(10, size_m - 10, 2), rng.uniform(0, 2 * np.pi)
         s = np.arange(0.0, rng.uniform(20, 70), 1.6)
         angle = turn + np.cumsum(rng.normal(0, 0.04, len(s)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -233,7 +233,7 @@ def _features(land: Land) -> None:
     inside = _MARGIN + 10.0
     for at in rng.uniform(inside, size_m - inside, (int(rng.integers(8, 16)), 2)):
         kind, make = _pick(rng, (("statue", statue), ("statue", statue), ("fountain", fountain)))
-        land.grow(kind, lambda make=make: make(rng), at, 3.4, yaw=rng.uniform(0, 6))
+        land.grow(kind, partial(make, rng), at, 3.4, yaw=rng.uniform(0, 6))
     for at in rng.uniform(inside, size_m - inside, (12, 2)):
         if land.grow("bandstand", lambda: bandstand(rng), at, 7.0, yaw=rng.uniform(0, 6)):
             break
@@ -243,7 +243,7 @@ def _features(land: Land) -> None:
         for _ in range(int(rng.integers(4, 9))):
             kind, make = _pick(rng, play)
             at = middle + rng.normal(0, 6.0, 2)
-            land.grow(kind, lambda make=make: make(rng), at, 3.6, yaw=rng.uniform(0, 6))
+            land.grow(kind, partial(make, rng), at, 3.6, yaw=rng.uniform(0, 6))
 
 
 def _lawns(land: Land) -> None:
