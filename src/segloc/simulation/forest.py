@@ -73,9 +73,9 @@ def forest(seed: int, *, size_m: float = 280.0) -> World:
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 100..1000 or the seed is negative.
+        If ``size_m`` is not in 100..400 or the seed is negative.
     """
-    check_world(seed, size_m, 100.0)
+    check_world(seed, size_m, 100.0, 400.0)
     rng = np.random.default_rng([seed, 15_485_863])
     tracks = street_network(
         rng,

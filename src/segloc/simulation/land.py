@@ -42,7 +42,7 @@ class Land(Site):
 
     def detail(self, at: Float64) -> float:
         """How finely to draw what stands there: fully by the paths, coarsely far away."""
-        return float(np.clip(1.05 - self.distance(at) / 24.0, 0.18, 0.8))
+        return float(np.clip(1.05 - self.distance(at) / 20.0, 0.18, 0.8))
 
     def grow(
         self, kind: str, make: Callable[[], Mesh], at: Float64, size: float, *, yaw: float = 0.0
@@ -169,16 +169,16 @@ def lay_out(rng: np.random.Generator, roads: RoadNetwork, size_m: float, ground:
     )
 
 
-def check_world(seed: int, size_m: float, smallest: float) -> None:
+def check_world(seed: int, size_m: float, smallest: float, largest: float) -> None:
     """Refuse a seed or a size that no world can be made of.
 
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in ``smallest`` to 1000 m or the seed is negative.
+        If ``size_m`` is not in ``smallest`` to ``largest`` metres or the seed is negative.
     """
-    if not smallest <= size_m <= 1000:
-        raise ConfigError(f"size_m must be in {smallest:.0f}..1000, not {size_m}")
+    if not smallest <= size_m <= largest:
+        raise ConfigError(f"size_m must be in {smallest:.0f}..{largest:.0f}, not {size_m}")
     if seed < 0:
         raise ConfigError(f"seed must not be negative, not {seed}")
 

@@ -28,7 +28,7 @@ def meadow(seed: int, *, size_m: float = 340.0) -> World:
     ConfigError
         If ``size_m`` is not in 100..1000 or the seed is negative.
     """
-    check_world(seed, size_m, 100.0)
+    check_world(seed, size_m, 100.0, 1000.0)
     rng = np.random.default_rng([seed, 32_452_843])
     paths = street_network(
         rng,

@@ -42,9 +42,9 @@ def park(seed: int, *, size_m: float = 240.0) -> World:
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 150..1000 or the seed is negative.
+        If ``size_m`` is not in 150..600 or the seed is negative.
     """
-    check_world(seed, size_m, 150.0)
+    check_world(seed, size_m, 150.0, 600.0)
     rng = np.random.default_rng([seed, 49_979_687])
     roads = _network(rng, size_m)
     ground = Ground(
