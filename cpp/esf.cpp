@@ -154,7 +154,7 @@ class Describer {
       draw(first);
       measure();
       for (std::size_t i = 0; i < kBlock && areas_.size() < triples_; ++i) {
-        if (heron_[i] > kLeastArea2) count(i);
+        if (area2_[i] > kLeastArea2) count(i);
       }
     }
     if (!areas_.empty()) finish(output);
@@ -238,11 +238,14 @@ class Describer {
         return e[p][0] * e[q][0] + e[p][1] * e[q][1] + e[p][2] * e[q][2];
       };
       const float a = std::sqrt(dot(0, 0)), b = std::sqrt(dot(1, 1)), c = std::sqrt(dot(2, 2));
-      const float s = (a + b + c) * 0.5f;
+      // By the cross product, which flat triangles cancel less in than Heron's formula.
+      const float nx = e[0][1] * e[1][2] - e[0][2] * e[1][1];
+      const float ny = e[0][2] * e[1][0] - e[0][0] * e[1][2];
+      const float nz = e[0][0] * e[1][1] - e[0][1] * e[1][0];
       length_[0][i] = a;
       length_[1][i] = b;
       length_[2][i] = c;
-      heron_[i] = s * (s - a) * (s - b) * (s - c);
+      area2_[i] = 0.25f * (nx * nx + ny * ny + nz * nz);
       cosine_[0][i] = std::abs(dot(0, 1)) / (a * b);
       cosine_[1][i] = std::abs(dot(1, 2)) / (b * c);
       cosine_[2][i] = std::abs(dot(0, 2)) / (a * c);
@@ -276,7 +279,7 @@ class Describer {
     for (std::size_t k = 0; k < 3; ++k) {
       angles_[kind][bins_.of(cosine_[k][i])] += across[kOpposite[k]];
     }
-    areas_.push_back({std::sqrt(std::sqrt(heron_[i])), kind});
+    areas_.push_back({std::sqrt(std::sqrt(area2_[i])), kind});
   }
 
   void finish(float* output) {
@@ -309,7 +312,7 @@ class Describer {
   Line traced_;
   uint32_t corner_[3][kBlock];
   float place_[3][3][kBlock];
-  float length_[3][kBlock], cosine_[3][kBlock], heron_[kBlock];
+  float length_[3][kBlock], cosine_[3][kBlock], area2_[kBlock];
   std::vector<Side> sides_;
   std::vector<Area> areas_;
   Histogram angles_[3], area_[3], side_[3], shares_;

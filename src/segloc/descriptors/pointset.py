@@ -123,7 +123,7 @@ def load_weights(path: Path) -> Weights:
         If the file is missing, truncated, of another format, does not match its hash, or if a
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
-    metadata, tensors = _read(path)
+    metadata, tensors = read_tensors(path)
     if metadata.get("format") != _FORMAT or metadata.get("version") != _FORMAT_VERSION:
         raise WeightsError(f"{path}: not a network of format version {_FORMAT_VERSION}")
     for name, tensor in tensors.items():
@@ -149,7 +149,14 @@ def load_weights(path: Path) -> Weights:
     return Weights(network, cast(Alignment, alignment), card, digest)
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Float32]]:
+def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
+    """Metadata and arrays of a safetensors file.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing or damaged.
+    """
     try:
         with safe_open(path, framework="np") as file:
             names = list(file.keys())
