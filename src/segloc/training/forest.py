@@ -32,6 +32,7 @@ class ForestConfig(BaseModel):
     min_pairs: int = Field(20, ge=1, description="training pairs in a leaf at least")
     pairs: int = Field(60_000, ge=2, description="right candidates at most; of wrong ones twice")
     queries: int = Field(40_000, ge=1, description="segments whose candidates are looked at")
+    map_segments: int = Field(8000, ge=1, description="of the maps that propose candidates")
     neighbours: int = Field(200, ge=1, description="candidates a segment, as in matching")
     different_m: float = Field(3.0, ge=0, description="other objects lie at least this far apart")
     validation_share: float = Field(0.2, gt=0, lt=1)
@@ -141,15 +142,18 @@ def training_pairs(
 def _candidates(
     vectors: Float32, dataset: SegmentDataset, config: ForestConfig, rng: np.random.Generator
 ) -> tuple[Int64, Int64, NDArray[np.bool_]]:
-    """What matching proposes where one session is the map and another asks, world by world.
+    """What matching proposes where one session is the map and the others ask.
 
-    Pairs that may or may not show one object are left out.
+    Worlds are taken together until there are ``config.map_segments`` in a map. Pairs that may or
+    may not show one object are left out.
     """
     found = [(np.empty(0, np.int64), np.empty(0, np.int64))]
     sessions = np.unique(dataset.sessions)
+    _, world, sizes = np.unique(dataset.places, return_inverse=True, return_counts=True)
+    share = np.cumsum(sizes) // (config.map_segments * len(sessions))
     maps = [
-        (inside, dataset.sessions == session)
-        for inside in (dataset.places == place for place in np.unique(dataset.places))
+        (share[world] == group, dataset.sessions == session)
+        for group in np.unique(share)
         for session in sessions
     ]
     limit = config.queries // len(maps) + 1
