@@ -4,6 +4,9 @@
 #include "forest.h"
 #include "gestalt.h"
 #include "moments.h"
+#include "voxel_network.h"
+
+#include <nanobind/stl/map.h>
 
 namespace segloc::bindings {
 namespace {
@@ -125,6 +128,49 @@ Out<float> predict_pairs(const Forest& forest, In2<float> query, In2<float> site
   return to_numpy(std::move(output));
 }
 
+nb::tuple shapes(In2<float> points, In1<int64_t> offsets, int threads) {
+  check_segments(points, offsets);
+  const std::size_t P = offsets.size() - 1;
+  VoxelShapes result;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    result = voxel_shapes(points.data(), offsets.data(), P, threads);
+  }
+  return nb::make_tuple(to_numpy(std::move(result.voxels)), to_numpy(std::move(result.offsets)),
+                        to_numpy(std::move(result.scales), {P, 3}));
+}
+
+using Array = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+
+void construct_network(VoxelNetwork* self, const std::map<std::string, Array>& tensors,
+                       const std::string& isa) {
+  Tensors views;
+  for (const auto& [name, array] : tensors) {
+    TensorView view{array.data(), {}};
+    for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
+    views.emplace(name, std::move(view));
+  }
+  new (self) VoxelNetwork(views, parse_isa(isa));
+}
+
+Out<float> describe(const VoxelNetwork& network, In1<int32_t> voxels, In1<int64_t> offsets,
+                    In2<float> scales, int threads) {
+  check_offsets(offsets, voxels.size());
+  const std::size_t P = offsets.size() - 1;
+  require(scales.shape(0) == P && scales.shape(1) == 3, "scales must have shape (P, 3)");
+  for (std::size_t i = 0; i < voxels.size(); ++i) {
+    const int32_t v = voxels.data()[i];
+    require(v >= 0 && static_cast<std::size_t>(v) < kShapeVoxels, "a voxel is outside the grid");
+  }
+  std::vector<float> vectors(P * network.dim());
+  {
+    nb::gil_scoped_release release;
+    network.describe(voxels.data(), offsets.data(), scales.data(), P, threads, vectors.data());
+  }
+  return to_numpy(std::move(vectors), {P, network.dim()});
+}
+
 }  // namespace
 
 void bind_descriptors(nb::module_& m) {
@@ -144,6 +190,13 @@ void bind_descriptors(nb::module_& m) {
       .def("predict_pairs", &predict_pairs, "query"_a.noconvert(), "site"_a.noconvert(),
            "rows"_a.noconvert(), "columns"_a.noconvert(), "layout"_a, "threads"_a = 0)
       .def_prop_ro("features", &Forest::features);
+  m.def("voxel_shapes", &shapes, "points"_a.noconvert(), "offsets"_a.noconvert(),
+        "threads"_a = 0);
+  nb::class_<VoxelNetwork>(m, "VoxelNetwork")
+      .def("__init__", &construct_network, "tensors"_a, "isa"_a = "auto")
+      .def("describe", &describe, "voxels"_a.noconvert(), "offsets"_a.noconvert(),
+           "scales"_a.noconvert(), "threads"_a = 0)
+      .def_prop_ro("dim", &VoxelNetwork::dim);
 }
 
 }  // namespace segloc::bindings

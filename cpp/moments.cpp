@@ -59,7 +59,7 @@ Mat3 covariance_of(const float* p, std::size_t n) {
 }
 
 PrincipalAxes principal_axes(Mat3 a) {
-  Mat3 v = kIdentity3;  // rows
+  Mat3 v = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};  // rows
   for (int sweep = 0; sweep < 32; ++sweep) {
     const double off = std::abs(a[0][1]) + std::abs(a[0][2]) + std::abs(a[1][2]);
     if (off <= 1e-15 * (a[0][0] + a[1][1] + a[2][2])) break;

@@ -11,8 +11,6 @@ namespace segloc {
 using Vec3 = std::array<double, 3>;
 using Mat3 = std::array<Vec3, 3>;
 
-constexpr Mat3 kIdentity3 = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
-
 struct PrincipalAxes {
   Mat3 axes;    // rows are unit eigenvectors
   Vec3 values;  // their eigenvalues, falling

@@ -127,6 +127,22 @@ class Forest:
     @property
     def features(self) -> int: ...
 
+def voxel_shapes(
+    points: NDArray[np.float32], offsets: NDArray[np.int64], threads: int = 0
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.float32]]: ...
+
+class VoxelNetwork:
+    def __init__(self, tensors: dict[str, NDArray[np.float32]], isa: str = "auto") -> None: ...
+    def describe(
+        self,
+        voxels: NDArray[np.int32],
+        offsets: NDArray[np.int64],
+        scales: NDArray[np.float32],
+        threads: int = 0,
+    ) -> NDArray[np.float32]: ...
+    @property
+    def dim(self) -> int: ...
+
 class Network:
     def __init__(
         self,
