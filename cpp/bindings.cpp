@@ -8,6 +8,8 @@ void bind_descriptors(nb::module_& m);
 void bind_geometry(nb::module_& m);
 void bind_io(nb::module_& m);
 void bind_network(nb::module_& m);
+void bind_training(nb::module_& m);
+void bind_profile(nb::module_& m);
 
 }  // namespace segloc::bindings
 
@@ -19,4 +21,6 @@ NB_MODULE(_native, m) {
   segloc::bindings::bind_geometry(m);
   segloc::bindings::bind_io(m);
   segloc::bindings::bind_network(m);
+  segloc::bindings::bind_training(m);
+  segloc::bindings::bind_profile(m);
 }

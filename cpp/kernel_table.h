@@ -6,6 +6,7 @@
 #include "fps_kernel.h"
 #include "knn_kernel.h"
 #include "neighbors_kernel.h"
+#include "train_kernel.h"
 #include "xconv_kernel.h"
 
 namespace segloc {
@@ -13,8 +14,8 @@ namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth, kBlock, kPanel,   &fps,
-                        &neighbors,      &xconv, &dense, &conv, &knn_scan,
-                        &equal_edges,    &near_pose};
+                        &neighbors,      &xconv, &dense, &conv,    &knn_scan,
+                        &equal_edges,    &near_pose,     kTraining};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

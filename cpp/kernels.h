@@ -88,6 +88,38 @@ struct PoseTest {
   float reach2;
 };
 
+// One point of an X-conv layer in training. rows is K padded to 4, width the channels and lanes K,
+// both padded to 16; whatever is padded is zero. x (rows, rows), f and t (rows, width), depthwise
+// (depth, rows, width), output (depth, width): the result, or the gradient that comes in.
+struct ApplyPoint {
+  size_t neighbors, rows, width, lanes, depth;
+  const float* x;
+  const float* x_transposed;
+  const float* f;
+  const float* f_transposed;  // (width, lanes)
+  const float* depthwise;
+  float* t;
+  float* output;
+  float* grad_t;
+  float* grad_f;          // (rows, width)
+  float* grad_x;          // (rows, lanes)
+  float* grad_depthwise;  // added to
+};
+
+// The inner loops of train_ops.cpp; rows of a width that is a multiple of 16.
+struct TrainKernels {
+  void (*apply)(const ApplyPoint& point);
+  void (*apply_backward)(const ApplyPoint& point);
+  void (*elu_sums)(const float* input, size_t rows, size_t width, bool activate, float* z,
+                   float* sum, float* square);
+  void (*scale_shift)(const float* z, size_t rows, size_t width, const float* scale,
+                      const float* shift, float* output);
+  void (*gradient_sums)(const float* gradient, const float* z, size_t rows, size_t width,
+                        float* sum, float* product);
+  void (*norm_gradient)(const float* gradient, const float* z, size_t rows, size_t width,
+                        bool activate, const float* coefficients, float* output);
+};
+
 struct Kernels {
   Isa isa;
   size_t width;     // floats in a vector
@@ -105,6 +137,7 @@ struct Kernels {
                         uint32_t* found);
   size_t (*near_pose)(const MatchField& f, const PoseTest& test, size_t begin, size_t end,
                       uint32_t* found);
+  TrainKernels training;
 };
 
 const Kernels& kernels(Isa isa);

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +9,19 @@ import pytest
 from conftest import Plaza, PlazaSequence
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safetensors.numpy import save_file
 
 from segloc import Config, Localizer, _native, build_map
 from segloc.descriptors import create
 from segloc.descriptors.forest import ForestDescriptor, Layout, PairForest, Trees, save_forest
-from segloc.descriptors.pointset import read_tensors
+from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import ConfigError, WeightsError
 from segloc.map import SegmentMap
 from segloc.matching import Matcher, MatchingConfig
 from segloc.training.forest import ForestConfig, train_forest, trees_of
 from segloc.training.shapes import shapes_dataset
 from segloc.types import Descriptors
+
+INTEGERS = ("roots", "feature", "first_child")
 
 STUMP = Trees(
     roots=np.array([0], np.int32),
@@ -113,23 +113,24 @@ def test_a_file_keeps_the_forest(tmp_path: Path) -> None:
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "f.safetensors"
     save_forest(path, STUMP, Plain.layout, Plain.fingerprint, {})
-    metadata, arrays = read_tensors(path)
+    stored = STUMP.arrays()
+    settings = {"descriptor": "plain-1", "layout": '{"plain": 1}'}
 
-    def refused(fault: str, **changes: str) -> None:
-        save_file(arrays, path, {**metadata, **changes})
+    def refused(fault: str, kind: str = "forest", **changes: str) -> None:
+        write_weights(path, kind, stored, {**settings, **changes}, {})
         with pytest.raises(WeightsError, match=fault) as error:
             PairForest.load(path, Plain())
         assert str(path) in str(error.value)
 
-    refused("not a forest", format="segloc network")
-    refused("not a forest", version="2")
+    refused("not a forest", kind="network")
     refused("made for other-1", descriptor="other-1")
-    refused("hash", sha256="0")
     refused("unexpected keyword", layout='{"bins": 3}')
     refused("Expecting value", layout="")
-    arrays["threshold"] = arrays["threshold"] + 1
-    refused("hash")
-    del arrays["roots"]
+    stored["roots"] = np.array([9], np.int32)
+    refused("root")
+    stored["roots"] = np.array([0], np.int64)
+    refused("expected int32")
+    del stored["roots"]
     refused("roots")
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(WeightsError, match=str(path)):
@@ -155,9 +156,10 @@ def test_training_learns_and_repeats(tmp_path: Path) -> None:
     scores = [train_forest(dataset, file, "nsm", config, progress=lambda _: None) for file in files]
     assert scores[0].auc > 0.7 and scores[0] == scores[1]
     assert scores[0].right_kept > scores[0].wrong_kept
-    metadata = [read_tensors(file)[0] for file in files]
-    assert metadata[0] == metadata[1]  # with the hash of the arrays
-    assert json.loads(metadata[0]["card"])["config"]["trees"] == 5
+    integers = dict.fromkeys(INTEGERS, np.int32)
+    first, again = (read_weights(file, "forest", integers) for file in files)
+    assert first.sha256 == again.sha256
+    assert first.card == again.card and first.card["config"]["trees"] == 5
     with pytest.raises(ConfigError, match="geo has no forest"):
         train_forest(dataset, files[0], "geo", config)
 

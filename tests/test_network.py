@@ -17,8 +17,8 @@ from segloc.descriptors.pointset import (
     PointSetDescriptor,
     load_weights,
     save_weights,
-    shipped_weights,
 )
+from segloc.descriptors.weightfile import shipped_weights
 from segloc.errors import WeightsError
 from segloc.types import Segments
 

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
 
 from segloc import _native, geometry
 from segloc.descriptors import segmap
-from segloc.descriptors.pointset import read_tensors
+from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import WeightsError
 from segloc.types import Segments
 
@@ -144,25 +143,30 @@ def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
     segmap.save_weights(path, random_tensors(0, (32, 32, 32)), {})
-    metadata, stored = read_tensors(path)
+    kind, stored = (
+        "voxel network",
+        read_weights(path, "voxel network", {"fc1.weight": np.int8}).tensors,
+    )
+    settings = {"preprocessing": "1"}
 
-    def refused(fault: str, tensors: dict[str, np.ndarray], **changes: str) -> None:
-        save_file(tensors, path, {**metadata, **changes})
+    def refused(fault: str, kind: str = kind, version: str = "1", **changes: np.ndarray) -> None:
+        changed = {name.replace("_", "."): tensor for name, tensor in changes.items()}
+        write_weights(path, kind, {**stored, **changed}, {**settings, "preprocessing": version}, {})
         with pytest.raises(WeightsError, match=fault) as error:
             segmap.load_weights(path)
         assert str(path) in str(error.value)
 
-    def resigned(**changes: np.ndarray) -> tuple[dict[str, np.ndarray], str]:
-        tensors = {**stored, **{name.replace("_", "."): t for name, t in changes.items()}}
-        return tensors, segmap._hash(tensors)
-
-    refused("not a voxel network", stored, format="segloc network")
-    refused("hash", {**stored, "fc2.bias": stored["fc2.bias"] + 1})
-    refused("float64", {**stored, "fc2.bias": stored["fc2.bias"].astype(np.float64)})
-    refused("not finite", {**stored, "fc2.bias": np.full(64, np.nan, np.float32)})
-    tensors, digest = resigned(fc2_bias=np.zeros(32, np.float32))
-    refused("fc2.bias", tensors, sha256=digest)
-    tensors, digest = resigned(fc3_bias=np.zeros(32, np.float32))
-    refused("ten tensors", tensors, sha256=digest)
+    refused("not a voxel network", kind="network")
+    refused("another preparation", version="2")
+    refused("float64", fc2_bias=np.zeros(64))
+    refused("expected int8", fc1_weight=stored["fc1.weight"].astype(np.float32))
+    refused("not finite", fc2_bias=np.full(64, np.nan, np.float32))
+    refused("fc2.bias", fc2_bias=np.zeros(32, np.float32))
+    refused("ten tensors", fc3_bias=np.zeros(32, np.float32))
+    del stored["fc1.weight.scale"]
+    refused("no tensor")
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(WeightsError, match=str(path)):
+        segmap.load_weights(path)
     with pytest.raises(WeightsError, match="no such file"):
         segmap.load_weights(tmp_path / "none")

@@ -28,7 +28,7 @@ from segloc.simulation import (
     town,
     vlp16,
 )
-from segloc.simulation.mesh import GLASS, boxes, quads
+from segloc.simulation.mesh import boxes, glass, quads
 from segloc.simulation.terrain import Terrain
 from segloc.simulation.worlds import SESSION_IDS, Objects, World
 
@@ -215,9 +215,7 @@ def test_foliage_lets_part_of_the_rays_through(small: World) -> None:
     for k in trees[:8]:
         mine = small.static.object_ids == k
         corners = small.static.triangles[mine]
-        alone = Objects(
-            corners, small.static.reflectance[mine], small.static.object_ids[mine], {k: "tree"}
-        )
+        alone = small.static.only(mine)
         scene = Scene(flat, np.zeros(2, dtype=np.float32), [alone])
         low, high = np.quantile(corners.reshape(-1, 3), [0.35, 0.65], axis=0)
         aim = np.random.default_rng(k).uniform(low, high, (500, 3)).astype(np.float32)
@@ -241,7 +239,7 @@ def test_glass_is_dirty_or_clear_or_a_mirror() -> None:
     corners = np.stack(
         [lean(y + a, z + b) for a, b in ((0, 0), (0.25, 0), (0.25, 0.25), (0, 0.25))]
     )
-    panes = quads(corners.transpose(1, 0, 2), GLASS)
+    panes = glass(quads(corners.transpose(1, 0, 2), 0.0))
     wall = boxes([15.0, 0, 0], [0.02, 400.0, 400.0], 0.5)
     things = Objects.of([("panes", panes), ("wall", wall)], 1)
     flat = Terrain(np.array([-40.0, -40.0]), 40.0, np.full((3, 3), -2.0))
@@ -321,7 +319,7 @@ def test_recording_is_the_same_on_two_processes_and_reads_back(
 
 def test_odometry_drifts_and_starts_level(small: World) -> None:
     sequence = simulate_session(small, 0, route_in(small, 60.0), hdl64e(30), seed=5)
-    exact = sequence.with_odometry(OdometryNoise(0, 0, 0, 0))
+    exact = sequence.with_odometry(OdometryNoise(0, 0, 0, 0, 0))
     relative = np.linalg.inv(sequence.truth[3]) @ sequence.truth[20]
     np.testing.assert_allclose(np.linalg.inv(exact.poses[3]) @ exact.poses[20], relative, atol=1e-9)
     np.testing.assert_allclose(exact.poses[:, 2, :3], sequence.truth[:, 2, :3], atol=1e-9)

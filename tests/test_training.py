@@ -9,6 +9,7 @@ import pytest
 
 from segloc import _native
 from segloc.errors import DatasetError
+from segloc.segmentation import Segmentation
 from segloc.types import LocalCloud, Scan, Segments
 
 torch = pytest.importorskip("torch")
@@ -17,14 +18,16 @@ pytest.importorskip("segloc.training.train")
 from segloc.datasets.base import Selection  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 from segloc.training.augment import AugmentConfig, augment  # noqa: E402
-from segloc.training.batches import prepared_batch  # noqa: E402
 from segloc.training.config import TrainConfig  # noqa: E402
 from segloc.training.dataset import SegmentDataset  # noqa: E402
-from segloc.training.extract import ExtractConfig, extract, label_objects  # noqa: E402
-from segloc.training.losses import hard_triplet, info_nce, pair_match  # noqa: E402
+from segloc.training.extract import ExtractConfig, extract_session  # noqa: E402
+from segloc.training.labels import LabelConfig, label_objects  # noqa: E402
+from segloc.training.losses import LOSSES, pair_match  # noqa: E402
 from segloc.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
+from segloc.training.pointset import prepared_points  # noqa: E402
 from segloc.training.sampling import reorder  # noqa: E402
 from segloc.training.shapes import shapes_dataset  # noqa: E402
+from segloc.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
 from segloc.training.train import train  # noqa: E402
 
 torch.set_num_threads(1)
@@ -54,7 +57,7 @@ def test_training_learns_and_exports(shapes: SegmentDataset, tmp_path: Path) -> 
     assert weights.card["data"] == "shapes"
     assert weights.card["figures"]["validation auc"] == round(after.auc, 4)
     _, validation = shapes.split(QUICK.validation_share, QUICK.seed)
-    prepared = prepared_batch(validation, np.arange(len(validation)), QUICK)
+    prepared = prepared_points(validation, np.arange(len(validation)), QUICK)
     vectors, quality = weights.network.describe(prepared)
     assert score(vectors, validation) == after
     assert ((quality > 0) & (quality < 1)).all()
@@ -85,8 +88,9 @@ def test_losses_fall_as_objects_come_apart() -> None:
     torch.manual_seed(0)
     mixed = torch.randn(8, 4)
     apart = 10.0 * torch.eye(4)[labels] + 0.01 * mixed
-    for loss in (info_nce, hard_triplet):
-        assert loss(apart, same, different) < 1e-2 < loss(mixed, same, different)
+    for name, loss in LOSSES.items():
+        few, many = loss(apart, same, different), loss(mixed, same, different)
+        assert few < (0.1 if name == "multi_similarity" else 1e-2) < many
     certain = torch.stack([-10.0 * same + 10.0 * different, 10.0 * same - 10.0 * different], dim=-1)
     assert pair_match(certain, same, different) < 1e-3
 
@@ -190,7 +194,7 @@ class Street:
         raise NotImplementedError
 
 
-def by_cell(cloud: LocalCloud) -> Segments:
+def by_cell(cloud: LocalCloud) -> Segmentation:
     """Segments of 8 m along the street of the objects that are fully seen."""
     points = np.unique(cloud.points.round(2), axis=0)
     order = np.argsort(points[:, 0], kind="stable")
@@ -199,13 +203,25 @@ def by_cell(cloud: LocalCloud) -> Segments:
     parts = [part for part in parts if len(part) == 60]
     offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
     centroids = np.array([part.mean(axis=0) for part in parts], np.float64).reshape(-1, 3)
-    flat = np.concatenate(parts).astype(np.float32)
-    return Segments(flat, offsets, centroids, np.zeros(len(parts), np.float32))
+    flat = np.concatenate([np.empty((0, 3)), *parts]).astype(np.float32)
+    segments = Segments(flat, offsets, centroids, np.zeros(len(parts), np.float32))
+    return Segmentation(segments, flat, np.empty((0, 3), np.float32))
 
 
-def test_extraction_labels_objects_across_sessions() -> None:
+def nothing(cloud: LocalCloud) -> Segmentation:
+    return by_cell(LocalCloud(np.empty((0, 3), np.float32), np.eye(4)))
+
+
+def test_extraction_labels_objects_across_sessions(tmp_path: Path) -> None:
     config = ExtractConfig(lengths_m=(16.0,), every_m=8.0)
-    dataset = extract([Street(0, 0.0), Street(1, 0.4)], by_cell, config)
+    sessions = [Session("street", f"{k}", "eye") for k in range(2)]
+    for session, shift in zip(sessions, (0.0, 0.4), strict=True):
+        extract = extract_session(Street(int(session.name), shift), by_cell, config)
+        write_shard(tmp_path, session, extract, "as ever")
+    counts = finish(tmp_path, sessions, config.label)
+    dataset = load_dataset(tmp_path)
+    assert counts.segments == len(dataset)
+    assert counts.matching_across > 10
     for label in np.unique(dataset.labels):
         members = np.flatnonzero(dataset.labels == label)
         assert np.ptp(dataset.centroids[members], axis=0).max() < 0.5
@@ -213,25 +229,16 @@ def test_extraction_labels_objects_across_sessions() -> None:
     assert 10 <= len(np.unique(dataset.labels)) <= 20
     assert dataset.different(np.array([0]), np.flatnonzero(dataset.centroids[:, 0] > 60)).all()
     with pytest.raises(DatasetError, match="no segment"):
-        extract([Street(0, 0.0)], lambda cloud: _nothing(), config)
-
-
-def _nothing() -> Segments:
-    return Segments(
-        np.empty((0, 3), np.float32),
-        np.zeros(1, np.int64),
-        np.empty((0, 3)),
-        np.empty(0, np.float32),
-    )
+        extract_session(Street(0, 0.0), nothing, config)
 
 
 def test_labels_do_not_chain() -> None:
     """Centroids that creep along a wall are not all one object."""
     centroids = np.column_stack([0.4 * np.arange(50), np.zeros(50), np.zeros(50)])
     extents = np.tile([0.3, 2.0, 5.0], (50, 1))
-    labels = label_objects(centroids, extents, ExtractConfig())
+    labels = label_objects(centroids, extents, LabelConfig())
     for label in np.unique(labels):
         assert np.ptp(centroids[labels == label, 0]) <= 1.0
     extents[::2] *= 3
-    labels = label_objects(centroids, extents, ExtractConfig())
+    labels = label_objects(centroids, extents, LabelConfig())
     assert len(np.intersect1d(labels[::2], labels[1::2])) == 0

@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,6 +75,9 @@ def dilated_neighbors(
     threads: int = 0,
     isa: str = "auto",
 ) -> NDArray[np.int64]: ...
+def shape_profiles(
+    prepared: NDArray[np.float32], heights: NDArray[np.float32], threads: int = 0
+) -> NDArray[np.float32]: ...
 def knn(
     queries: NDArray[np.float32],
     database: NDArray[np.float32],
@@ -143,6 +148,58 @@ class VoxelNetwork:
     @property
     def dim(self) -> int: ...
 
+def xconv_apply(
+    x: NDArray[np.float32],
+    lift: NDArray[np.float32],
+    features: NDArray[np.float32],
+    neighbors: NDArray[np.int64],
+    depthwise: NDArray[np.float32],
+    output: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def xconv_apply_backward(
+    x: NDArray[np.float32],
+    lift: NDArray[np.float32],
+    features: NDArray[np.float32],
+    neighbors: NDArray[np.int64],
+    depthwise: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+    grad_x: NDArray[np.float32],
+    grad_lift: NDArray[np.float32],
+    grad_features: NDArray[np.float32],
+    grad_depthwise: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def elu_norm(
+    input: NDArray[np.float32],
+    activate: bool,
+    weight: NDArray[np.float32],
+    bias: NDArray[np.float32],
+    eps: float,
+    z: NDArray[np.float32],
+    output: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def elu_norm_backward(
+    gradient: NDArray[np.float32],
+    z: NDArray[np.float32],
+    activate: bool,
+    weight: NDArray[np.float32],
+    eps: float,
+    mean: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    grad_input: NDArray[np.float32],
+    grad_weight: NDArray[np.float32],
+    grad_bias: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+
 class Network:
     def __init__(
         self,
@@ -159,3 +216,13 @@ class Network:
     def points(self) -> int: ...
     @property
     def dim(self) -> int: ...
+
+class Perceptron:
+    def __init__(
+        self, tensors: Mapping[str, NDArray[np.float32]], limit: float, isa: str = "auto"
+    ) -> None: ...
+    def run(self, input: NDArray[np.float32], threads: int = 0) -> NDArray[np.float32]: ...
+    @property
+    def inputs(self) -> int: ...
+    @property
+    def outputs(self) -> int: ...

@@ -9,6 +9,7 @@ import typer
 
 from ..errors import SeglocError
 from . import bench, config, demo, localize, map_build, map_info, map_merge
+from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
@@ -22,6 +23,7 @@ app = typer.Typer(
 )
 maps = typer.Typer(help="Build, inspect and merge maps.", no_args_is_help=True)
 app.add_typer(maps, name="map", context_settings=_CONTEXT)
+app.add_typer(train, name="train", context_settings=_CONTEXT)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("config")(config.config)

@@ -10,6 +10,8 @@ from .base import Selection as Selection
 from .base import Sequence as Sequence
 from .base import parse_select as parse_select
 from .folder import FolderSequence as FolderSequence
+from .swathes import Swathes as Swathes
+from .swathes import swathes as swathes
 
 
 def open_sequence(

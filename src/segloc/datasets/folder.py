@@ -36,8 +36,10 @@ class FolderSequence:
     ----------
     folder : path
     poses : path, optional
-        A TUM file whose stamps are the scans' indices, or a KITTI file whose row i is the pose of
-        index i; one with fewer rows than the largest index is taken in the order of the scans.
+        A TUM file whose stamps are the scans' indices, or seconds: one with stamps that are no
+        whole numbers, and as many rows as there are scans, is taken in the order of the scans. Or
+        a KITTI file whose row i is the pose of index i; one with fewer rows than the largest index
+        is taken in the order of the scans, too.
 
     Attributes
     ----------
@@ -172,5 +174,7 @@ def _find_poses(path: Path | None, indices: list[int]) -> list[Pose | None]:
     if path is None:
         return [None] * len(indices)
     trajectory, kind = read_trajectory_and_kind(path)
+    if kind == "tum" and len(trajectory) == len(indices) and (trajectory.stamps % 1).any():
+        return list(np.array(trajectory.poses))
     by_position = kind == "kitti" and len(trajectory) <= max(indices)
     return [trajectory.at(key) for key in (range(len(indices)) if by_position else indices)]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from .base import register
-from .pointset import PointSetDescriptor, shipped_weights
+from .pointset import PointSetDescriptor
+from .weightfile import shipped_weights
 
 
 @register("esm")

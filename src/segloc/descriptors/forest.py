@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -11,16 +10,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save_file
 
 from .. import _native
 from ..errors import WeightsError
 from ..types import Float32, Int64
 from .base import Descriptor, Pruner
-from .pointset import read_tensors, shipped_weights
+from .weightfile import read_weights, shipped_weights, write_weights
 
-_FORMAT = "segloc forest"
-_FORMAT_VERSION = "1"
+_KIND = "forest"
 _DTYPES = {"roots": np.int32, "feature": np.int32, "threshold": np.float32, "first_child": np.int32}
 
 
@@ -121,20 +118,13 @@ class PairForest(Pruner):
         """
         if not path.exists():
             return None
-        metadata, tensors = read_tensors(path)
-        if metadata.get("format") != _FORMAT or metadata.get("version") != _FORMAT_VERSION:
-            raise WeightsError(f"{path}: not a forest of format version {_FORMAT_VERSION}")
-        if metadata.get("descriptor") != descriptor.fingerprint:
-            raise WeightsError(
-                f"{path}: made for {metadata.get('descriptor')}, not for {descriptor.fingerprint}"
-            )
+        file = read_weights(path, _KIND, _DTYPES)
+        made_for = file.settings.get("descriptor")
+        if made_for != descriptor.fingerprint:
+            raise WeightsError(f"{path}: made for {made_for}, not for {descriptor.fingerprint}")
         try:
-            trees = Trees(**tensors)
-            layout = Layout(**json.loads(metadata["layout"]))
-            card = json.loads(metadata["card"])
-            if metadata["sha256"] != _hash(trees, metadata["layout"]):
-                raise WeightsError(f"{path}: the arrays do not match their hash")
-            return PairForest(trees, layout, descriptor.dim, card)
+            layout = Layout(**json.loads(file.settings["layout"]))
+            return PairForest(Trees(**file.tensors), layout, descriptor.dim, file.card)
         except KeyError as error:
             raise WeightsError(f"{path}: the metadata has no {error}") from error
         except (TypeError, ValueError) as error:
@@ -174,27 +164,10 @@ def save_forest(
 
     ``card`` says where the forest comes from: data, command, figures, licence.
     """
-    text = json.dumps(asdict(layout), sort_keys=True)
-    metadata = {
-        "format": _FORMAT,
-        "version": _FORMAT_VERSION,
-        "descriptor": fingerprint,
-        "layout": text,
-        "card": json.dumps(dict(card), sort_keys=True),
-        "sha256": _hash(trees, text),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(trees.arrays(), path, metadata)
+    settings = {"descriptor": fingerprint, "layout": json.dumps(asdict(layout), sort_keys=True)}
+    write_weights(path, _KIND, trees.arrays(), settings, card)
 
 
 def shipped_forest(method: str) -> Path:
     """Path of the forest that comes with the package for a method."""
     return shipped_weights(f"{method}-forest.safetensors")
-
-
-def _hash(trees: Trees, layout: str) -> str:
-    digest = hashlib.sha256(layout.encode())
-    for name, array in sorted(trees.arrays().items()):
-        digest.update(f"{name} {array.shape} ".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()

@@ -6,21 +6,17 @@ in the order of farthest-point sampling, so each layer's points are a prefix of 
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
-import numpy as np
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
-
 from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Segments
 from .base import Descriptor
+from .weightfile import read_weights, write_weights
 
 Alignment = Literal["none", "pca2d", "pca3d"]
 
@@ -30,8 +26,7 @@ POINTS = 256
 PREPROCESSING_VERSION = 1
 """Counts changes of `prepare` that change its result."""
 
-_FORMAT = "segloc network"
-_FORMAT_VERSION = "1"
+_KIND = "network"
 
 
 @dataclass(frozen=True)
@@ -99,19 +94,12 @@ def save_weights(
 
     ``card`` says where the weights come from: data, command, figures, licence.
     """
-    table = json.dumps([asdict(layer) for layer in layers])
-    metadata = {
-        "format": _FORMAT,
-        "version": _FORMAT_VERSION,
+    settings = {
         "points": str(POINTS),
-        "layers": table,
+        "layers": json.dumps([asdict(layer) for layer in layers]),
         "alignment": alignment,
-        "card": json.dumps(dict(card), sort_keys=True),
-        "sha256": _tensor_hash(tensors, table, alignment),
     }
-    contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(contiguous, path, metadata)
+    write_weights(path, _KIND, tensors, settings, card)
 
 
 def load_weights(path: Path) -> Weights:
@@ -123,57 +111,20 @@ def load_weights(path: Path) -> Weights:
         If the file is missing, truncated, of another format, does not match its hash, or if a
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
-    metadata, tensors = read_tensors(path)
-    if metadata.get("format") != _FORMAT or metadata.get("version") != _FORMAT_VERSION:
-        raise WeightsError(f"{path}: not a network of format version {_FORMAT_VERSION}")
-    for name, tensor in tensors.items():
-        if tensor.dtype != np.float32:
-            raise WeightsError(f"{path}: tensor '{name}' is {tensor.dtype}, expected float32")
-        if not np.isfinite(tensor).all():
-            raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
+    file = read_weights(path, _KIND)
     try:
-        table, alignment = metadata["layers"], metadata["alignment"]
-        rows = [Layer(**row) for row in json.loads(table)]
-        points, card = int(metadata["points"]), json.loads(metadata["card"])
+        alignment = file.settings["alignment"]
+        rows = [Layer(**row) for row in json.loads(file.settings["layers"])]
+        points = int(file.settings["points"])
         specs = [(row.points, row.neighbors, row.dilation, row.channels) for row in rows]
-        network = _native.Network(specs, tensors, points)
+        network = _native.Network(specs, file.tensors, points)
     except KeyError as error:
         raise WeightsError(f"{path}: the metadata has no {error}") from error
     except (TypeError, ValueError) as error:
         raise WeightsError(f"{path}: {error}") from error
     if alignment not in get_args(Alignment) or points != POINTS:
         raise WeightsError(f"{path}: made for another preparation of the segments")
-    digest = _tensor_hash(tensors, table, alignment)
-    if digest != metadata.get("sha256"):
-        raise WeightsError(f"{path}: the tensors do not match their hash")
-    return Weights(network, cast(Alignment, alignment), card, digest)
-
-
-def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
-    """Metadata and arrays of a safetensors file.
-
-    Raises
-    ------
-    WeightsError
-        If the file is missing or damaged.
-    """
-    try:
-        with safe_open(path, framework="np") as file:
-            names = list(file.keys())
-            return file.metadata() or {}, {name: file.get_tensor(name) for name in names}
-    except FileNotFoundError as error:
-        raise WeightsError(f"{path}: no such file") from error
-    except (OSError, SafetensorError) as error:
-        raise WeightsError(f"{path}: {error}") from error
-
-
-def _tensor_hash(tensors: Mapping[str, Float32], table: str, alignment: str) -> str:
-    digest = hashlib.sha256(f"{table} {alignment}".encode())
-    for name in sorted(tensors):
-        tensor = np.ascontiguousarray(tensors[name], dtype="<f4")
-        digest.update(f"{name} {tensor.shape} ".encode())
-        digest.update(tensor.tobytes())
-    return digest.hexdigest()
+    return Weights(network, cast(Alignment, alignment), file.card, file.sha256)
 
 
 class PointSetDescriptor(Descriptor):
@@ -215,8 +166,3 @@ class PointSetDescriptor(Descriptor):
         """Describe prepared segments: (P, 16) float32 vectors."""
         vectors, quality = self._network.describe(prepared, self._threads)
         return Descriptors(vectors, quality if self._with_quality else None)
-
-
-def shipped_weights(file: str) -> Path:
-    """Path of a weights file that comes with the package."""
-    return Path(__file__).resolve().parent.parent / "weights" / file

@@ -7,8 +7,6 @@ parameters, is stored as int8 with a scale for each output: 9 MB instead of 34.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,21 +14,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save_file
 
 from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Int64, Segments
 from .base import Descriptor, register
-from .pointset import read_tensors, shipped_weights
+from .weightfile import read_weights, shipped_weights, write_weights
 
 GRID = (32, 32, 16)
 
 PREPROCESSING_VERSION = 1
 """Counts changes of `prepare` that change its result."""
 
-_FORMAT = "segloc voxel network"
-_FORMAT_VERSION = "1"
+_KIND = "voxel network"
 _QUANTIZED = "fc1.weight"
 _SCALE = "fc1.weight.scale"
 
@@ -90,14 +86,8 @@ def save_weights(path: Path, tensors: Mapping[str, Float32], card: Mapping[str, 
         name: np.ascontiguousarray(tensor, np.float32) for name, tensor in tensors.items()
     }
     stored[_QUANTIZED], stored[_SCALE] = quantized(stored[_QUANTIZED])
-    metadata = {
-        "format": _FORMAT,
-        "version": _FORMAT_VERSION,
-        "card": json.dumps(dict(card), sort_keys=True),
-        "sha256": _hash(stored),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(stored, path, metadata)
+    settings = {"preprocessing": str(PREPROCESSING_VERSION)}
+    write_weights(path, _KIND, stored, settings, card)
 
 
 def quantized(weight: Float32) -> tuple[NDArray[np.int8], Float32]:
@@ -116,36 +106,17 @@ def load_weights(path: Path) -> tuple[_native.VoxelNetwork, dict[str, Any], str]
         If the file is missing, truncated, of another format, does not match its hash, or if a
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
-    metadata, stored = read_tensors(path)
-    if metadata.get("format") != _FORMAT or metadata.get("version") != _FORMAT_VERSION:
-        raise WeightsError(f"{path}: not a voxel network of format version {_FORMAT_VERSION}")
-    for name, tensor in stored.items():
-        expected = np.int8 if name == _QUANTIZED else np.float32
-        if tensor.dtype != expected:
-            raise WeightsError(
-                f"{path}: tensor '{name}' is {tensor.dtype}, not {expected.__name__}"
-            )
-        if not np.isfinite(tensor).all():
-            raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
+    file = read_weights(path, _KIND, {_QUANTIZED: np.int8})
+    if file.settings.get("preprocessing") != str(PREPROCESSING_VERSION):
+        raise WeightsError(f"{path}: made for another preparation of the segments")
     try:
-        digest, card = _hash(stored), json.loads(metadata["card"])
-        if digest != metadata["sha256"]:
-            raise WeightsError(f"{path}: the tensors do not match their hash")
-        scale = stored.pop(_SCALE)
-        tensors = {**stored, _QUANTIZED: stored[_QUANTIZED] * scale}
-        return _native.VoxelNetwork(tensors), card, digest
+        tensors = dict(file.tensors)
+        tensors[_QUANTIZED] = tensors[_QUANTIZED] * tensors.pop(_SCALE)
+        return _native.VoxelNetwork(tensors), file.card, file.sha256
     except KeyError as error:
-        raise WeightsError(f"{path}: there is no {error}") from error
+        raise WeightsError(f"{path}: there is no tensor {error}") from error
     except (TypeError, ValueError) as error:
         raise WeightsError(f"{path}: {error}") from error
-
-
-def _hash(tensors: Mapping[str, NDArray[Any]]) -> str:
-    digest = hashlib.sha256()
-    for name, tensor in sorted(tensors.items()):
-        digest.update(f"{name} {tensor.shape} ".encode())
-        digest.update(np.ascontiguousarray(tensor, tensor.dtype.newbyteorder("<")).tobytes())
-    return digest.hexdigest()
 
 
 class SegMapDescriptor(Descriptor):

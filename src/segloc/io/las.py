@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DatasetError, MissingDependency
-from ..types import Float32, Scan
+from ..types import Float32, Float64, Scan
 from ._columns import one_line, scan_from_columns
 from ._laz import check_chunks
 
@@ -119,8 +119,8 @@ def _read_columns(reader: laspy.LasReader) -> list[NDArray[np.float64]]:
     return stacked if timed and stacked[3].any() else stacked[:3]
 
 
-def format_laz(points: Float32) -> bytes:
-    """A LAZ file of point format 0 with coordinates in steps of ``RESOLUTION``.
+def format_laz(points: Float32, times: Float64 | None = None) -> bytes:
+    """A LAZ file with coordinates in steps of ``RESOLUTION``, of a format with times if needed.
 
     Raises
     ------
@@ -131,12 +131,14 @@ def format_laz(points: Float32) -> bytes:
     steps = np.rint(points.astype(np.float64) / RESOLUTION)
     if np.abs(steps).max(initial=0) > np.iinfo(np.int32).max:
         raise DatasetError("coordinates beyond 2147 km do not fit a .laz file")
-    header = laspy.LasHeader(version="1.2", point_format=0)
+    header = laspy.LasHeader(version="1.2", point_format=0 if times is None else 1)
     header.scales = np.full(3, RESOLUTION)
     header.offsets = np.zeros(3)
     header.creation_date = None  # the same points make the same bytes
     las = laspy.LasData(header)
     las.X, las.Y, las.Z = steps.astype(np.int32).T
+    if times is not None:
+        las.gps_time = times
     buffer = io.BytesIO()
     las.write(buffer, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
     return buffer.getvalue()

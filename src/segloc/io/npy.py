@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DatasetError
-from ..types import Float32, Scan
+from ..types import Float32, Float64, Scan
 from ._columns import one_line
 
 _MAGIC = b"\x93NUMPY"
@@ -102,4 +102,12 @@ def format_npy(points: Float32) -> bytes:
     """The points as a float32 array (N, 3)."""
     buffer = io.BytesIO()
     np.save(buffer, points.astype("<f4"), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def format_npz(points: Float32, times: Float64 | None) -> bytes:
+    """An archive of ``points``, float32 (N, 3), and, where there are any, float64 ``times``."""
+    buffer = io.BytesIO()
+    arrays = {} if times is None else {"times": times.astype("<f8")}
+    np.savez(buffer, allow_pickle=False, points=points.astype("<f4"), **arrays)
     return buffer.getvalue()

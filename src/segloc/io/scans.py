@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 
 from ..errors import DatasetError
 from ..files import replacing
-from ..types import Float32, Scan
+from ..types import Float32, Float64, Scan
 from .kitti_bin import format_kitti, parse_kitti, parse_nuscenes
 from .las import format_laz, parse_las
-from .npy import format_npy, parse_npy, parse_npz
+from .npy import format_npy, format_npz, parse_npy, parse_npz
 from .pcd import format_pcd, parse_pcd
 from .ply import format_ply, parse_ply
 from .text import format_csv, parse_csv, parse_txt
@@ -37,8 +37,11 @@ _FORMATTERS: dict[str, Callable[[Float32], bytes]] = {
     ".pcd": format_pcd,
     ".ply": format_ply,
     ".csv": format_csv,
-    ".laz": format_laz,
     ".npy": format_npy,
+}
+_TIMED_FORMATTERS: dict[str, Callable[[Float32, Float64 | None], bytes]] = {
+    ".laz": format_laz,
+    ".npz": format_npz,
 }
 
 
@@ -105,8 +108,8 @@ def read_file(path: Path) -> bytes:
         raise DatasetError(f"cannot read: {error}") from error
 
 
-def write_scan(path: str | Path, points: ArrayLike) -> None:
-    """Write x, y, z to a ``.bin``, ``.pcd``, ``.ply``, ``.npy``, ``.laz`` or ``.csv`` file.
+def write_scan(path: str | Path, points: ArrayLike, times: ArrayLike | None = None) -> None:
+    """Write x, y, z to a ``.bin .pcd .ply .npy .npz .laz`` or ``.csv`` file.
 
     All but ``.laz`` (steps of 1 mm) keep every bit of float32 coordinates. The file appears whole
     or not at all.
@@ -117,25 +120,36 @@ def write_scan(path: str | Path, points: ArrayLike) -> None:
         Its folder must exist; a file of that name is replaced.
     points : (N, >=3) array of any float dtype
         Metres. Points that are not finite are left out.
+    times : (N,) array, optional
+        Of each point, seconds; only ``.npz`` and ``.laz`` have room for them.
 
     Raises
     ------
     DatasetError
-        If the suffix is unknown, or coordinates are beyond the format's range.
+        If the suffix is unknown or has no room for times, or coordinates are beyond the format's
+        range.
     SeglocError
         If the file cannot be written.
     InvalidScan
-        If the points have the wrong shape or dtype.
+        If the points or times have the wrong shape or dtype.
     MissingDependency
         If the format needs a package that is not installed.
     """
     path = Path(path)
     suffix = scan_suffix(path)
-    if suffix not in _FORMATTERS:
-        raise DatasetError(f"{path}: cannot write this format; known are {', '.join(_FORMATTERS)}")
-    xyz = Scan(points).points
+    known = {**_FORMATTERS, **_TIMED_FORMATTERS}
+    if suffix not in known:
+        raise DatasetError(f"{path}: cannot write this format; known are {', '.join(known)}")
+    if times is not None and suffix not in _TIMED_FORMATTERS:
+        raise DatasetError(
+            f"{path}: no room for times; formats with times are {', '.join(_TIMED_FORMATTERS)}"
+        )
+    scan = Scan(points, times=times)
     try:
-        data = _FORMATTERS[suffix](xyz)
+        if suffix in _TIMED_FORMATTERS:
+            data = _TIMED_FORMATTERS[suffix](scan.points, scan.times)
+        else:
+            data = _FORMATTERS[suffix](scan.points)
     except DatasetError as error:
         raise DatasetError(f"{path}: {error}") from error
     with replacing(path) as stream:

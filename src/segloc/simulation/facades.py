@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..types import Float64
-from .mesh import GLASS, Mesh, above, boxes, join, quads, tubes
+from .mesh import Mesh, above, boxes, glass, join, quads, tubes
 
 _TRIM, _WOOD, _STEEL, _CURTAIN = 0.6, 0.4, 0.3, 0.45
 
@@ -125,7 +125,7 @@ def _wall_with_holes(
         [
             *wall,
             quads(reveal, style.reflectance),
-            quads(pane[clear], GLASS),
+            glass(quads(pane[clear], 0.0)),
             quads(pane[~clear], _CURTAIN),
             boxes(ledge, size, _TRIM),
             boxes(bar, post, _TRIM),
@@ -196,7 +196,7 @@ def _bay(rng: np.random.Generator, style: FacadeStyle, width: float, floors: int
     for floor in range(round((top + 0.2 - style.base) / style.floor_height)):
         sill = style.base + floor * style.floor_height + 0.75
         parts.append(band(low, sill, style.reflectance))
-        parts.append(band(sill, sill + 1.3, GLASS, 0.08))
+        parts.append(glass(band(sill, sill + 1.3, 0.0, 0.08)))
         low = sill + 1.3
     parts.append(band(low, top, style.reflectance))
     roof = np.column_stack([plan, np.full(4, top)])

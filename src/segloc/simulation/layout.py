@@ -6,10 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..types import Float64
-from .mesh import Mesh, rectangle
+from ..types import Float32, Float64
+from .mesh import Mesh, loft, rectangle
 from .roads import RoadNetwork, Street
-from .terrain import Terrain
+from .terrain import Terrain, relief, roughness
+from .worlds import Spots
+
+_KERB = 0.12
+_STEP = 0.5
 
 
 class Occupancy:
@@ -17,6 +21,7 @@ class Occupancy:
 
     def __init__(self, size_m: float, step: float = 0.25) -> None:
         self._step = step
+        self.size_m = size_m
         side = int(np.ceil(size_m / step)) + 1
         self._taken = np.zeros((side, side), dtype=bool)
 
@@ -70,12 +75,15 @@ class Frontage:
         Width, metres.
     character : str
         What is built: "villas", "terrace", "flats", "mixed" or "green".
+    setback : float
+        Times the usual depth of front gardens.
     """
 
     street: Street
     side: int
     pavement: float
     character: str
+    setback: float = 1.0
 
     def at(self, s: float | Float64, beyond_kerb: float | Float64) -> tuple[Float64, Float64]:
         """Points and yaws; local +y leads away from the street."""
@@ -87,7 +95,7 @@ class Frontage:
 
 @dataclass
 class Site:
-    """A settlement being laid out."""
+    """A settlement being laid out; ``green`` says how much grows in it, 0 to 1."""
 
     rng: np.random.Generator
     terrain: Terrain
@@ -97,6 +105,7 @@ class Site:
     parking: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     people: list[Float64] = field(default_factory=list)
     bicycles: list[tuple[float, float, float]] = field(default_factory=list)
+    green: float = 0.5
 
     def stand(self, kind: str, mesh: Mesh, at: Float64, yaw: float, size: float) -> bool:
         """Stand an object of about ``size`` metres on free ground; False if there is none."""
@@ -104,6 +113,37 @@ class Site:
             return False
         self.items.append((kind, mesh.moved([*at, float(self.terrain.height(*at))], yaw)))
         return True
+
+    def erect(
+        self,
+        kind: str,
+        mesh: Mesh,
+        at: Float64,
+        size: tuple[float, float],
+        yaw: float,
+        *,
+        clearance: float = 1.2,
+        margin: float = 0.0,
+    ) -> bool:
+        """Put up something large, ``size`` metres, on the mean height of free ground."""
+        steps = np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 5))
+        c, s = np.cos(yaw), np.sin(yaw)
+        plan = np.stack(steps, -1).reshape(-1, 2) * size @ np.array([[c, s], [-s, c]]) + at
+        if self.roads.clearance(plan).min() < clearance:
+            return False
+        if not self.ground.free(at, size, yaw, margin) or not self.ground.claim(at, size, yaw):
+            return False
+        z = float(self.terrain.height(*plan.T).mean())
+        self.items.append((kind, mesh.moved([*at, z], yaw)))
+        return True
+
+    def spots(self) -> Spots:
+        """The places where something may stand that comes and goes."""
+        return Spots(
+            np.array(self.parking).reshape(-1, 5),
+            np.array(self.people).reshape(-1, 2),
+            np.array(self.bicycles).reshape(-1, 3),
+        )
 
     def ground_line(self, points: Float64) -> Float64:
         """(n, 3) points on the terrain under (n, 2) points."""
@@ -114,3 +154,40 @@ class Site:
         if (self.roads.clearance(points) < clearance).any():
             return False
         return all(self.ground.free(point, (0.3, 0.3), 0.0) for point in points)
+
+
+def paved_ground(
+    rng: np.random.Generator,
+    roads: RoadNetwork,
+    size_m: float,
+    *,
+    slope: float = 0.025,
+    paved_m: float = 2.5,
+) -> tuple[Terrain, Float32]:
+    """Relief with streets, kerb steps, and lawns from ``paved_m`` beyond the kerb; reflectances."""
+    count = int(np.ceil(size_m / _STEP)) + 1
+    axis = _STEP * np.arange(count)
+    x, y = np.meshgrid(axis, axis)
+    clear = roads.clearance(np.stack([x, y], axis=-1))
+    kerb = _KERB * np.clip((clear - 0.1) / 0.3, 0, 1)
+    lawn = np.clip((clear - paved_m) / 1.5, 0, 1)
+    bumps = roughness(rng, x.shape) * (0.008 + 0.032 * lawn)
+    heights = relief(rng, x, y, slope) + kerb + bumps
+    shine = np.where(clear < 0.2, 0.13, np.where(clear < paved_m - 0.5, 0.25, 0.4))
+    cells = shine.astype(np.float32)[:-1, :-1].reshape(-1)
+    return Terrain(np.zeros(2), _STEP, heights), np.repeat(cells, 2)
+
+
+def lay_kerb(site: Site, front: Frontage) -> None:
+    """Kerb stones where the pavement meets the carriageway, not across side roads."""
+    s = np.arange(0.0, front.street.length, 1.0)
+    inner, _ = front.at(s, 0.0)
+    outer, _ = front.at(s, 0.18)
+    along = site.roads.clearance(inner) > -0.15
+    z = site.terrain.height(*front.at(s, -0.3)[0].T) + _KERB
+    profile = [(inner, -0.3), (inner, 0.0), (outer, 0.0), (outer, -0.3)]
+    sections = np.stack([np.column_stack([xy, z + dz]) for xy, dz in profile], axis=1)
+    runs = np.flatnonzero(np.diff(np.concatenate([[0], along.astype(int), [0]])))
+    for begin, end in runs.reshape(-1, 2):
+        if end - begin >= 2:
+            site.items.append(("kerb", loft(sections[begin:end], 0.35)))

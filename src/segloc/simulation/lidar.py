@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import ConfigError
-from ..types import Float32, Int64
-from .ranging import Lidar
+from .ranging import Lidar, Rays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +20,8 @@ class SpinningLidar(Lidar):
         Of each beam above the sensor's x-y plane.
     azimuth_steps : int
         Firings of the column a turn.
+    azimuths_deg : tuple of float
+        Of each beam to the left of its column; repeated where there are more beams.
 
     Raises
     ------
@@ -30,24 +31,36 @@ class SpinningLidar(Lidar):
 
     elevations_deg: tuple[float, ...]
     azimuth_steps: int
+    azimuths_deg: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.elevations_deg or not max(abs(e) for e in self.elevations_deg) < 90:
             raise ConfigError("elevations_deg must name at least one beam within -90..90 degrees")
+        if not self.azimuths_deg or not max(abs(a) for a in self.azimuths_deg) <= 180:
+            raise ConfigError("azimuths_deg must name at least one angle within -180..180 degrees")
         if self.azimuth_steps < 1:
             raise ConfigError(f"azimuth_steps must be at least 1, not {self.azimuth_steps}")
 
-    def rays(self, phase: float) -> tuple[Float32, Int64]:
-        """Directions and beams, one column after another; ``phase`` is a share of one step."""
-        azimuth = (np.arange(self.azimuth_steps) + phase) * (-2 * np.pi / self.azimuth_steps)
+    def rays(self, phase: float, number: int = 0) -> Rays:
+        """One column after another; ``phase`` is a share of one step."""
+        turn = -2 * np.pi * (np.arange(self.azimuth_steps) + phase) / self.azimuth_steps
         elevation = np.radians(np.array(self.elevations_deg))
+        azimuth = turn[:, None] + np.radians(np.array(self.azimuths_deg))
+        column = np.arange(len(elevation)) % len(self.azimuths_deg)
         flat = np.cos(elevation)
-        x, y = np.outer(np.cos(azimuth), flat), np.outer(np.sin(azimuth), flat)
-        z = np.broadcast_to(np.sin(elevation), x.shape)
-        directions = np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+        directions = np.empty((len(turn), len(elevation), 3), dtype=np.float32)
+        directions[..., 0] = np.cos(azimuth)[:, column] * flat
+        directions[..., 1] = np.sin(azimuth)[:, column] * flat
+        directions[..., 2] = np.sin(elevation)
         beams = np.tile(np.arange(len(elevation), dtype=np.int64), self.azimuth_steps)
-        return directions, beams
+        times = np.arange(self.azimuth_steps) / (self.azimuth_steps * self.rate_hz)
+        return Rays(directions.reshape(-1, 3), beams, times)
+
+    def thinned(self, factor: int) -> SpinningLidar:
+        if factor < 1:
+            raise ConfigError(f"factor must be at least 1, not {factor}")
+        return replace(self, azimuth_steps=max(1, round(self.azimuth_steps / factor)))
 
 
 def hdl64e(azimuth_steps: int = 2083) -> SpinningLidar:
@@ -59,6 +72,7 @@ def hdl64e(azimuth_steps: int = 2083) -> SpinningLidar:
         elevations_deg=upper + lower,
         azimuth_steps=azimuth_steps,
         beam_bias_sigma_m=0.016,
+        divergence_mrad=2.0,
     )
 
 
@@ -83,4 +97,30 @@ def vlp16(azimuth_steps: int = 1800) -> SpinningLidar:
         max_range_m=100.0,
         range_sigma_m=0.03,
         reference_range_m=150.0,
+    )
+
+
+def os1_64(azimuth_steps: int = 1024) -> SpinningLidar:
+    """Ouster OS1-64: 64 beams evenly over -16.6 to 16.6 degrees, in four staggered columns."""
+    return _ouster("os1-64", 64, 16.6, 3.164, azimuth_steps)
+
+
+def os1_128(azimuth_steps: int = 1024) -> SpinningLidar:
+    """Ouster OS1-128: 128 beams evenly over -22.5 to 22.5 degrees, in four staggered columns."""
+    return _ouster("os1-128", 128, 22.5, 4.23, azimuth_steps)
+
+
+def _ouster(
+    name: str, beams: int, half_view_deg: float, stagger_deg: float, azimuth_steps: int
+) -> SpinningLidar:
+    step = 2 * half_view_deg / (beams - 1)
+    return SpinningLidar(
+        name=name,
+        elevations_deg=tuple(half_view_deg - k * step for k in range(beams)),
+        azimuths_deg=tuple(stagger_deg * share for share in (1, 1 / 3, -1 / 3, -1)),
+        azimuth_steps=azimuth_steps,
+        min_range_m=0.5,
+        range_sigma_m=0.025,
+        reference_range_m=160.0,
+        divergence_mrad=3.1,
     )

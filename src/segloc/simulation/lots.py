@@ -9,8 +9,10 @@ import numpy as np
 from ..types import Float64
 from .buildings import Building, garage, house
 from .layout import Frontage, Site
+from .mesh import join
+from .planting import ivy, thicket, town_tree
 from .street import fence, garden_wall, wheelie_bin
-from .vegetation import bush, hedge, shrubs, tree, trimmed_box_bush
+from .vegetation import bush, hedge, shrubs, trimmed_box_bush
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ def build_along(site: Site, front: Frontage) -> list[Lot]:
     s = float(rng.uniform(3, 9))
     while s < front.street.length - 6:
         building, setback, gap = _draw_building(rng, front.character)
+        setback *= front.setback
         width = building.width + gap if building else float(rng.uniform(8, 18))
         beyond = front.pavement + setback
         placed = building is not None and _place(site, front, building, s + width / 2, beyond)
@@ -48,8 +51,12 @@ def dress(site: Site, lot: Lot) -> None:
     """Hedges, walls, gardens, a drive: what lies before and between the houses."""
     if lot.setback > 1.2 or not lot.house_width:
         _front_edge(site, lot.front, lot.begin, lot.end)
-    if lot.house_width and lot.setback > 2:
+    if lot.house_width and lot.setback > 1.6:
         _front_garden(site, lot)
+    if not lot.house_width and site.rng.random() < 0.3 + 0.6 * site.green:
+        reach = site.rng.uniform(4, 14)
+        along = np.array([lot.begin, lot.end, lot.end, lot.begin])
+        thicket(site, lot.front.at(along, lot.front.pavement + np.array([1, 1, reach, reach]))[0])
     if lot.gap > 1.0 or not lot.house_width:
         _divider(site, lot.front, lot.begin, float(site.rng.uniform(6, 18)))
     if lot.gap > 3.2 and lot.house_width:
@@ -80,30 +87,24 @@ def _draw_building(
 
 
 def _place(site: Site, front: Frontage, building: Building, s: float, beyond_kerb: float) -> bool:
-    """Build if the plan is free and off every street."""
+    """Put a building with its front on a line along the street, unless it would stand on others.
+
+    Nor may it stand on any street.
+    """
     at, yaw = front.at(s, beyond_kerb + building.depth / 2)
     turn = float(yaw + site.rng.normal(0, 0.012))
-    size = (building.width, building.depth)
-    grid = (
-        np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 5)), -1).reshape(
-            -1, 2
-        )
-        * size
-    )
-    c, si = np.cos(turn), np.sin(turn)
-    plan = grid @ np.array([[c, si], [-si, c]]) + at
-    if site.roads.clearance(plan).min() < 1.2 or not site.ground.claim(at, size, turn):
-        return False
-    z = float(site.terrain.height(*plan.T).mean())
-    site.items.append(("house", building.mesh.moved([*at, z], turn)))
-    return True
+    mesh, plan = building.mesh, (building.width, building.depth)
+    if site.rng.random() < 0.5 * site.green:
+        high = min(6.5, float(mesh.triangles[..., 2].max()))
+        mesh = join([mesh, ivy(site.rng, *plan, high)])
+    return site.erect("house", mesh, at, plan, turn)
 
 
 def _edge(site: Site, kind: str, points: Float64) -> None:
     """A hedge, wall or fence along a (n, 2) line."""
     rng, line = site.rng, site.ground_line(points)
     if kind == "hedge":
-        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.7, 0.4], [2.1, 1.0]))))
+        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.6, 0.5], [2.2, 1.3]))))
     elif kind == "shrubs":
         site.items.append(("shrubs", shrubs(rng, line)))
     elif kind == "wall":
@@ -116,8 +117,10 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
     """What bounds the front garden, with a gate or a drive left open."""
     rng = site.rng
     kinds = ["hedge", "shrubs", "wall", "fence", "bushes", "none"]
-    kind = str(rng.choice(kinds, p=[0.28, 0.2, 0.2, 0.16, 0.06, 0.1]))
-    border = rng.random() < 0.65
+    lush = np.array([0.4, 0.2, 0.12, 0.12, 0.12, 0.04])
+    bare = np.array([0.12, 0.1, 0.34, 0.24, 0.05, 0.15])
+    kind = str(rng.choice(kinds, p=site.green * lush + (1 - site.green) * bare))
+    border = rng.random() < 0.3 + 0.6 * site.green
     end = min(end, front.street.length - 2.0)
     gate = rng.uniform(begin, max(begin, end))
     opening = rng.uniform(0.6, 2.0)
@@ -145,7 +148,7 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
 def _front_garden(site: Site, lot: Lot) -> None:
     front, setback, middle = lot.front, lot.setback, (lot.begin + lot.end) / 2
     rng = site.rng
-    for _ in range(int(rng.integers(0, 4))):
+    for _ in range(int(rng.integers(0, 3 + round((2 + lot.setback) * 1.3 * site.green)))):
         along = middle + rng.uniform(-0.5, 0.5) * lot.house_width
         at, yaw = front.at(along, front.pavement + rng.uniform(0.9, max(1.0, setback - 0.7)))
         pick = rng.random()
@@ -153,8 +156,8 @@ def _front_garden(site: Site, lot: Lot) -> None:
             site.stand("bush", bush(rng), at, float(rng.uniform(0, 6)), 1.0)
         elif pick < 0.75:
             site.stand("bush", trimmed_box_bush(rng), at, float(yaw), 0.8)
-        elif setback > 3:
-            site.stand("tree", tree(rng, float(rng.uniform(2.5, 7.0))), at, float(yaw), 0.8)
+        else:
+            site.stand("tree", town_tree(rng, 2.5, 3.0 + 1.5 * setback), at, float(yaw), 0.8)
 
 
 def _divider(site: Site, front: Frontage, s: float, depth: float) -> None:

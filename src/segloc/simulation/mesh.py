@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..types import Float32, Float64
 
-GLASS = 0.05
-"""The reflectance that stands for window panes, which sensors see through; of nothing else."""
+SOLID, GLASS, LEAF = range(3)
+"""What triangles are made of: sensors see through glass, and leaves fall in winter."""
+
+UInt8: TypeAlias = NDArray[np.uint8]
+_PANE = 0.05
 
 
 @dataclass(frozen=True)
@@ -24,10 +28,13 @@ class Mesh:
         Corners in metres.
     reflectance : (T,) float32
         Share of the light that comes back, in [0, 1]; decides which returns are lost.
+    material : (T,) uint8
+        ``SOLID``, ``GLASS`` or ``LEAF``.
     """
 
     triangles: Float64
     reflectance: Float32
+    material: UInt8
 
     def __len__(self) -> int:
         return len(self.triangles)
@@ -36,13 +43,13 @@ class Mesh:
         """The mesh turned about z by ``yaw`` radians, then shifted to ``position`` (x, y, z)."""
         c, s = np.cos(yaw), np.sin(yaw)
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Mesh(self.triangles @ R + np.asarray(position, dtype=float), self.reflectance)
+        return replace(self, triangles=self.triangles @ R + np.asarray(position, dtype=float))
 
     def leaning(self, pitch: float, roll: float) -> Mesh:
         """The mesh leaning by small angles (radians): a sheared z axis, good for a few degrees."""
         shear = np.eye(3)
         shear[2, :2] = pitch, roll
-        return Mesh(self.triangles @ shear, self.reflectance)
+        return replace(self, triangles=self.triangles @ shear)
 
 
 def above(height: float) -> Float64:
@@ -52,19 +59,32 @@ def above(height: float) -> Float64:
 
 def join(meshes: Iterable[Mesh]) -> Mesh:
     """One mesh of several."""
-    parts = list(meshes)
-    if not parts:
-        return Mesh(np.zeros((0, 3, 3)), np.zeros(0, dtype=np.float32))
+    parts = list(meshes) or [triangles([], 0.0)]
     return Mesh(
         np.concatenate([part.triangles for part in parts]),
         np.concatenate([part.reflectance for part in parts]),
+        np.concatenate([part.material for part in parts]),
     )
 
 
-def triangles(corners: ArrayLike, reflectance: float) -> Mesh:
+def glass(mesh: Mesh) -> Mesh:
+    """The mesh as window panes."""
+    count = len(mesh)
+    return Mesh(
+        mesh.triangles,
+        np.full(count, _PANE, dtype=np.float32),
+        np.full(count, GLASS, dtype=np.uint8),
+    )
+
+
+def triangles(corners: ArrayLike, reflectance: float, material: int = SOLID) -> Mesh:
     """A mesh of (T, 3, 3) corners."""
     array = np.asarray(corners, dtype=float).reshape(-1, 3, 3)
-    return Mesh(array, np.full(len(array), reflectance, dtype=np.float32))
+    return Mesh(
+        array,
+        np.full(len(array), reflectance, dtype=np.float32),
+        np.full(len(array), material, dtype=np.uint8),
+    )
 
 
 def quads(corners: ArrayLike, reflectance: float) -> Mesh:
@@ -147,8 +167,17 @@ def polygon(corners: ArrayLike, reflectance: float) -> Mesh:
     return triangles(np.stack([ring, np.roll(ring, -1, axis=0), middle], axis=1), reflectance)
 
 
-def scraps(rng: np.random.Generator, centers: Float64, size: ArrayLike, reflectance: float) -> Mesh:
-    """One small triangle of random shape and direction at each of (n, 3) centers: foliage."""
+def scraps(
+    rng: np.random.Generator,
+    centers: Float64,
+    size: ArrayLike,
+    reflectance: float,
+    material: int = LEAF,
+) -> Mesh:
+    """One small triangle of random shape and direction at each of (n, 3) centers: foliage.
+
+    What keeps its leaves in winter is ``SOLID``.
+    """
     n = len(centers)
     a, b = rng.normal(size=(2, n, 3))
     a /= np.linalg.norm(a, axis=1, keepdims=True)
@@ -156,9 +185,8 @@ def scraps(rng: np.random.Generator, centers: Float64, size: ArrayLike, reflecta
     b /= np.linalg.norm(b, axis=1, keepdims=True)
     scale = np.broadcast_to(np.asarray(size, dtype=float), (n,))[:, None]
     corner = np.stack([a, -0.5 * a + 0.9 * b, -0.5 * a - 0.9 * b], axis=1)
-    return triangles(
-        centers[:, None] + corner * scale[:, None] * rng.uniform(0.6, 1.4, (n, 3, 1)), reflectance
-    )
+    spread = corner * scale[:, None] * rng.uniform(0.6, 1.4, (n, 3, 1))
+    return triangles(centers[:, None] + spread, reflectance, material)
 
 
 def _grid_quads(grid: NDArray[np.float64], reflectance: float) -> Mesh:

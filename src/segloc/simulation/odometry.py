@@ -15,6 +15,9 @@ from ..types import Float64
 class OdometryNoise:
     """How wrong odometry is.
 
+    By default as wrong as the best LiDAR odometry on real cars: half a percent of the way and
+    0.2 degrees in 100 m.
+
     Attributes
     ----------
     drift_m, drift_deg : float
@@ -22,6 +25,9 @@ class OdometryNoise:
         the square root of the way.
     jitter_m, jitter_deg : float
         Standard deviation of what is wrong in one pose and gone in the next.
+    scale : float
+        Standard deviation, over drives, of the share by which all ways come out too long or too
+        short: ranges are off by as much all the time.
 
     Raises
     ------
@@ -33,6 +39,7 @@ class OdometryNoise:
     drift_deg: float = 0.02
     jitter_m: float = 0.015
     jitter_deg: float = 0.04
+    scale: float = 0.005
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -62,6 +69,7 @@ class OdometryNoise:
             odometry[i + 1] = odometry[i] @ step
         jitter = np.radians(self.jitter_deg) * rng.normal(size=(count, 3))
         odometry = odometry @ _poses(jitter, self.jitter_m * rng.normal(size=(count, 3)))
+        odometry[:, :3, 3] *= 1 + self.scale * rng.normal()
         return np.asarray(odometry, dtype=np.float64)
 
 

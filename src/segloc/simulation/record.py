@@ -11,18 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import ConfigError
+from ..datasets.base import Recording
+from ..errors import ConfigError, DatasetError
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
-from .traversal import SimulatedSequence
 
 _CHUNK = 8
 
 
 def record(
-    sequence: SimulatedSequence,
+    sequence: Recording,
     folder: str | PathLike[str],
     *,
+    suffix: str | None = None,
     executor: Executor | None = None,
     workers: int = 2,
     progress: Callable[[int, int], None] | None = None,
@@ -30,15 +31,19 @@ def record(
     """Cast all scans of a sequence and write them with their poses.
 
     Writes ``000000.npy`` and so on (float32, N x 3, sensor frame) and ``poses.tum``, the true
-    T_world_sensor with the scan's index in place of a stamp; also ``odometry.tum`` where the
-    sequence's poses are not the truth. What is written depends neither on the executor nor on the
-    number of workers.
+    T_world_sensor; also ``odometry.tum`` where the sequence's poses are not the truth. Their stamps
+    are the seconds at which scans start, where the sensor moves, and else the scans' indices. What
+    is written depends neither on the executor nor on the number of workers.
 
     Parameters
     ----------
-    sequence : SimulatedSequence
+    sequence : Recording
+        Simulated, or another whose poses are known.
     folder : path
         Made where it does not exist.
+    suffix : str, optional
+        Of the scans' format; ".npy" by default, ".npz" where the points have times. ".laz" takes
+        less room and holds times, too.
     executor : Executor, optional
         Where to cast; by default a pool of ``workers`` fresh processes, or this process for one
         worker. A script that uses the pool needs the usual ``if __name__ == "__main__":``.
@@ -51,16 +56,16 @@ def record(
     ConfigError
         If ``workers`` is below 1.
     DatasetError
+        If the sequence has no poses, or a format is unknown or has no room for times.
+    SeglocError
         If a file cannot be written.
     """
     if workers < 1:
         raise ConfigError(f"workers must be at least 1, not {workers}")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    stamps = sequence.indices.astype(np.float64)
-    write_tum(target / "poses.tum", Trajectory(stamps, sequence.truth))
-    if not np.array_equal(sequence.poses, sequence.truth):
-        write_tum(target / "odometry.tum", Trajectory(stamps, sequence.poses))
+    _write_poses(sequence, target)
+    ending = suffix or (".npz" if getattr(sequence, "skew", False) else ".npy")
     chunks = [range(k, min(k + _CHUNK, len(sequence))) for k in range(0, len(sequence), _CHUNK)]
     done = 0
 
@@ -72,10 +77,10 @@ def record(
 
     if executor is None and workers == 1:
         for chunk in chunks:
-            advance(_write_scans(sequence, target, chunk))
+            advance(_write_scans(sequence, target, ending, chunk))
         return target
     with process_pool(workers) if executor is None else nullcontext(executor) as pool:
-        futures = [pool.submit(_write_scans, sequence, target, chunk) for chunk in chunks]
+        futures = [pool.submit(_write_scans, sequence, target, ending, chunk) for chunk in chunks]
         for future in as_completed(futures):
             advance(future.result())
     return target
@@ -86,7 +91,20 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
-def _write_scans(sequence: SimulatedSequence, folder: Path, indices: range) -> int:
+def _write_poses(sequence: Recording, folder: Path) -> None:
+    poses = sequence.poses
+    if poses is None:
+        raise DatasetError(f"{sequence.name}: a recording without poses cannot be recorded")
+    truth = getattr(sequence, "truth", None)
+    stamps = getattr(sequence, "stamps", None)
+    stamps = sequence.indices.astype(np.float64) if stamps is None else stamps
+    write_tum(folder / "poses.tum", Trajectory(stamps, poses if truth is None else truth))
+    if truth is not None and not np.array_equal(poses, truth):
+        write_tum(folder / "odometry.tum", Trajectory(stamps, poses))
+
+
+def _write_scans(sequence: Recording, folder: Path, suffix: str, indices: range) -> int:
     for i in indices:
-        write_scan(folder / f"{sequence.indices[i]:06d}.npy", sequence.scan(i).points)
+        scan = sequence.scan(i)
+        write_scan(folder / f"{sequence.indices[i]:06d}{suffix}", scan.points, scan.times)
     return len(indices)

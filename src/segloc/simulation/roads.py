@@ -152,18 +152,33 @@ class RoadNetwork:
 
 
 def street_network(
-    rng: np.random.Generator, size_m: float, *, margin_m: float, block_m: float
+    rng: np.random.Generator,
+    size_m: float,
+    *,
+    margin_m: float,
+    block_m: float,
+    half_width: tuple[float, float] = (3.4, 4.8),
+    shift: float = 0.19,
+    bend: float = 0.13,
+    missing: float = 0.22,
 ) -> RoadNetwork:
-    """A lattice of junctions bent out of shape, some streets missing, each street curved."""
+    """A lattice of junctions bent out of shape, some streets missing, each street curved.
+
+    ``shift`` says how far junctions leave the lattice, as a share of its step, ``bend`` how far
+    streets leave the straight line, as a share of their length, and ``missing`` how many are
+    left out.
+    """
     count = max(2, round((size_m - 2 * margin_m) / block_m) + 1)
     axis = np.linspace(margin_m, size_m - margin_m, count)
     nodes = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     step = axis[1] - axis[0]
-    nodes = nodes + rng.uniform(-0.19, 0.19, nodes.shape) * step
+    nodes = nodes + rng.uniform(-shift, shift, nodes.shape) * step
     pairs = _lattice_pairs(count)
-    kept = _drop_some(rng, pairs, len(nodes), share=0.22)
+    kept = _drop_some(rng, pairs, len(nodes), share=missing)
     streets = tuple(
-        Street((int(a), int(b)), _curve(rng, nodes[a], nodes[b]), float(rng.uniform(3.4, 4.8)))
+        Street(
+            (int(a), int(b)), _curve(rng, nodes[a], nodes[b], bend), float(rng.uniform(*half_width))
+        )
         for a, b in kept
     )
     return RoadNetwork(nodes, streets)
@@ -204,11 +219,11 @@ def _connected(pairs: Int64, nodes: int) -> bool:
     return False
 
 
-def _curve(rng: np.random.Generator, start: Float64, end: Float64) -> Float64:
-    """A cubic from start to end that swings up to a tenth of its length to either side."""
+def _curve(rng: np.random.Generator, start: Float64, end: Float64, bend: float) -> Float64:
+    """A cubic from start to end whose control points lie up to ``bend`` lengths to either side."""
     chord = end - start
     normal = np.array([-chord[1], chord[0]])
-    a, b = rng.uniform(-0.13, 0.13, 2)
+    a, b = rng.uniform(-bend, bend, 2)
     control = np.stack(
         [start, start + chord / 3 + a * normal, start + 2 * chord / 3 + b * normal, end]
     )

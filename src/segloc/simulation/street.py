@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..types import Float64
-from .mesh import GLASS, Mesh, above, boxes, ellipsoid, join, loft, polygon, quads, tubes
+from .mesh import Mesh, above, boxes, ellipsoid, glass, join, loft, polygon, quads, tubes
 from .vegetation import wall_along
 
 _STEEL, _WOOD, _PAINT, _STONE = 0.3, 0.4, 0.6, 0.45
@@ -157,7 +157,7 @@ def bus_shelter(rng: np.random.Generator) -> Mesh:
     foot = np.array([[x, y, -0.1] for x in (-deep / 2, deep / 3) for y in (-long / 2, 0, long / 2)])
     posts = tubes(foot, foot + above(high), 0.05, _STEEL, sides=6)
     roof = boxes([0, 0, high + 0.05], [deep + 0.5, long + 0.3, 0.14], _STEEL)
-    back = boxes([-deep / 2, 0, high / 2 + 0.1], [0.03, long, high - 0.5], GLASS)
+    back = glass(boxes([-deep / 2, 0, high / 2 + 0.1], [0.03, long, high - 0.5], 0.0))
     end = boxes([0, long / 2, high / 2], [deep * 0.8, 0.1, high - 0.4], 0.5)
     seat = boxes([-deep / 3, 0, 0.5], [0.3, 0.7 * long, 0.06], _WOOD)
     return join([posts, roof, back, end, seat])

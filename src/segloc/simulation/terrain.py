@@ -55,10 +55,17 @@ class Terrain:
         return vertices, np.stack([low, high], axis=1).reshape(-1, 3)
 
 
-def relief(rng: np.random.Generator, x: Float64, y: Float64, slope: float = 0.025) -> Float64:
-    """Rolling ground: waves of 70 to 400 m, root mean square slope about ``slope``."""
+def relief(
+    rng: np.random.Generator,
+    x: Float64,
+    y: Float64,
+    slope: float = 0.025,
+    *,
+    lengths: tuple[float, float] = (70.0, 400.0),
+) -> Float64:
+    """Rolling ground: waves of the given lengths (m), root mean square slope about ``slope``."""
     waves = 7
-    length = np.exp(rng.uniform(np.log(70.0), np.log(400.0), waves))
+    length = np.exp(rng.uniform(*np.log(lengths), waves))
     angle, phase = rng.uniform(0, 2 * np.pi, (2, waves))
     amplitude = slope * length / (2 * np.pi) * np.sqrt(2.0 / waves)
     total = np.zeros(np.broadcast(x, y).shape)

@@ -7,12 +7,12 @@ from functools import lru_cache
 import numpy as np
 
 from ..errors import ConfigError
-from ..types import Float32
 from .buildings import shed
-from .layout import Frontage, Occupancy, Site
+from .character import BUILDINGS, Character, draw_character
+from .layout import Frontage, Occupancy, Site, lay_kerb, paved_ground
 from .lots import build_along, dress
-from .mesh import loft
-from .roads import RoadNetwork, Street, street_network
+from .planting import town_tree
+from .roads import Street, street_network
 from .street import (
     FURNITURE,
     lamp,
@@ -20,14 +20,12 @@ from .street import (
     traffic_sign,
     utility_pole,
 )
-from .terrain import Terrain, relief, roughness
-from .vegetation import bush, tree
-from .worlds import Objects, Spots, World
+from .vegetation import bush
+from .worlds import Objects, World
 
 _MARGIN = 38.0
 _BLOCK = 68.0
-_KERB = 0.12
-_STEP = 0.5
+_OUTER_LANE = 3.85  # from the centre line: clear of whoever maps the street
 
 
 @lru_cache(maxsize=2)
@@ -44,12 +42,17 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
     if seed < 0:
         raise ConfigError(f"seed must not be negative, not {seed}")
     rng = np.random.default_rng([seed, 104729])
-    roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK)
-    terrain, reflectance = _ground(rng, roads, size_m)
-    site = Site(rng, terrain, roads, Occupancy(size_m))
-    fronts = [_frontage(rng, street, side) for street in roads.streets for side in (1, -1)]
+    character = draw_character(rng)
+    roads = street_network(
+        rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=character.half_width
+    )
+    terrain, reflectance = paved_ground(rng, roads, size_m, slope=float(rng.uniform(0.015, 0.045)))
+    site = Site(rng, terrain, roads, Occupancy(size_m), green=character.green)
+    fronts = [
+        _frontage(rng, character, street, side) for street in roads.streets for side in (1, -1)
+    ]
     for front in fronts:
-        _kerb(site, front)
+        lay_kerb(site, front)
         _pavement(site, front)
     for node in range(len(roads.nodes)):
         _junction(site, node)
@@ -57,16 +60,19 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
     for lot in lots:
         dress(site, lot)
     for front in fronts:
-        _street_parking(site, front)
+        _street_parking(site, front, character.parked)
+        _traffic(site, front)
     _gardens(site, size_m)
-    spots = Spots(
-        np.array(site.parking).reshape(-1, 5),
-        np.array(site.people).reshape(-1, 2),
-        np.array(site.bicycles).reshape(-1, 3),
-    )
     static = Objects.of(site.items, 1)
     return World(
-        f"town-{seed}", seed, terrain, reflectance, roads, static, spots, (_remake, (seed, size_m))
+        f"town-{seed}",
+        seed,
+        terrain,
+        reflectance,
+        roads,
+        static,
+        site.spots(),
+        (_remake, (seed, size_m)),
     )
 
 
@@ -74,39 +80,11 @@ def _remake(seed: int, size_m: float) -> World:
     return town(seed, size_m=size_m)
 
 
-def _frontage(rng: np.random.Generator, street: Street, side: int) -> Frontage:
-    kinds = ["villas", "terrace", "flats", "mixed", "green"]
-    character = str(rng.choice(kinds, p=[0.34, 0.24, 0.12, 0.2, 0.1]))
-    return Frontage(street, side, float(rng.uniform(1.3, 2.8)), character)
-
-
-def _ground(rng: np.random.Generator, roads: RoadNetwork, size_m: float) -> tuple[Terrain, Float32]:
-    count = int(np.ceil(size_m / _STEP)) + 1
-    axis = _STEP * np.arange(count)
-    x, y = np.meshgrid(axis, axis)
-    clear = roads.clearance(np.stack([x, y], axis=-1))
-    kerb = _KERB * np.clip((clear - 0.1) / 0.3, 0, 1)
-    lawn = np.clip((clear - 2.5) / 1.5, 0, 1)
-    bumps = roughness(rng, x.shape) * (0.008 + 0.032 * lawn)
-    heights = relief(rng, x, y) + kerb + bumps
-    shine = np.where(clear < 0.2, 0.13, np.where(clear < 2.0, 0.25, 0.4)).astype(np.float32)
-    cells = shine[:-1, :-1].reshape(-1)
-    return Terrain(np.zeros(2), _STEP, heights), np.repeat(cells, 2)
-
-
-def _kerb(site: Site, front: Frontage) -> None:
-    """Kerb stones where the pavement meets the carriageway, not across side roads."""
-    s = np.arange(0.0, front.street.length, 1.0)
-    inner, _ = front.at(s, 0.0)
-    outer, _ = front.at(s, 0.18)
-    along = site.roads.clearance(inner) > -0.15
-    z = site.terrain.height(*front.at(s, -0.3)[0].T) + _KERB
-    profile = [(inner, -0.3), (inner, 0.0), (outer, 0.0), (outer, -0.3)]
-    sections = np.stack([np.column_stack([xy, z + dz]) for xy, dz in profile], axis=1)
-    runs = np.flatnonzero(np.diff(np.concatenate([[0], along.astype(int), [0]])))
-    for begin, end in runs.reshape(-1, 2):
-        if end - begin >= 2:
-            site.items.append(("kerb", loft(sections[begin:end], 0.35)))
+def _frontage(
+    rng: np.random.Generator, character: Character, street: Street, side: int
+) -> Frontage:
+    built = str(rng.choice(BUILDINGS, p=character.buildings))
+    return Frontage(street, side, float(rng.uniform(*character.pavement)), built, character.setback)
 
 
 def _pavement(site: Site, front: Frontage) -> None:
@@ -120,12 +98,13 @@ def _pavement(site: Site, front: Frontage) -> None:
         for s in np.arange(rng.uniform(6, 25), length - 6, rng.uniform(28, 42)):
             at, yaw = front.at(s + rng.normal(0, 1.5), front.pavement - 0.25)
             site.stand("pole", utility_pole(rng), at, float(yaw), 0.4)
-    if rng.random() < 0.6:
-        pitch = rng.uniform(7, 13)
+    if rng.random() < 0.25 + 0.6 * site.green:
+        pitch = rng.uniform(6, 13)
+        tall = float(rng.uniform(6, 13))
         for s in np.arange(rng.uniform(8, 14), length - 8, pitch):
             at, yaw = front.at(s + rng.normal(0, 0.5), rng.uniform(0.6, 0.9))
             if rng.random() < 0.85:
-                site.stand("tree", tree(rng), at, float(yaw), 0.7)
+                site.stand("tree", town_tree(rng, 0.7 * tall, 1.2 * tall), at, float(yaw), 0.7)
     shares = np.array([share for _, _, share, _ in FURNITURE])
     for s in rng.uniform(7, max(8.0, length - 7), int(length / 17)):
         kind, make, _, out = FURNITURE[int(rng.choice(len(FURNITURE), p=shares / shares.sum()))]
@@ -152,13 +131,13 @@ def _junction(site: Site, node: int) -> None:
                 break
 
 
-def _street_parking(site: Site, front: Frontage) -> None:
+def _street_parking(site: Site, front: Frontage, parked: float) -> None:
     """Cars by the kerb, half on the pavement in narrow streets, in groups with gaps."""
     rng, street = site.rng, front.street
     if rng.random() < 0.1:
         return
-    busy = rng.uniform(0.6, 1.0)
-    for s in np.arange(9.0, street.length - 9.0, rng.uniform(5.6, 6.6)):
+    busy = min(1.0, rng.uniform(0.85, 1.15) * parked)
+    for s in np.arange(8.0, street.length - 8.0, rng.uniform(5.4, 6.4)):
         at, yaw = front.at(s, -0.55)
         ends, _ = front.at(np.array([s - 3.5, s + 3.5]), -0.55)
         if site.roads.clearance(ends).min() > -0.8 and site.ground.free(at, (5.2, 1.9), float(yaw)):
@@ -166,6 +145,16 @@ def _street_parking(site: Site, front: Frontage) -> None:
         if rng.random() < 0.12:
             rack, _ = front.at(s, front.pavement - 0.4)
             site.bicycles += [(*(rack + k * 0.6), float(yaw) + 1.2) for k in range(3)]
+
+
+def _traffic(site: Site, front: Frontage) -> None:
+    """Vehicles that drive in the outer lane of wide streets, each session elsewhere."""
+    lane = front.street.half_width - 2.75  # beside those that park
+    if lane < _OUTER_LANE:
+        return
+    for s in np.arange(16.0, front.street.length - 16.0, 14.0):
+        at, yaw = front.at(s, lane - front.street.half_width)
+        site.parking.append((*at, float(yaw), 13.0, 0.12))
 
 
 def _gardens(site: Site, size_m: float) -> None:
@@ -176,7 +165,7 @@ def _gardens(site: Site, size_m: float) -> None:
             continue
         pick, yaw = rng.random(), float(rng.uniform(0, 2 * np.pi))
         if pick < 0.5:
-            site.stand("tree", tree(rng), at, yaw, 1.2)
+            site.stand("tree", town_tree(rng, 4.0, 14.0), at, yaw, 1.2)
         elif pick < 0.9:
             site.stand("bush", bush(rng), at, yaw, 1.4)
         else:

@@ -1,4 +1,4 @@
-"""Drives through a world: routes along its roads, the sensor's poses, scans cast when asked for."""
+"""Drives through a world: the sensor's poses, scans cast when asked for."""
 
 from __future__ import annotations
 
@@ -6,99 +6,18 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
-from ..geometry import arc_length
-from ..types import Float32, Float64, Int64, Scan
+from ..types import Float64, Int64, Scan
 from .lidar import hdl64e
+from .motion import Motion
 from .odometry import OdometryNoise
-from .ranging import Lidar
-from .roads import along
+from .platforms import Platform, car
+from .ranging import Lidar, PosesAt, Returns
+from .route import Route
 from .town import town
-from .worlds import Int32, World
-
-_WHEELBASE = 2.6
-_TRACK = 1.5
-
-
-@dataclass(frozen=True)
-class Route:
-    """Where a vehicle drives.
-
-    Attributes
-    ----------
-    junctions : tuple of int
-        Nodes of the road network, in driving order, neighbours joined by streets.
-    lane_offset_m : float
-        To the right of the centre line.
-    spacing_m : float
-        Distance between scans.
-    length_m : float or None
-        Where to stop; None for the whole way.
-    """
-
-    junctions: tuple[int, ...]
-    lane_offset_m: float = 1.1
-    spacing_m: float = 2.0
-    length_m: float | None = None
-
-    def __post_init__(self) -> None:
-        if not self.spacing_m > 0:
-            raise ConfigError(f"spacing_m must be positive, not {self.spacing_m}")
-        if self.length_m is not None and not self.length_m > 0:
-            raise ConfigError(f"length_m must be positive, not {self.length_m}")
-        if abs(self.lane_offset_m) > 2.0:
-            raise ConfigError(f"lane_offset_m must be within -2..2, not {self.lane_offset_m}")
-
-    def poses(self, world: World, mount_height_m: float) -> Float64:
-        """Poses (N, 4, 4) T_world_sensor of a sensor on a vehicle that follows the route.
-
-        Pitch and roll are those of the ground under the wheels.
-
-        Raises
-        ------
-        ConfigError
-            If the junctions are not a way through the world's road network.
-        """
-        line = _driven_line(world.roads.centre_line(list(self.junctions)), self.lane_offset_m)
-        total = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-        stop = total if self.length_m is None else min(total, self.length_m)
-        xy, yaw = along(line, np.arange(0.0, stop, self.spacing_m))
-        return _on_ground(world, xy, yaw, mount_height_m)
-
-
-def _driven_line(centre: Float64, offset: float) -> Float64:
-    """A lane beside a centre line, corners rounded as a vehicle drives them."""
-    arc = arc_length(centre)
-    s = np.arange(0.0, arc[-1], 0.25)
-    even = np.stack([np.interp(s, arc, centre[:, k]) for k in (0, 1)], axis=1)
-    smooth = gaussian_filter1d(even, 2.5 / 0.25, axis=0, mode="nearest")
-    tangent = gaussian_filter1d(np.gradient(smooth, axis=0), 1.0 / 0.25, axis=0, mode="nearest")
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    return np.asarray(smooth + offset * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1))
-
-
-def _on_ground(world: World, xy: Float64, yaw: Float64, height: float) -> Float64:
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    wheel = [
-        world.terrain.height(*(xy + a * _WHEELBASE / 2 * ahead + b * _TRACK / 2 * left).T)
-        for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
-    ]
-    rise = (wheel[0] + wheel[1] - wheel[2] - wheel[3]) / (2 * _WHEELBASE)
-    bank = (wheel[0] + wheel[2] - wheel[1] - wheel[3]) / (2 * _TRACK)
-    x = np.column_stack([ahead, rise])
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    y = np.column_stack([left, bank])
-    y -= x * np.sum(x * y, axis=1, keepdims=True)
-    y /= np.linalg.norm(y, axis=1, keepdims=True)
-    z = np.cross(x, y)
-    T = np.tile(np.eye(4), (len(xy), 1, 1))
-    T[:, :3, :3] = np.stack([x, y, z], axis=2)
-    T[:, :3, 3] = np.column_stack([xy, np.mean(wheel, axis=0)]) + height * z
-    return T
+from .worlds import Conditions, Int32, World
 
 
 @dataclass
@@ -119,6 +38,15 @@ class SimulatedSequence:
         T_odom_sensor, what the scans say: the truth, unless :meth:`with_odometry` made it worse.
     seed : int
         Of noise and lost returns. A scan depends on the seed, the session and its index alone.
+    stamps : (N,) float64 or None
+        When each scan starts, seconds; None for a sensor that is put from place to place.
+    motion : Motion or None
+        Of the sensor, where there are stamps.
+    skew : bool
+        Whether the sensor moves on while it scans. Then scans have times, each point is in the
+        frame of its own moment, and poses are those at the start of the scan.
+    conditions : Conditions
+        Of the session: season, what has been replaced.
     """
 
     name: str
@@ -129,7 +57,11 @@ class SimulatedSequence:
     truth: Float64
     poses: Float64
     seed: int
-    _last: tuple[int, Float32, Int32] | None = field(default=None, repr=False)
+    stamps: Float64 | None = None
+    motion: Motion | None = None
+    skew: bool = False
+    conditions: Conditions = field(default_factory=Conditions)
+    _last: tuple[int, Returns] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -142,48 +74,117 @@ class SimulatedSequence:
         DatasetError
             If there is no position i.
         """
-        points, _ = self._cast(i)
-        return Scan(points, stamp=float(self.indices[i]), T_odom_sensor=self.poses[i])
+        returns = self._cast(i)
+        return Scan(
+            returns.points,
+            times=returns.times if self.skew else None,
+            stamp=float(self.indices[i]),
+            T_odom_sensor=self.poses[i],
+        )
 
     def object_ids(self, i: int) -> Int32:
         """Which object each point of the scan at position i lies on, (N,) int32.
 
-        What an id is, ``world.session(session).kinds`` says.
+        What an id is, ``world.session(session, conditions).kinds`` says.
         """
-        return self._cast(i)[1]
+        return self._cast(i).object_ids
 
     def select(self, selection: Selection) -> SimulatedSequence:
         """The scans whose indices are in the selection, the same as they were."""
         mask = selection.mask(self.indices)
         parts = {name: getattr(self, name)[mask] for name in ("indices", "truth", "poses")}
-        return replace(self, **parts, _last=None)
+        stamps = None if self.stamps is None else self.stamps[mask]
+        return replace(self, **parts, stamps=stamps, _last=None)
 
     def with_odometry(self, noise: OdometryNoise | None = None) -> SimulatedSequence:
         """The same scans with poses as odometry would give them, in a frame that starts level."""
         rng = np.random.default_rng([self.seed, self.session, 40_009])
         return replace(self, poses=(noise or OdometryNoise()).odometry(self.truth, rng))
 
-    def _cast(self, i: int) -> tuple[Float32, Int32]:
+    def _cast(self, i: int) -> Returns:
         if not 0 <= i < len(self):
             raise DatasetError(f"{self.name}: no scan at position {i}, there are {len(self)}")
         if self._last is None or self._last[0] != i:
-            rng = np.random.default_rng([self.seed, self.session, int(self.indices[i])])
-            scene = self.world.session(self.session)
-            self._last = (i, *self.sensor.scan(scene, self.truth[i], rng))
-        return self._last[1], self._last[2]
+            number = int(self.indices[i])
+            rng = np.random.default_rng([self.seed, self.session, number])
+            scene = self.world.session(self.session, self.conditions)
+            pose = self._poses_from(i) if self.skew else self.truth[i]
+            self._last = (i, self.sensor.take(scene, pose, rng, number))
+        return self._last[1]
+
+    def _poses_from(self, i: int) -> PosesAt:
+        if self.motion is None or self.stamps is None:
+            raise ConfigError(f"{self.name}: there is no skew without a motion")
+        motion, start = self.motion, self.stamps[i]
+        return lambda times: motion.at(start + times)
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_last": None}
 
 
 def simulate_session(
-    world: World, session: int, route: Route, sensor: Lidar, seed: int, *, name: str = ""
+    world: World,
+    session: int,
+    route: Route,
+    sensor: Lidar,
+    seed: int,
+    *,
+    name: str = "",
+    conditions: Conditions | None = None,
+    platform: Platform | None = None,
+    by_rate: bool = False,
+    skew: bool = False,
 ) -> SimulatedSequence:
-    """A drive along a route in one session of a world."""
-    poses = route.poses(world, sensor.mount_height_m)
+    """A drive along a route in one session of a world.
+
+    Parameters
+    ----------
+    world : World
+    session : int
+    route : Route
+    sensor : Lidar
+    seed : int
+        Of noise, lost returns and sway.
+    name : str
+        By default that of the world and the session.
+    conditions : Conditions, optional
+        Of the session: season, what has been replaced.
+    platform : Platform, optional
+        What carries the sensor, at the platform's height. Without one the sensor is put from place
+        to place at its own height, unless ``by_rate`` or ``skew`` ask for motion: then by a car.
+    by_rate : bool
+        Scans at the sensor's rate instead of every ``spacing_m`` of the route.
+    skew : bool
+        Let the sensor move while it scans.
+
+    Raises
+    ------
+    ConfigError
+        If the route does not lead through the world.
+    """
     label = name or f"{world.name}-session-{session}"
+    motion, stamps = None, None
+    if platform is None and not (by_rate or skew):
+        poses = route.poses(world, sensor.mount_height_m)
+    else:
+        rate = sensor.rate_hz if by_rate else None
+        motion, stamps = route.drive(world, platform or car(), seed, rate)
+        poses = motion.at(stamps)
     indices = np.arange(len(poses), dtype=np.int64)
-    return SimulatedSequence(label, world, session, sensor, indices, poses, poses, seed)
+    return SimulatedSequence(
+        label,
+        world,
+        session,
+        sensor,
+        indices,
+        poses,
+        poses,
+        seed,
+        stamps,
+        motion,
+        skew,
+        conditions or Conditions(),
+    )
 
 
 def _revisit(world: World, rng: np.random.Generator, mapped: list[int], length: float) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..types import Float64
-from .mesh import Mesh, boxes, join, loft, scraps, tubes
+from .mesh import SOLID, Mesh, boxes, join, loft, scraps, tubes
 
 _BARK = 0.35
 _LEAF = 0.5
@@ -53,7 +53,7 @@ def _conifer(rng: np.random.Generator, tall: float) -> Mesh:
         [reach * np.cos(turn), reach * np.sin(turn), base + up * (tall - base)], axis=1
     )
     trunk = tubes([[0.0, 0.0, -0.3]], [[0.0, 0.0, 0.95 * tall]], [radius, 0.02], _BARK)
-    return join([trunk, scraps(rng, center, 0.13, _LEAF)])
+    return join([trunk, scraps(rng, center, 0.13, _LEAF, SOLID)])
 
 
 def _crown(
@@ -135,4 +135,4 @@ def trimmed_box_bush(rng: np.random.Generator) -> Mesh:
     n = int(110 * size[0] * size[2])
     center = (rng.uniform(-0.5, 0.5, (n, 3)) * size) + [0, 0, size[2] / 2]
     core = boxes([0, 0, size[2] / 2], 0.8 * size, 0.3)
-    return join([core, scraps(rng, center, 0.08, _LEAF)])
+    return join([core, scraps(rng, center, 0.08, _LEAF, SOLID)])

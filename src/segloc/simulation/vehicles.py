@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Float64
-from .mesh import GLASS, Mesh, boxes, join, loft, tubes
+from .lorries import lorry
+from .mesh import Mesh, boxes, glass, join, loft, tubes
 
 _TYRE = 0.08
+_LORRY = 7.5  # where a lorry fits, there mostly is one; metres
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,8 @@ _ODDS = {"hatchback": 0.3, "saloon": 0.17, "estate": 0.2, "suv": 0.16, "van": 0.
 
 def vehicle(rng: np.random.Generator, longest: float = 6.2) -> tuple[Mesh, tuple[float, float]]:
     """A vehicle on its wheels, centred on the origin, front towards +x, with length and width."""
+    if longest >= _LORRY and rng.random() < 0.8:
+        return lorry(rng, longest)
     names = [name for name, shape in _SHAPES.items() if shape.size[0][0] < longest]
     odds = np.array([_ODDS[name] for name in names])
     shape = _SHAPES[names[int(rng.choice(len(names), p=odds / odds.sum()))]]
@@ -145,7 +149,7 @@ def _body(
     cabin = np.flatnonzero(inside | tall)
     upper = _sections(x[cabin], belt[cabin], wide[cabin], roof[cabin], narrow[cabin])
     box = np.flatnonzero(tall & (stations >= shape.windows[1]))
-    parts = [loft(lower, paint), loft(upper, GLASS)]
+    parts = [loft(lower, paint), glass(loft(upper, 0.0))]
     top = _sections(x[cabin], roof[cabin] - 0.05, narrow[cabin], roof[cabin] + 0.01, narrow[cabin])
     parts.append(loft(top, paint))
     if len(box) > 1:

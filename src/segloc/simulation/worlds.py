@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError, MissingDependency
-from ..types import Float32, Float64, Int64
-from .mesh import Mesh
+from ..types import Float32, Float64
+from .changes import BUILT, REPLACEABLE, Extent, Footing, replace_some, road_works, scaffold
+from .mesh import LEAF, SOLID, Mesh, UInt8, join
 from .roads import RoadNetwork
 from .street import person
 from .terrain import Terrain
@@ -23,7 +24,38 @@ GROUND_ID = 0
 SESSION_IDS = 1_000_000
 """Objects that stay have ids below this; those of session k start at ``(k + 1) * SESSION_IDS``."""
 
-_BATCH = 32_768
+_ROAD_WORKS = 0.012  # at how many of the places to park they dig
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How a session differs from the world as it was made, beside parked cars and people.
+
+    Attributes
+    ----------
+    foliage : float
+        Share of the leaves that are there: 1 in summer, 0 in winter. Leaves fall in a fixed order,
+        so that what is there at 0.5 is also there at 0.8.
+    replaced : float
+        Share of the replaceable objects that are gone; about as many others stand near by.
+    scaffolding : float
+        Share of the buildings with scaffolding before their front.
+
+    Raises
+    ------
+    ConfigError
+        If a value is not in 0..1.
+    """
+
+    foliage: float = 1.0
+    replaced: float = 0.0
+    scaffolding: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not 0 <= value <= 1:
+                raise ConfigError(f"{item.name} must be in 0..1, not {value}")
 
 
 @dataclass(frozen=True)
@@ -35,14 +67,19 @@ class Objects:
     triangles : (T, 3, 3) float32
         World frame, metres.
     reflectance : (T,) float32
+    material : (T,) uint8
     object_ids : (T,) int32
+    lots : (T,) float32
+        A number in [0, 1) that each triangle keeps: which leaf falls when, which pane is dirty.
     kinds : dict
         What each object id is: "house", "tree", "car", ...
     """
 
     triangles: Float32
     reflectance: Float32
+    material: UInt8
     object_ids: Int32
+    lots: Float32
     kinds: dict[int, str]
 
     @staticmethod
@@ -50,14 +87,33 @@ class Objects:
         """Number (kind, mesh) items upwards from ``first_id``."""
         sizes = [len(mesh) for _, mesh in items]
         ids = first_id + np.repeat(np.arange(len(items)), sizes)
-        soup = [mesh.triangles.astype(np.float32) for _, mesh in items]
-        shine = [mesh.reflectance for _, mesh in items]
+        surface = join(mesh for _, mesh in items)
         return Objects(
-            np.concatenate([np.zeros((0, 3, 3), dtype=np.float32), *soup]),
-            np.concatenate([np.zeros(0, dtype=np.float32), *shine]),
+            surface.triangles.astype(np.float32),
+            surface.reflectance,
+            surface.material,
             ids.astype(np.int32),
+            _lots(first_id, len(ids)),
             {first_id + k: kind for k, (kind, _) in enumerate(items)},
         )
+
+    def only(self, mask: NDArray[np.bool_]) -> Objects:
+        """The triangles of a (T,) mask, and the kinds of the objects that are left."""
+        ids = self.object_ids[mask]
+        return Objects(
+            self.triangles[mask],
+            self.reflectance[mask],
+            self.material[mask],
+            ids,
+            self.lots[mask],
+            {int(k): self.kinds[int(k)] for k in np.unique(ids)},
+        )
+
+    def with_foliage(self, share: float) -> Objects:
+        """The objects with that share of their leaves."""
+        if share == 1:
+            return self
+        return self.only((self.material != LEAF) | (self.lots < share))
 
 
 @dataclass(frozen=True)
@@ -94,8 +150,10 @@ class Hits:
         Metres; infinite where nothing was met.
     object_ids : (R,) int32
         -1 where nothing was met.
-    triangles : (R,) int64
-        Number of the triangle within the scene; -1 where nothing was met.
+    material : (R,) uint8
+        Of the surface; ``SOLID`` where nothing was met.
+    lots : (R,) float32
+        A number in [0, 1) that belongs to the triangle.
     normals : (R, 3) float32
         Unit normals, on either side of the surface.
     cosines : (R,) float32
@@ -105,7 +163,8 @@ class Hits:
 
     ranges: Float32
     object_ids: Int32
-    triangles: Int64
+    material: UInt8
+    lots: Float32
     normals: Float32
     cosines: Float32
     reflectance: Float32
@@ -141,8 +200,15 @@ class Scene:
         self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
         self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
         ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        self._ids = np.concatenate([ground, *(group.object_ids for group in filled)])
-        self._reflectance = np.concatenate([ground_reflectance, *(g.reflectance for g in filled)])
+        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
+        earth, blank = np.full(len(faces), SOLID, dtype=np.uint8), np.full(1, SOLID, dtype=np.uint8)
+        same = np.zeros(len(faces), dtype=np.float32)
+        # The last entry, number -1, is what rays that met nothing met.
+        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
+        self._material = np.concatenate([earth, *(group.material for group in filled), blank])
+        self._lots = np.concatenate([same, *(group.lots for group in filled), dark])
+        shine = [group.reflectance for group in filled]
+        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
         sizes = [len(faces), *(len(group.triangles) for group in filled)]
         self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self.kinds: dict[int, str] = {GROUND_ID: "ground"}
@@ -151,29 +217,29 @@ class Scene:
 
     def cast(self, origins: Float32, directions: Float32, max_range: float) -> Hits:
         """First hits of rays from (R, 3) origins along (R, 3) unit directions."""
-        count = len(origins)
-        ranges = np.full(count, np.inf, dtype=np.float32)
-        ids = np.full(count, -1, dtype=np.int32)
-        triangles = np.full(count, -1, dtype=np.int64)
-        normals = np.zeros((count, 3), dtype=np.float32)
-        shine = np.zeros(count, dtype=np.float32)
-        for start in range(0, count, _BATCH):
-            part = slice(start, min(start + _BATCH, count))
-            way = np.ascontiguousarray(directions[part], dtype=np.float32)
-            source = np.ascontiguousarray(origins[part], dtype=np.float32)
-            far = np.full(len(way), max_range, dtype=np.float32)
-            found = self._embree.run(source, way, dists=far, output=True)
-            hit = np.flatnonzero(found["primID"] >= 0)
-            triangle = self._first[found["geomID"][hit]] + found["primID"][hit]
-            at = start + hit
-            triangles[at] = triangle
-            ranges[at] = found["tfar"][hit]
-            ids[at] = self._ids[triangle]
-            normals[at] = found["Ng"][hit]
-            shine[at] = self._reflectance[triangle]
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        slant = np.abs(np.einsum("ij,ij->i", normals, directions))
-        return Hits(ranges, ids, triangles, normals, np.minimum(slant, 1.0), shine)
+        found = self._embree.run(
+            np.ascontiguousarray(origins, dtype=np.float32),
+            np.ascontiguousarray(directions, dtype=np.float32),
+            dists=np.full(len(origins), max_range, dtype=np.float32),
+            output=True,
+        )
+        ranges, normals, missed = found["tfar"], found["Ng"], found["primID"] < 0
+        triangles = self._first[found["geomID"]] + found["primID"]
+        triangles[missed] = -1
+        ranges[missed] = np.inf
+        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        normals /= np.maximum(length, np.float32(1e-12))[:, None]
+        normals[missed] = 0.0
+        slant = np.minimum(np.abs(np.einsum("ij,ij->i", normals, directions)), np.float32(1.0))
+        return Hits(
+            ranges,
+            self._ids[triangles],
+            self._material[triangles],
+            self._lots[triangles],
+            normals,
+            slant,
+            self._reflectance[triangles],
+        )
 
 
 @dataclass
@@ -203,10 +269,12 @@ class World:
     static: Objects
     spots: Spots
     recipe: tuple[Callable[..., World], tuple[Any, ...]] | None = None
-    _scenes: dict[int, Scene] = field(default_factory=dict, repr=False)
+    _scenes: dict[tuple[int, Conditions], Scene] = field(default_factory=dict, repr=False)
 
-    def session(self, k: int) -> Scene:
+    def session(self, k: int, conditions: Conditions | None = None) -> Scene:
         """The world in session k: same houses, other parked cars and people.
+
+        The scene depends on the world, k and the conditions alone.
 
         Raises
         ------
@@ -217,18 +285,58 @@ class World:
         """
         if not 0 <= k <= 1000:
             raise ConfigError(f"session must be in 0..1000, not {k}")
-        if k not in self._scenes:
+        conditions = conditions or Conditions()
+        key = (k, conditions)
+        if key not in self._scenes:
             self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
-            groups = [self.static, self.changing(k)]
-            self._scenes[k] = Scene(self.terrain, self.ground_reflectance, groups)
-        return self._scenes[k]
+            groups = [*self._standing(k, conditions), self.changing(k)]
+            leafy = [group.with_foliage(conditions.foliage) for group in groups]
+            self._scenes[key] = Scene(self.terrain, self.ground_reflectance, leafy)
+        return self._scenes[key]
+
+    def _standing(self, k: int, conditions: Conditions) -> list[Objects]:
+        """What stays, less what is gone in session k; and what is put up instead."""
+        rng = np.random.default_rng([self.seed, 7927, k])
+        gone: set[int] = set()
+        items: list[tuple[str, Mesh]] = []
+        if conditions.replaced:
+            parked = self.spots.parking[:, :2]
+            footing = Footing(self.static.triangles, self.terrain, parked, self.roads.clearance)
+            things = self._extents(frozenset(REPLACEABLE))
+            gone, items = replace_some(rng, conditions.replaced, things, footing, self.terrain)
+        rng = np.random.default_rng([self.seed, 7933, k])
+        if conditions.scaffolding:
+            for _, (_, extent) in sorted(self._extents(BUILT).items()):
+                if rng.random() < conditions.scaffolding:
+                    mesh = scaffold(rng, extent, self.terrain, self.roads.clearance)
+                    items.append(("scaffolding", mesh))
+        if not (gone or items):
+            return [self.static]
+        stays = ~np.isin(self.static.object_ids, sorted(gone))
+        added = Objects.of(items, (k + 1) * SESSION_IDS + SESSION_IDS // 2)
+        return [self.static.only(stays), added]
+
+    def _extents(self, kinds: frozenset[str]) -> dict[int, tuple[str, Extent]]:
+        """The static objects of some kinds by id."""
+        ids = self.static.object_ids
+        wanted = {k: kind for k, kind in self.static.kinds.items() if kind in kinds}
+        numbers = np.array(sorted(wanted), dtype=ids.dtype)
+        first, last = (np.searchsorted(ids, numbers, side) for side in ("left", "right"))
+        return {
+            int(k): (wanted[int(k)], Extent.of(self.static.triangles[a:b]))
+            for k, a, b in zip(numbers, first, last, strict=True)
+            if b > a
+        }
 
     def changing(self, k: int) -> Objects:
-        """Vehicles, people and bicycles of session k."""
+        """Vehicles, people, bicycles and road works of session k."""
         rng = np.random.default_rng([self.seed, 7919, k])
         items: list[tuple[str, Mesh]] = []
         for x, y, yaw, longest, odds in self.spots.parking:
-            if rng.random() < odds:
+            if rng.random() < _ROAD_WORKS and longest < 7:
+                spot = np.array([x, y])
+                items.append(("road works", self._stand(road_works(rng), spot, yaw)))
+            elif rng.random() < odds:
                 items.append(("car", self._park(rng, x, y, yaw, longest)))
         for x, y in self.spots.people[rng.random(len(self.spots.people)) < 1 / 12]:
             at = np.array([x, y]) + rng.normal(0, 0.3, 2)
@@ -250,7 +358,7 @@ class World:
         c, s = np.cos(turn), np.sin(turn)
         front, rear = (self.terrain.height(x + k * c, y + k * s) for k in (1.3, -1.3))
         left, right = (self.terrain.height(x - k * s, y + k * c) for k in (0.7, -0.7))
-        tilted = Mesh(mesh.triangles.copy(), mesh.reflectance)
+        tilted = replace(mesh, triangles=mesh.triangles.copy())
         tilted.triangles[..., 2] += (front - rear) / 2.6 * mesh.triangles[..., 0]
         tilted.triangles[..., 2] += (left - right) / 1.4 * mesh.triangles[..., 1]
         return tilted.moved([float(x), float(y), float((front + rear) / 2)], turn)
@@ -263,3 +371,13 @@ class World:
             return self.recipe
         state = (self.name, self.seed, self.terrain, self.ground_reflectance)
         return World, (*state, self.roads, self.static, self.spots)
+
+
+def _lots(first: int, count: int) -> Float32:
+    """A number in [0, 1) for each of ``count`` numbers from ``first``: without a pattern."""
+    mixed = np.arange(count, dtype=np.uint64) + np.uint64(first)
+    mixed *= np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= mixed >> np.uint64(29)
+    mixed *= np.uint64(0xBF58476D1CE4E5B9)
+    mixed ^= mixed >> np.uint64(32)
+    return np.asarray((mixed >> np.uint64(40)).astype(np.float32) * np.float32(2.0**-24))

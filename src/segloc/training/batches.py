@@ -1,19 +1,21 @@
-"""Which segments make a batch, how they are related, and what the network reads of them."""
+"""Which segments make a batch, how they are related, and batches made ahead of their use."""
 
 from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .. import _native
-from ..descriptors.pointset import POINTS
-from ..types import Float32
-from .augment import augment
 from .config import TrainConfig
 from .dataset import SegmentDataset
-from .sampling import reorder
+from .tasks import Batch, Task
+
+_AHEAD = 3
 
 
 def groups_of(dataset: SegmentDataset) -> list[NDArray[np.int64]]:
@@ -30,7 +32,7 @@ def draw_batch(
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     """Some views of some objects: random ones, and others that are easily taken for them."""
-    order = rng.permutation(len(groups))
+    order = rng.choice(len(groups), size=min(len(groups), config.classes), replace=False)
     hard = round(config.hard_share * config.classes) if len(mistakable) else 0
     chosen = list(order[: config.classes - hard])
     if hard:
@@ -46,36 +48,79 @@ def draw_batch(
 def relations(
     dataset: SegmentDataset, indices: NDArray[np.int64], far_m: float
 ) -> tuple[Tensor, Tensor]:
+    """(B, B) which pairs show the same object, and which surely different ones.
+
+    Pairs of one world with different labels that lie nearer than ``far_m`` are neither: they may be
+    parts of one object.
+    """
     labels = dataset.labels[indices]
     same = (labels[:, None] == labels[None, :]) & ~np.eye(len(indices), dtype=bool)
     different = dataset.different(indices[:, None], indices[None, :], far_m)
     return torch.from_numpy(same), torch.from_numpy(different)
 
 
-def prepared_batch(
-    dataset: SegmentDataset,
-    indices: NDArray[np.int64],
-    config: TrainConfig,
-    rng: np.random.Generator | None = None,
-) -> Float32:
-    """Segments as the network reads them, (B, 256, 3); augmented where a generator is given."""
-    parts = [dataset.segment(int(i)) for i in indices]
-    if rng is not None:
-        parts = [augment(part, config.augmentation, rng) for part in parts]
-    offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-    prepared = _native.prepare_segments(
-        np.concatenate(parts), offsets, POINTS, config.alignment, config.threads
-    )
-    return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))
+class Batches:
+    """The batches of a training run; that of a step depends on the step and the rank alone.
+
+    Parameters
+    ----------
+    dataset : SegmentDataset
+    task : Task
+    rank : int
+        Which of several processes this is: each draws its own batches.
+
+    Attributes
+    ----------
+    groups : list of (n,) int64
+        Segments of each object with at least two.
+    mistakable : (objects, m) int64
+        Objects that are easily taken for each; may be empty.
+    """
+
+    def __init__(self, dataset: SegmentDataset, task: Task, rank: int = 0) -> None:
+        self._dataset, self._task, self._rank = dataset, task, rank
+        self.groups = groups_of(dataset)
+        self.mistakable: NDArray[np.int64] = np.empty((0, 0), np.int64)
+        self._numbers = np.full(int(dataset.labels.max(initial=0)) + 1, -1, np.int64)
+        for number, group in enumerate(self.groups):
+            self._numbers[dataset.labels[group[0]]] = number
+
+    def make(self, step: int) -> Batch:
+        """The batch of a step."""
+        config = self._task.config
+        seed = [config.seed, step, self._rank] if self._rank else [config.seed, step]
+        rng = np.random.default_rng(seed)
+        indices = draw_batch(self.groups, self.mistakable, config, rng)
+        inputs = self._task.inputs(self._dataset, indices, rng)
+        labels = torch.from_numpy(self._numbers[self._dataset.labels[indices]])
+        return Batch(inputs, labels, *relations(self._dataset, indices, config.different_m))
+
+    def between(self, first: int, last: int) -> Iterator[Batch]:
+        """Batches of the steps from ``first`` to before ``last``, made ahead in another thread.
+
+        ``mistakable`` must not be changed until they are used up.
+        """
+        with ThreadPoolExecutor(1) as pool:
+            waiting: deque[Future[Batch]] = deque()
+            try:
+                for step in range(first, last):
+                    waiting.append(pool.submit(self.make, step))
+                    if len(waiting) > _AHEAD:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                for future in waiting:
+                    future.cancel()
 
 
-def limited(dataset: SegmentDataset, config: TrainConfig) -> SegmentDataset:
-    """At most `validation_limit` segments: whole objects, so that matches stay together."""
-    if len(dataset) <= config.validation_limit:
+def limited(dataset: SegmentDataset, limit: int, seed: int) -> SegmentDataset:
+    """At most ``limit`` segments: whole objects, so that matches stay together."""
+    if len(dataset) <= limit:
         return dataset
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(seed)
     names = rng.permutation(np.unique(dataset.labels))
     rank = np.empty(int(names.max()) + 1, np.int64)
     rank[names] = np.arange(len(names))
-    order = np.argsort(rank[dataset.labels], kind="stable")[: config.validation_limit]
+    order = np.argsort(rank[dataset.labels], kind="stable")[:limit]
     return dataset.subset(np.sort(order))

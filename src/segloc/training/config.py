@@ -12,16 +12,18 @@ from .augment import AugmentConfig
 from .dataset import FAR_M
 from .sampling import Sampler
 
+Loss = Literal["info_nce", "triplet", "esm", "multi_similarity"]
+
 
 class TrainConfig(BaseModel):
     """Everything that decides how a network comes out."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    network: Literal["dsm", "esm"] = "dsm"
+    network: str = Field("dsm", description="one of training.tasks.MODULES")
     alignment: Alignment = "pca2d"
     sampler: Sampler = "farthest"
-    loss: Literal["info_nce", "triplet"] = "info_nce"
+    loss: Loss = "info_nce"
     pair_weight: float = Field(0.1, ge=0, description="weight of FC4's loss")
     steps: int = Field(3000, ge=1)
     classes: int = Field(32, ge=2, description="objects a batch")
@@ -38,8 +40,10 @@ class TrainConfig(BaseModel):
     augmentation: AugmentConfig = AugmentConfig()
     validation_share: float = Field(0.15, gt=0, lt=1)
     validation_limit: int = Field(3000, ge=1, description="segments that validation looks at")
+    quality_limit: int = Field(20000, ge=1, description="segments the quality head is fitted to")
     validate_every: int = Field(250, ge=1)
     patience: int = Field(8, ge=1, description="validations without a better one until the end")
     max_minutes: float = Field(math.inf, gt=0)
     threads: int = Field(1, ge=1)
-    seed: int = 0
+    device: Literal["cpu", "cuda"] = "cpu"
+    seed: int = Field(0, ge=0)

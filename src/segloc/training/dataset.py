@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
 from ..errors import DatasetError
 from ..types import Float32, Float64, Int64, Segments
 
 FAR_M = 20.0
 """Segments of one town count as different objects only beyond this distance, as in SegMap."""
+
+_UNKNOWN = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,13 @@ class SegmentDataset:
         In the frame of the world.
     heights : (P,) float32
         Height of each centroid above the ground below it, metres.
+    lengths : (P,) float32
+        Way that each segment's local cloud spans, metres; 0 for single scans.
+    sensors : (P,) int64
+        Index into ``sensor_names``.
+    objects : (P,) int64
+        The true object, where a simulation knows it; -1 elsewhere. Unique within a place.
+    sensor_names : tuple of str
     """
 
     points: Float32
@@ -46,6 +56,16 @@ class SegmentDataset:
     places: Int64
     centroids: Float64
     heights: Float32
+    lengths: Float32 = field(default_factory=lambda: _UNKNOWN.astype(np.float32))
+    sensors: Int64 = field(default_factory=lambda: _UNKNOWN.astype(np.int64))
+    objects: Int64 = field(default_factory=lambda: _UNKNOWN.astype(np.int64))
+    sensor_names: tuple[str, ...] = ("unknown",)
+
+    def __post_init__(self) -> None:
+        for name, value in (("lengths", 0.0), ("sensors", 0), ("objects", -1)):
+            array = getattr(self, name)
+            if len(array) != len(self):
+                object.__setattr__(self, name, np.full(len(self), value, array.dtype))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -60,19 +80,21 @@ class SegmentDataset:
         parts = [self.segment(int(i)) for i in chosen]
         points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
         offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-        return Segments(points, offsets, self.centroids[chosen], self.heights[chosen])
+        if len(parts) == 0:
+            return Segments(points, offsets, np.empty((0, 3)), self.heights[chosen])
+        centroids = np.add.reduceat(points, offsets[:-1], dtype=np.float64)
+        centroids /= np.diff(offsets)[:, None]
+        return Segments(points, offsets, centroids, self.heights[chosen])
 
     def subset(self, indices: NDArray[np.integer]) -> SegmentDataset:
         """The named segments as a dataset of their own."""
         packed = self.segments(indices)
+        chosen = {name: getattr(self, name)[indices] for name in _PER_SEGMENT}
         return SegmentDataset(
-            packed.points,
-            packed.offsets,
-            self.labels[indices],
-            self.sessions[indices],
-            self.places[indices],
-            self.centroids[indices],
-            self.heights[indices],
+            points=packed.points,
+            offsets=packed.offsets,
+            sensor_names=self.sensor_names,
+            **chosen,
         )
 
     def different(
@@ -97,7 +119,10 @@ class SegmentDataset:
     def save(self, path: Path) -> None:
         """Write a safetensors file."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_file({f.name: np.ascontiguousarray(getattr(self, f.name)) for f in fields(self)}, path)
+        arrays = {name: getattr(self, name) for name in ("points", "offsets", *_PER_SEGMENT)}
+        names = json.dumps(self.sensor_names)
+        contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        save_file(contiguous, path, {"sensor_names": names})
 
     @staticmethod
     def load(path: Path) -> SegmentDataset:
@@ -109,23 +134,20 @@ class SegmentDataset:
             If the file cannot be read or its arrays do not fit together.
         """
         try:
-            dataset = SegmentDataset(**load_file(path))
-        except (OSError, SafetensorError, TypeError) as error:
+            with safe_open(path, framework="np") as file:
+                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                names = json.loads((file.metadata() or {}).get("sensor_names", '["unknown"]'))
+            dataset = SegmentDataset(**arrays, sensor_names=tuple(names))
+        except (OSError, SafetensorError, TypeError, ValueError) as error:
             raise DatasetError(f"{path}: {error}") from error
         P, M = len(dataset), len(dataset.points)
-        shapes = {
-            "points": (M, 3),
-            "offsets": (P + 1,),
-            "sessions": (P,),
-            "places": (P,),
-            "centroids": (P, 3),
-            "heights": (P,),
-        }
-        for name, shape in shapes.items():
+        shapes = {"points": (M, 3), "offsets": (P + 1,), "centroids": (P, 3)}
+        for name in ("points", "offsets", *_PER_SEGMENT):
+            shape = shapes.get(name, (P,))
             if getattr(dataset, name).shape != shape:
                 raise DatasetError(f"{path}: {name} does not have shape {shape}")
         offsets = dataset.offsets
-        if offsets[0] != 0 or offsets[-1] != M or (np.diff(offsets) < 0).any():
+        if offsets[0] != 0 or offsets[-1] != M or (np.diff(offsets) <= 0).any():
             raise DatasetError(f"{path}: offsets do not fit the points")
         return dataset
 
@@ -147,12 +169,33 @@ class SegmentDataset:
         offsets = [
             part.offsets[:-1] + start for part, start in zip(parts, starts[:-1], strict=True)
         ]
+        names = tuple(dict.fromkeys(name for part in parts for name in part.sensor_names))
+        sensors = [
+            np.array([names.index(name) for name in part.sensor_names])[part.sensors]
+            for part in parts
+        ]
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("points", "centroids", "heights", "lengths", "objects")
+        }
         return SegmentDataset(
-            np.concatenate([part.points for part in parts]),
-            np.concatenate([*offsets, starts[-1:]]).astype(np.int64),
-            shifted("labels"),
-            shifted("sessions"),
-            shifted("places"),
-            np.concatenate([part.centroids for part in parts]),
-            np.concatenate([part.heights for part in parts]),
+            **joined,
+            offsets=np.concatenate([*offsets, starts[-1:]]).astype(np.int64),
+            labels=shifted("labels"),
+            sessions=shifted("sessions"),
+            places=shifted("places"),
+            sensors=np.concatenate(sensors).astype(np.int64),
+            sensor_names=names,
         )
+
+
+_PER_SEGMENT = (
+    "labels",
+    "sessions",
+    "places",
+    "centroids",
+    "heights",
+    "lengths",
+    "sensors",
+    "objects",
+)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -36,6 +38,57 @@ def hard_triplet(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
     nearest = distances.masked_fill(~different, 1e9).amin(dim=1)
     valid = same.any(dim=1) & different.any(dim=1)
     return functional.softplus(farthest - nearest)[valid].mean()
+
+
+def ratio_triplet(x: Tensor, same: Tensor, different: Tensor, margin: float = 0.1) -> Tensor:
+    """Triplets by ratio plus a term that draws pairs together, with in-batch hard negatives.
+
+    With d+ and d- the squared distances of a matching pair and of the anchor's nearest different
+    descriptor: max(0, 1 - d- / (d+ + margin)) + d+ (Wohlhart and Lepetit, "Learning descriptors for
+    object recognition and 3D pose estimation", CVPR 2015, with squared distances).
+    """
+    distances = squared_distances(x)
+    nearest = distances.masked_fill(~different, 1e9).amin(dim=1, keepdim=True)
+    losses = (1.0 - nearest / (distances + margin)).clamp(min=0.0) + distances
+    valid = same & different.any(dim=1, keepdim=True)
+    return losses[valid].mean()
+
+
+def multi_similarity(
+    x: Tensor,
+    same: Tensor,
+    different: Tensor,
+    alpha: float = 2.0,
+    beta: float = 40.0,
+    base: float = 0.5,
+    margin: float = 0.1,
+) -> Tensor:
+    """Pairs weighted by their own and by relative similarity, the cosine (Wang et al., CVPR 2019).
+
+    Of an anchor's pairs those count that are mined: negatives more similar than its least similar
+    positive less the margin, positives less similar than its most similar negative plus the margin.
+    """
+    unit = functional.normalize(x)
+    similarity = unit @ unit.T
+    least = similarity.masked_fill(~same, 2.0).amin(dim=1, keepdim=True)
+    most = similarity.masked_fill(~different, -2.0).amax(dim=1, keepdim=True)
+    positive = same & (similarity < most + margin)
+    negative = different & (similarity > least - margin)
+    gap = similarity - base
+
+    def pull(weight: float, mask: Tensor) -> Tensor:
+        return torch.log1p((weight * gap).exp().masked_fill(~mask, 0.0).sum(dim=1)) / abs(weight)
+
+    valid = same.any(dim=1) & different.any(dim=1)
+    return (pull(-alpha, positive) + pull(beta, negative))[valid].mean()
+
+
+LOSSES: dict[str, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
+    "info_nce": info_nce,
+    "triplet": hard_triplet,
+    "esm": ratio_triplet,
+    "multi_similarity": multi_similarity,
+}
 
 
 def pair_match(logits: Tensor, same: Tensor, different: Tensor) -> Tensor:

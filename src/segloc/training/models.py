@@ -15,19 +15,38 @@ from torch.nn import functional
 
 from .. import _native
 from ..descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
+from .ops import elu_norm, gather, xconv_apply
 
 LAYERS = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
 DIM = 16
 
 
-class Norm(nn.BatchNorm1d):
-    """Batch norm over the last axis of a tensor of any rank."""
+class Norm(nn.Module):
+    """Batch norm over the last axis of a tensor of any rank, after ELU unless it is linear."""
 
-    def __init__(self, channels: int) -> None:
-        super().__init__(channels, eps=1e-3, momentum=0.1)
+    running_mean: Tensor
+    running_var: Tensor
+
+    def __init__(self, channels: int, activate: bool = True) -> None:
+        super().__init__()
+        self.eps, self.momentum, self.activate = 1e-3, 0.1, activate
+        self.weight = nn.Parameter(torch.ones(channels))
+        self.bias = nn.Parameter(torch.zeros(channels))
+        self.register_buffer("running_mean", torch.zeros(channels))
+        self.register_buffer("running_var", torch.ones(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        return super().forward(x.reshape(-1, self.num_features)).reshape(x.shape)
+        if not self.training:
+            x = functional.elu(x) if self.activate else x
+            scale = self.weight * torch.rsqrt(self.running_var + self.eps)
+            return (x - self.running_mean) * scale + self.bias
+        flat = x.reshape(-1, x.shape[-1])
+        output, mean, variance = elu_norm(flat, self.weight, self.bias, self.eps, self.activate)
+        with torch.no_grad():
+            unbiased = variance * (len(flat) / max(1, len(flat) - 1))
+            self.running_mean.lerp_(mean, self.momentum)
+            self.running_var.lerp_(unbiased, self.momentum)
+        return output.view(x.shape)
 
 
 def _weight(*shape: int, inputs: int) -> nn.Parameter:
@@ -62,7 +81,7 @@ class XConv(nn.Module):
         self.x1 = _weight(K, K, K, inputs=K)
         self.x1_norm = Norm(K * K)
         self.x2 = _weight(K, K, K, inputs=K)
-        self.x2_norm = Norm(K * K)
+        self.x2_norm = Norm(K * K, activate=False)
         self.depthwise = _weight(K, channels, depth, inputs=K)
         self.pointwise = _weight(channels * depth, C, inputs=channels * depth)
         self.norm = Norm(C)
@@ -80,36 +99,38 @@ class XConv(nn.Module):
         -------
         (B, N, C)
         """
-        relative = _gather(points, neighbors) - points[:, : neighbors.shape[1], None]
-        gathered = self._lift(relative)
-        if features is not None:
-            gathered = torch.cat([gathered, _gather(features, neighbors)], dim=-1)
-        transformed = self._transform(relative) @ gathered
-        separated = torch.einsum("bnkc,kcm->bncm", transformed, self.depthwise).flatten(2)
-        out: Tensor = self.norm(functional.elu(separated @ self.pointwise))
+        relative = gather(points, neighbors) - points[:, : neighbors.shape[1], None]
+        # Of the weights of channel c and multiple m the parameters keep the paper's order.
+        depthwise = self.depthwise.permute(2, 0, 1)
+        separated = xconv_apply(
+            self._transform(relative), self._lift(relative), features, neighbors, depthwise
+        )
+        _, channels, depth = self.depthwise.shape
+        pointwise = self.pointwise.view(channels, depth, -1).transpose(0, 1).flatten(0, 1)
+        out: Tensor = self.norm(separated.flatten(2) @ pointwise)
         return out
 
     def _lift(self, relative: Tensor) -> Tensor:
-        hidden = self.lift1_norm(functional.elu(relative @ self.lift1))
-        lifted: Tensor = self.lift2_norm(functional.elu(hidden @ self.lift2))
+        lifted: Tensor = self.lift2_norm(self.lift1_norm(relative @ self.lift1) @ self.lift2)
         return lifted
 
     def _transform(self, relative: Tensor) -> Tensor:
-        """The K x K matrix of each query; a depthwise map makes row c from column c."""
+        """The K x K matrix of each query."""
         B, N, K, _ = relative.shape
-        x = functional.elu(relative.reshape(B, N, 3 * K) @ self.x0.flatten(1))
-        x = self.x0_norm(x).view(B, N, K, K)
-        x = functional.elu(torch.einsum("bnic,ico->bnco", x, self.x1))
-        x = self.x1_norm(x.flatten(2)).view(B, N, K, K)
-        x = torch.einsum("bnic,ico->bnco", x, self.x2)
-        return self.x2_norm(x.flatten(2)).view(B, N, K, K)
+        x = self.x0_norm(relative.reshape(B, N, 3 * K) @ self.x0.flatten(1))
+        x = self.x1_norm(x @ _columnwise(self.x1))
+        x = self.x2_norm(x @ _columnwise(self.x2))
+        result: Tensor = x.view(B, N, K, K)
+        return result
 
 
-def _gather(values: Tensor, index: Tensor) -> Tensor:
-    """values (B, S, C), index (B, N, K) -> (B, N, K, C)."""
-    B, S, C = values.shape
-    base = torch.arange(B, device=values.device).view(B, 1, 1) * S
-    return values.reshape(B * S, C)[index + base]
+def _columnwise(weight: Tensor) -> Tensor:
+    """A depthwise map (i, c, o), which makes row c from column c, as a matrix (ic, co).
+
+    Most of it is zero, and yet one large product is several times faster than K small ones.
+    """
+    K = len(weight)
+    return torch.diag_embed(weight.transpose(1, 2)).permute(0, 2, 3, 1).reshape(K * K, K * K)
 
 
 class DescriptorNetwork(nn.Module):
@@ -162,24 +183,28 @@ class DescriptorNetwork(nn.Module):
             sources = layer.points
         return result
 
-    def activations(self, points: Tensor) -> list[Tensor]:
+    def activations(self, points: Tensor, *neighbors: Tensor) -> list[Tensor]:
         """What each X-conv layer makes of prepared segments (B, 256, 3): (B, N, C) each."""
         features, result = None, []
-        for xconv, index in zip(self.xconvs, self.neighbors(points), strict=True):
+        found = neighbors or self.neighbors(points)
+        for xconv, index in zip(self.xconvs, found, strict=True):
             features = xconv(points, features, index)
             points = points[:, : index.shape[1]]
             result.append(features)
         return result
 
-    def forward(self, points: Tensor) -> Tensor:
-        """Descriptors (B, dim) of prepared segments (B, 256, 3), float32."""
-        last = self.activations(points)[-1]
+    def forward(self, points: Tensor, *neighbors: Tensor) -> Tensor:
+        """Descriptors (B, dim) of prepared segments (B, 256, 3), float32.
+
+        The neighbours of every layer, (B, N, K) int64 each, are searched where they are not given.
+        """
+        last = self.activations(points, *neighbors)[-1]
         position = points[:, : last.shape[1]]
-        position = self.global1_norm(functional.elu(position @ self.global1))
-        position = self.global2_norm(functional.elu(position @ self.global2))
+        position = self.global1_norm(position @ self.global1)
+        position = self.global2_norm(position @ self.global2)
         pooled = torch.cat([last, position], dim=-1).mean(dim=1)
-        hidden = self.fc1_norm(functional.elu(pooled @ self.fc1))
-        hidden = self.fc2_norm(functional.elu(hidden @ self.fc2))
+        hidden = self.fc1_norm(pooled @ self.fc1)
+        hidden = self.fc2_norm(hidden @ self.fc2)
         descriptors: Tensor = self.fc3(hidden)
         return descriptors
 

@@ -1,4 +1,4 @@
-"""Descriptors of whole datasets, and the quality head that is fitted to them."""
+"""The quality head: how likely a descriptor's nearest one in a map is to be of its object."""
 
 from __future__ import annotations
 
@@ -7,37 +7,22 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import _native
-from ..descriptors.pointset import POINTS
-from ..types import Float32
-from .batches import limited, prepared_batch
-from .config import TrainConfig
+from .batches import limited
 from .dataset import SegmentDataset
-from .export import folded
 from .metrics import nearest_is_right
 from .models import DescriptorNetwork
+from .tasks import Task
 
 
-def describe(model: DescriptorNetwork, dataset: SegmentDataset, config: TrainConfig) -> Float32:
-    """Descriptors (P, dim) of all segments of a dataset, by the native network."""
-    table = [(x.points, x.neighbors, x.dilation, x.channels) for x in model.layers]
-    network = _native.Network(table, folded(model), POINTS)
-    parts = [np.empty((0, network.dim), np.float32)]
-    for first in range(0, len(dataset), 1024):
-        indices = np.arange(first, min(first + 1024, len(dataset)))
-        prepared = prepared_batch(dataset, indices, config)
-        parts.append(network.describe(prepared, config.threads)[0])
-    return np.concatenate(parts)
-
-
-def fit_quality(model: DescriptorNetwork, dataset: SegmentDataset, config: TrainConfig) -> None:
+def fit_quality(task: Task, model: DescriptorNetwork, dataset: SegmentDataset) -> None:
     """Fit the quality head to how often the nearest descriptor is right.
 
-    A logistic regression on the finished descriptors of up to ``validation_limit`` training
+    A logistic regression on the finished descriptors of up to ``quality_limit`` training
     segments, against the nearest descriptor of the other sessions: what a map would offer.
     """
-    part = limited(dataset, config)
-    vectors = describe(model, part, config)
+    config = task.config
+    part = limited(dataset, config.quality_limit, config.seed)
+    vectors = task.describe(model, part)
     right = nearest_is_right(vectors, part, config.threads)
     known = ~np.isnan(right)
     x, y = torch.from_numpy(vectors[known]), torch.from_numpy(right[known])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,20 +14,20 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from .. import _native
 from ..errors import DatasetError
-from .batches import draw_batch, groups_of, limited, prepared_batch, relations
+from .batches import Batches, limited
 from .config import TrainConfig
 from .dataset import SegmentDataset
-from .export import export
-from .losses import hard_triplet, info_nce, pair_match
 from .metrics import Scores, score
-from .models import LAYERS, DescriptorNetwork
-from .quality import describe, fit_quality
+from .parallel import Group
+from .tasks import Batch, Task, create_task
 
 Progress = Callable[[str], None]
+_MAY_CHANGE = {"steps", "max_minutes", "threads", "device"}
+_RIVALS = 16
 
 
 def train(
@@ -34,11 +36,13 @@ def train(
     config: TrainConfig,
     card: dict[str, Any] | None = None,
     progress: Progress = print,
+    task: Task | None = None,
 ) -> Scores:
     """Train a network, and write ``out`` (a .safetensors file) with the best weights.
 
     The state is kept in ``out`` with the suffix .checkpoint: a run that was cut off goes on from
-    there if it is started again with the same configuration.
+    there if it is started again with the same configuration. Under torchrun several processes
+    train together, each on batches of its own.
 
     Parameters
     ----------
@@ -49,6 +53,8 @@ def train(
     card : dict, optional
         Goes into the weights file: data, command, licence. Figures are added.
     progress : callable
+    task : Task, optional
+        What is trained; by default what ``config.network`` names.
 
     Returns
     -------
@@ -61,21 +67,29 @@ def train(
         If there are too few objects with two views.
     """
     torch.set_num_threads(config.threads)
+    task = task or create_task(config)
     training, validation = dataset.split(config.validation_share, config.seed)
-    run = _Run(training, limited(validation, config), config, out.with_suffix(".checkpoint"))
-    run.resume(progress)
-    run.loop(progress)
-    model = run.best_model()
-    fit_quality(model, training, config)
-    figures = {
-        "steps": run.best_step,
-        "training segments": len(training),
-        "validation segments": len(run.validation),
-        **{f"validation {name}": round(value, 4) for name, value in asdict(run.best).items()},
-    }
-    settings = config.model_dump(mode="json")
-    export(model, out, {**(card or {}), "figures": figures, "config": settings}, config.alignment)
+    validation = limited(validation, config.validation_limit, config.seed)
+    with Group(config.device) as group:
+        run = _Run(task, training, validation, group, out.with_suffix(".checkpoint"))
+        run.resume(progress)
+        run.loop(progress if group.leads else _silent)
+        if group.leads:
+            model = run.best_model()
+            task.finish(model, training)
+            figures = {
+                "steps": run.best_step,
+                "training segments": len(training),
+                "validation segments": len(validation),
+                **{f"validation {k}": round(v, 4) for k, v in asdict(run.best).items()},
+            }
+            settings = config.model_dump(mode="json")
+            task.export(model, out, {**(card or {}), "figures": figures, "config": settings})
     return run.best
+
+
+def _silent(_: str) -> None:
+    pass
 
 
 class _Run:
@@ -83,96 +97,118 @@ class _Run:
 
     def __init__(
         self,
+        task: Task,
         training: SegmentDataset,
         validation: SegmentDataset,
-        config: TrainConfig,
+        group: Group,
         checkpoint: Path,
     ) -> None:
-        self.training, self.validation, self.config = training, validation, config
+        self.task, self.config, self.group = task, task.config, group
+        self.training, self.validation = training, validation
         self.checkpoint = checkpoint
-        self.groups = groups_of(training)
-        if len(self.groups) < config.classes:
+        self.batches = Batches(training, task, group.rank)
+        objects = len(self.batches.groups)
+        if objects < self.config.classes:
             raise DatasetError(
-                f"training needs {config.classes} objects with two views, not {len(self.groups)}"
+                f"training needs {self.config.classes} objects with two views, not {objects}"
             )
-        torch.manual_seed(config.seed)
-        self.model = DescriptorNetwork(LAYERS[config.network])
+        torch.manual_seed(self.config.seed)
+        self.model = task.network(objects).to(group.device)
+        self.parallel: nn.Module = group.shared(self.model)
         self.optimizer = torch.optim.Adam(
-            self.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+            self.model.parameters(),
+            lr=self.config.learning_rate,
+            weight_decay=self.config.weight_decay,
+            foreach=True,
         )
         self.step = 0
         self.seconds = 0.0
         self.best = Scores(0.0, -1.0, 0.0)
         self.best_step = 0
         self.best_state: dict[str, Tensor] = {}
-        self.mistakable = np.empty((0, 0), np.int64)
 
     def loop(self, progress: Progress) -> None:
         config = self.config
         start = time.monotonic() - self.seconds
-        losses: list[float] = []
-        while self.step < config.steps:
-            losses.append(self._advance())
+        losses: list[Tensor] = []
+        for batch in self._upcoming():
+            losses.append(self._advance(batch))
             self.seconds = time.monotonic() - start
-            expired = self.seconds > 60 * config.max_minutes
+            expired = self.group.agreed(self.seconds > 60 * config.max_minutes)
             if self.step % config.validate_every == 0 or self.step == config.steps or expired:
                 scores = self._validate()
+                loss = float(torch.stack(losses).mean())
                 progress(
-                    f"step {self.step} loss {np.mean(losses):.3f} {_text(scores)} "
-                    f"{self.seconds / 60:.1f} min"
+                    f"step {self.step} loss {loss:.3f} {_text(scores)} {self.seconds / 60:.1f} min"
                 )
                 losses = []
                 waited = (self.step - self.best_step) / config.validate_every
                 if expired or waited >= config.patience:
                     return
 
-    def _advance(self) -> float:
+    def _upcoming(self) -> Iterator[Batch]:
+        """The batches that are left; those after a search for mistakable objects follow it."""
         config = self.config
-        rng = np.random.default_rng([config.seed, self.step])
-        if config.hard_share > 0 and self.step > 0 and self.step % config.mine_every == 0:
-            self.mistakable = self._mine()
-        indices = draw_batch(self.groups, self.mistakable, config, rng)
-        points = torch.from_numpy(prepared_batch(self.training, indices, config, rng))
-        same, different = relations(self.training, indices, config.different_m)
+        every = config.mine_every if config.hard_share > 0 else config.steps
+        while self.step < config.steps:
+            if self.step > 0 and self.step % every == 0:
+                self.batches.mistakable = self._mine()
+            yield from self.batches.between(
+                self.step, min(config.steps, (self.step // every + 1) * every)
+            )
+
+    def _advance(self, batch: Batch) -> Tensor:
+        config = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * _schedule(self.step, config)
         self.model.train()
-        x = self.model(points)
-        loss_of = info_nce if config.loss == "info_nce" else hard_triplet
-        loss = loss_of(x, same, different)
-        pairs = self.model.pair_logits(x[:, None], x[None, :])
-        loss = loss + config.pair_weight * pair_match(pairs, same, different)
-        self.optimizer.zero_grad()
+        with self._precision():
+            loss = self.task.loss(self.parallel, batch.to(self.group.device))
+        self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.step += 1
-        return float(loss.detach())
+        return loss.detach()
+
+    def _precision(self) -> AbstractContextManager[Any]:
+        """bfloat16 on a GPU: it has the range of single precision, so no loss is scaled."""
+        if self.group.device.type == "cuda":
+            return torch.autocast("cuda", dtype=torch.bfloat16)
+        return nullcontext()
 
     def _mine(self) -> NDArray[np.int64]:
         """The objects whose descriptors are nearest to those of each object, (objects, 16)."""
-        first = np.array([group[0] for group in self.groups])
-        vectors = describe(self.model, self.training.subset(first), self.config)
-        indices, _ = _native.knn(vectors, vectors, 17, self.config.threads)
+        first = np.array([group[0] for group in self.batches.groups])
+        vectors = self._describe(self.model, self.training.subset(first))
+        indices, _ = _native.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
         return indices[:, 1:]
 
+    def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
+        return self.task.describe(self._on_cpu(model), dataset)
+
+    def _on_cpu(self, model: nn.Module) -> nn.Module:
+        return model if self.group.device.type == "cpu" else copy.deepcopy(model).cpu()
+
     def _validate(self) -> Scores:
-        vectors = describe(self.model, self.validation, self.config)
+        vectors = self._describe(self.model, self.validation)
         scores = score(vectors, self.validation, threads=self.config.threads)
         if scores.recall + scores.auc > self.best.recall + self.best.auc:
             self.best, self.best_step = scores, self.step
             self.best_state = {k: v.clone() for k, v in self.model.state_dict().items()}
-        self._save()
+        if self.group.leads:
+            self._save()
         return scores
 
-    def best_model(self) -> DescriptorNetwork:
-        model = DescriptorNetwork(LAYERS[self.config.network])
-        model.load_state_dict(self.best_state)
+    def best_model(self) -> nn.Module:
+        """The network with the best weights, on the CPU, in evaluation mode."""
+        model = self.task.network(len(self.batches.groups))
+        model.load_state_dict({k: v.cpu() for k, v in self.best_state.items()})
         return model.eval()
 
     def _save(self) -> None:
         state = {
-            "config": self.config.model_dump_json(exclude={"steps", "max_minutes", "threads"}),
+            "config": self.config.model_dump_json(exclude=_MAY_CHANGE),
             "model": self.model.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "step": self.step,
@@ -180,7 +216,7 @@ class _Run:
             "best": asdict(self.best),
             "best_step": self.best_step,
             "best_state": self.best_state,
-            "mistakable": torch.from_numpy(self.mistakable),
+            "mistakable": torch.from_numpy(self.batches.mistakable),
         }
         self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
         partial = self.checkpoint.with_suffix(".partial")
@@ -188,19 +224,18 @@ class _Run:
         partial.replace(self.checkpoint)
 
     def resume(self, progress: Progress) -> None:
+        """Take up the state of a run that was cut off, if there is one."""
         if not self.checkpoint.exists():
             return
-        state = torch.load(self.checkpoint, weights_only=True)
-        if state["config"] != self.config.model_dump_json(
-            exclude={"steps", "max_minutes", "threads"}
-        ):
+        state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
+        if state["config"] != self.config.model_dump_json(exclude=_MAY_CHANGE):
             raise DatasetError(f"{self.checkpoint}: belongs to a run with another configuration")
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.seconds = state["step"], state["seconds"]
         self.best, self.best_step = Scores(**state["best"]), state["best_step"]
         self.best_state = state["best_state"]
-        self.mistakable = state["mistakable"].numpy()
+        self.batches.mistakable = state["mistakable"].cpu().numpy()
         progress(f"going on from step {self.step}")
 
 

@@ -1,0 +1,113 @@
+"""How fast scans are cast, against trimesh with embreex on the same scene and rays.
+
+    python benchmarks/simulation_speed.py
+
+Both use the same ray caster. trimesh gives the points where rays meet the mesh; segloc's scans also
+have noise, lost and mixed returns, glass and object ids. Needs the extra ``bench``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import time
+from collections.abc import Callable
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Barrier
+
+import numpy as np
+
+from segloc.simulation import SENSORS, Lidar, Route, World, town
+from segloc.types import Float64
+
+Cast = Callable[[int], int]
+
+
+def segloc_scan(world: World, sensor: Lidar, poses: Float64) -> Cast:
+    """Number of points of the k-th scan."""
+    scene = world.session(0)
+    return lambda k: len(sensor.scan(scene, poses[k], np.random.default_rng(k))[0])
+
+
+def trimesh_rays(world: World, sensor: Lidar, poses: Float64) -> Cast:
+    """The same by trimesh, as its documentation has it."""
+    import trimesh
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    vertices, faces = world.terrain.mesh()
+    soups = [vertices[faces], world.static.triangles, world.changing(0).triangles]
+    corners = np.concatenate(soups).reshape(-1, 3)
+    mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    caster = RayMeshIntersector(mesh)
+
+    def cast(k: int) -> int:
+        ways = sensor.rays(np.random.default_rng(k).random()).directions @ poses[k, :3, :3].T
+        origins = np.broadcast_to(poses[k, :3, 3], ways.shape)
+        _, rays, places = caster.intersects_id(
+            origins, ways, multiple_hits=False, return_locations=True
+        )
+        points = (places - poses[k, :3, 3]) @ poses[k, :3, :3]
+        near = np.linalg.norm(points, axis=1) < sensor.max_range_m
+        return len(points[near]) if len(rays) else 0
+
+    return cast
+
+
+ENGINES = {"trimesh": trimesh_rays, "segloc": segloc_scan}
+
+
+def work(
+    engine: str, name: str, seed: int, scans: int, ready: Barrier, done: Queue[tuple[float, int]]
+) -> None:
+    """One process: seconds and points of a number of scans, once all processes are ready."""
+    world, sensor = town(seed), SENSORS[name]()
+    junctions = world.roads.walk(np.random.default_rng(seed), [0], 2.0 * scans, avoid=[])
+    poses = Route(tuple(junctions)).poses(world, sensor.mount_height_m)
+    cast = ENGINES[engine](world, sensor, poses)
+    cast(0)
+    ready.wait()
+    began = time.perf_counter()
+    points = sum(cast(k) for k in range(scans))
+    done.put((time.perf_counter() - began, points))
+
+
+def measure(engine: str, name: str, seed: int, scans: int, processes: int) -> tuple[float, float]:
+    """Seconds a scan over all processes, and points a scan."""
+    context = multiprocessing.get_context("spawn")
+    ready, done = context.Barrier(processes), context.Queue()
+    arguments = (engine, name, seed, scans, ready, done)
+    team = [context.Process(target=work, args=arguments) for _ in range(processes)]
+    for process in team:
+        process.start()
+    results = [done.get() for _ in team]
+    for process in team:
+        process.join()
+    total = scans * processes
+    return max(seconds for seconds, _ in results) / total, sum(n for _, n in results) / total
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sensors", nargs="+", default=["hdl64e", "vlp16"])
+    parser.add_argument("--scans", type=int, default=40, help="of each process")
+    parser.add_argument("--seed", type=int, default=7, help="of the town")
+    args = parser.parse_args()
+    print("| sensor | processes | by | ms a scan | M rays/s | M points/s | times trimesh |")
+    print("|---|---|---|---|---|---|---|")
+    for name in args.sensors:
+        rays = len(SENSORS[name]().rays(0.0).directions)
+        for processes in (1, 2):
+            base = 0.0
+            for engine in ENGINES:
+                seconds, points = measure(engine, name, args.seed, args.scans, processes)
+                base = base or seconds
+                print(
+                    f"| {name} | {processes} | {engine} | {1000 * seconds:.1f} "
+                    f"| {rays / seconds / 1e6:.2f} | {points / seconds / 1e6:.2f} "
+                    f"| {base / seconds:.1f} |",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,18 @@
+// Shape profiles: metric numbers that say how large a segment is and how its points are spread.
+#pragma once
+
+#include <cstddef>
+
+namespace segloc {
+
+// Numbers in a profile.
+std::size_t profile_size();
+
+// output (segments, profile_size()) of prepared segments (segments, count, 3), which are centred,
+// aligned and in the order of farthest-point sampling (prepare.h), and of their heights
+// (segments): that of each segment's centroid above the ground. Distances enter as logarithms,
+// heights as metres; descriptors/profile.py lists the numbers. Needs count >= 32.
+void shape_profiles(const float* prepared, const float* heights, std::size_t segments,
+                    std::size_t count, int threads, float* output);
+
+}  // namespace segloc

@@ -1,0 +1,298 @@
+#include "train_ops.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <vector>
+
+#include "aligned.h"
+#include "parallel.h"
+
+namespace segloc {
+namespace {
+
+constexpr std::size_t kCloudsATask = 4;
+constexpr std::size_t kFloatsATask = 8192;
+constexpr std::size_t kLanes = 16;
+
+// Scratch memory of one worker, and how inputs are brought into it.
+class PointScratch {
+ public:
+  PointScratch(const ApplyShape& shape, const AlignedFloats& depthwise)
+      : shape_(shape), K_(shape.neighbors) {
+    p_.neighbors = K_;
+    p_.rows = padded(K_, 4);
+    p_.width = padded(shape.channels(), kLanes);
+    p_.lanes = padded(K_, kLanes);
+    p_.depth = shape.depth;
+    const std::size_t square = p_.rows * p_.rows, wide = p_.rows * p_.width;
+    memory_ = AlignedFloats(2 * padded(square, kLanes) + 4 * wide + p_.width * p_.lanes +
+                            p_.depth * p_.width + p_.rows * p_.lanes);
+    float* next = memory_.data();
+    const auto take = [&next](std::size_t size) {
+      float* taken = next;
+      next += size;
+      return taken;
+    };
+    p_.x = x_ = take(padded(square, kLanes));
+    p_.x_transposed = xt_ = take(padded(square, kLanes));
+    p_.f = f_ = take(wide);
+    p_.t = take(wide);
+    p_.grad_t = take(wide);
+    p_.grad_f = take(wide);
+    p_.f_transposed = ft_ = take(p_.width * p_.lanes);
+    p_.output = take(p_.depth * p_.width);
+    p_.grad_x = take(p_.rows * p_.lanes);
+    p_.depthwise = depthwise.data();
+    p_.grad_depthwise = nullptr;
+  }
+
+  ApplyPoint& point() { return p_; }
+
+  void load(const ApplyInputs& in, std::size_t cloud, std::size_t point) {
+    const std::size_t at = cloud * shape_.points + point;
+    const float* x = in.x + at * K_ * K_;
+    for (std::size_t k = 0; k < K_; ++k) std::copy_n(x + k * K_, K_, x_ + k * p_.rows);
+    for (std::size_t j = 0; j < K_; ++j) {
+      float* row = f_ + j * p_.width;
+      std::copy_n(in.lift + (at * K_ + j) * shape_.lifted, shape_.lifted, row);
+      if (shape_.inputs > 0) {
+        const auto source = static_cast<std::size_t>(in.neighbors[at * K_ + j]);
+        std::copy_n(in.features + (cloud * shape_.sources + source) * shape_.inputs, shape_.inputs,
+                    row + shape_.lifted);
+      }
+    }
+  }
+
+  void transpose() {
+    for (std::size_t k = 0; k < K_; ++k) {
+      for (std::size_t j = 0; j < K_; ++j) xt_[j * p_.rows + k] = x_[k * p_.rows + j];
+    }
+    for (std::size_t j = 0; j < K_; ++j) {
+      for (std::size_t c = 0; c < p_.width; ++c) ft_[c * p_.lanes + j] = f_[j * p_.width + c];
+    }
+  }
+
+ private:
+  const ApplyShape& shape_;
+  std::size_t K_;
+  AlignedFloats memory_;
+  ApplyPoint p_;
+  float *x_, *xt_, *f_, *ft_;
+};
+
+// (depth, K, channels) -> (depth, rows, width), with zeros.
+AlignedFloats padded_depthwise(const ApplyShape& shape, const float* depthwise) {
+  const std::size_t rows = padded(shape.neighbors, 4), width = padded(shape.channels(), kLanes);
+  AlignedFloats result(shape.depth * rows * width);
+  for (std::size_t m = 0; m < shape.depth; ++m) {
+    for (std::size_t k = 0; k < shape.neighbors; ++k) {
+      std::copy_n(depthwise + (m * shape.neighbors + k) * shape.channels(), shape.channels(),
+                  result.data() + (m * rows + k) * width);
+    }
+  }
+  return result;
+}
+
+void store_gradients(const ApplyShape& shape, const ApplyInputs& in, const ApplyPoint& p,
+                     std::size_t cloud, std::size_t point, const ApplyGradients& out) {
+  const std::size_t K = shape.neighbors, at = cloud * shape.points + point;
+  for (std::size_t k = 0; k < K; ++k) {
+    std::copy_n(p.grad_x + k * p.lanes, K, out.x + (at * K + k) * K);
+  }
+  for (std::size_t j = 0; j < K; ++j) {
+    const float* row = p.grad_f + j * p.width;
+    std::copy_n(row, shape.lifted, out.lift + (at * K + j) * shape.lifted);
+    if (shape.inputs == 0) continue;
+    const auto source = static_cast<std::size_t>(in.neighbors[at * K + j]);
+    float* sum = out.features + (cloud * shape.sources + source) * shape.inputs;
+    for (std::size_t c = 0; c < shape.inputs; ++c) sum[c] += row[shape.lifted + c];
+  }
+}
+
+// Rows of `columns` values seen as rows of a multiple of 16, as far as they go; the rest, less
+// than one such row, is treated by the same kernels with zeros after it.
+struct Folded {
+  std::size_t width, rows, rest;  // rest: values behind the last whole row
+  Folded(std::size_t count, std::size_t columns)
+      : width(std::lcm(columns, kLanes)), rows(count / width), rest(count % width) {}
+};
+
+// Calls body(first value, rows, slot) for chunks of whole rows; slots are numbered from 0.
+template <typename Body>
+void for_chunks(const Folded& f, int threads, const Body& body) {
+  const std::size_t step = std::max<std::size_t>(1, kFloatsATask / f.width);
+  parallel_for((f.rows + step - 1) / step, 1, threads,
+               [&](std::size_t begin, std::size_t end, int) {
+                 for (std::size_t c = begin; c < end; ++c) {
+                   body(c * step * f.width, std::min(step, f.rows - c * step), c);
+                 }
+               });
+}
+
+std::size_t chunks(const Folded& f) {
+  const std::size_t step = std::max<std::size_t>(1, kFloatsATask / f.width);
+  return (f.rows + step - 1) / step;
+}
+
+// Sums over chunks, and over the columns that a folded row holds several times.
+std::vector<double> collected(const std::vector<float>& partial, std::size_t width,
+                              std::size_t columns) {
+  std::vector<double> result(columns, 0.0);
+  for (std::size_t i = 0; i < partial.size(); ++i) result[i % width % columns] += partial[i];
+  return result;
+}
+
+AlignedFloats repeated(const std::vector<float>& values, std::size_t columns, std::size_t width) {
+  const std::size_t kinds = values.size() / columns;
+  AlignedFloats result(kinds * width);
+  for (std::size_t kind = 0; kind < kinds; ++kind) {
+    for (std::size_t i = 0; i < width; ++i) {
+      result[kind * width + i] = values[kind * columns + i % columns];
+    }
+  }
+  return result;
+}
+
+}  // namespace
+
+void apply_forward(const ApplyShape& shape, const ApplyInputs& in, float* output, Isa isa,
+                   int threads) {
+  const TrainKernels& k = kernels(isa).training;
+  const AlignedFloats depthwise = padded_depthwise(shape, in.depthwise);
+  const std::size_t C = shape.channels();
+  parallel_for(shape.clouds, kCloudsATask, threads, [&](std::size_t begin, std::size_t end, int) {
+    PointScratch scratch(shape, depthwise);
+    const ApplyPoint& p = scratch.point();
+    for (std::size_t cloud = begin; cloud < end; ++cloud) {
+      for (std::size_t n = 0; n < shape.points; ++n) {
+        scratch.load(in, cloud, n);
+        k.apply(p);
+        float* to = output + (cloud * shape.points + n) * shape.depth * C;
+        for (std::size_t m = 0; m < shape.depth; ++m) std::copy_n(p.output + m * p.width, C, to + m * C);
+      }
+    }
+  });
+}
+
+void apply_backward(const ApplyShape& shape, const ApplyInputs& in, const float* gradient,
+                    const ApplyGradients& out, Isa isa, int threads) {
+  const TrainKernels& k = kernels(isa).training;
+  const AlignedFloats depthwise = padded_depthwise(shape, in.depthwise);
+  const std::size_t C = shape.channels(), size = depthwise.size();
+  const std::size_t tasks = (shape.clouds + kCloudsATask - 1) / kCloudsATask;
+  AlignedFloats partial(tasks * size);
+  parallel_for(tasks, 1, threads, [&](std::size_t begin, std::size_t end, int) {
+    PointScratch scratch(shape, depthwise);
+    ApplyPoint& p = scratch.point();
+    for (std::size_t task = begin; task < end; ++task) {
+      p.grad_depthwise = partial.data() + task * size;
+      const std::size_t last = std::min(shape.clouds, (task + 1) * kCloudsATask);
+      for (std::size_t cloud = task * kCloudsATask; cloud < last; ++cloud) {
+        for (std::size_t n = 0; n < shape.points; ++n) {
+          scratch.load(in, cloud, n);
+          scratch.transpose();
+          const float* from = gradient + (cloud * shape.points + n) * shape.depth * C;
+          for (std::size_t m = 0; m < shape.depth; ++m) {
+            std::copy_n(from + m * C, C, p.output + m * p.width);
+          }
+          k.apply_backward(p);
+          store_gradients(shape, in, p, cloud, n, out);
+        }
+      }
+    }
+  });
+  const std::size_t rows = padded(shape.neighbors, 4), width = padded(C, kLanes);
+  std::fill_n(out.depthwise, shape.depth * shape.neighbors * C, 0.0f);
+  for (std::size_t task = 0; task < tasks; ++task) {
+    for (std::size_t m = 0; m < shape.depth; ++m) {
+      for (std::size_t n = 0; n < shape.neighbors; ++n) {
+        const float* from = partial.data() + task * size + (m * rows + n) * width;
+        float* to = out.depthwise + (m * shape.neighbors + n) * C;
+        for (std::size_t c = 0; c < C; ++c) to[c] += from[c];
+      }
+    }
+  }
+}
+
+void elu_norm_forward(const float* input, std::size_t rows, std::size_t columns, bool activate,
+                      const float* weight, const float* bias, float eps, float* z, float* output,
+                      float* mean, float* variance, Isa isa, int threads) {
+  const TrainKernels& k = kernels(isa).training;
+  const Folded f(rows * columns, columns);
+  const std::size_t tail = f.rows * f.width, slots = chunks(f) + (f.rest ? 1 : 0);
+  std::vector<float> sums(slots * f.width, 0.0f), squares(slots * f.width, 0.0f);
+  for_chunks(f, threads, [&](std::size_t first, std::size_t count, std::size_t slot) {
+    k.elu_sums(input + first, count, f.width, activate, z + first, &sums[slot * f.width],
+               &squares[slot * f.width]);
+  });
+  AlignedFloats rest(f.rest ? 2 * f.width : 0);
+  if (f.rest) {
+    std::copy_n(input + tail, f.rest, rest.data());
+    const std::size_t slot = (slots - 1) * f.width;
+    k.elu_sums(rest.data(), 1, f.width, activate, rest.data(), &sums[slot], &squares[slot]);
+    std::copy_n(rest.data(), f.rest, z + tail);
+  }
+  const std::vector<double> sum = collected(sums, f.width, columns);
+  const std::vector<double> square = collected(squares, f.width, columns);
+  std::vector<float> affine(2 * columns);
+  for (std::size_t c = 0; c < columns; ++c) {
+    const double m = sum[c] / static_cast<double>(rows);
+    const double v = std::max(0.0, square[c] / static_cast<double>(rows) - m * m);
+    mean[c] = static_cast<float>(m);
+    variance[c] = static_cast<float>(v);
+    affine[c] = static_cast<float>(weight[c] / std::sqrt(v + eps));
+    affine[columns + c] = static_cast<float>(bias[c] - m * affine[c]);
+  }
+  const AlignedFloats wide = repeated(affine, columns, f.width);
+  for_chunks(f, threads, [&](std::size_t first, std::size_t count, std::size_t) {
+    k.scale_shift(z + first, count, f.width, wide.data(), wide.data() + f.width, output + first);
+  });
+  for (std::size_t i = 0; i < f.rest; ++i) {
+    output[tail + i] = z[tail + i] * wide[i] + wide[f.width + i];
+  }
+}
+
+void elu_norm_backward(const float* gradient, const float* z, std::size_t rows,
+                       std::size_t columns, bool activate, const float* weight, float eps,
+                       const float* mean, const float* variance, float* grad_input,
+                       float* grad_weight, float* grad_bias, Isa isa, int threads) {
+  const TrainKernels& k = kernels(isa).training;
+  const Folded f(rows * columns, columns);
+  const std::size_t tail = f.rows * f.width, slots = chunks(f) + (f.rest ? 1 : 0);
+  std::vector<float> sums(slots * f.width, 0.0f), products(slots * f.width, 0.0f);
+  for_chunks(f, threads, [&](std::size_t first, std::size_t count, std::size_t slot) {
+    k.gradient_sums(gradient + first, z + first, count, f.width, &sums[slot * f.width],
+                    &products[slot * f.width]);
+  });
+  for (std::size_t i = 0; i < f.rest; ++i) {
+    sums[(slots - 1) * f.width + i] = gradient[tail + i];
+    products[(slots - 1) * f.width + i] = gradient[tail + i] * z[tail + i];
+  }
+  const std::vector<double> sum = collected(sums, f.width, columns);
+  const std::vector<double> product = collected(products, f.width, columns);
+  std::vector<float> coefficients(3 * columns);
+  for (std::size_t c = 0; c < columns; ++c) {
+    const double inverse = 1.0 / std::sqrt(static_cast<double>(variance[c]) + eps);
+    const double slope = inverse * (product[c] - mean[c] * sum[c]);
+    grad_weight[c] = static_cast<float>(slope);
+    grad_bias[c] = static_cast<float>(sum[c]);
+    const double a = weight[c] * inverse, n = static_cast<double>(rows);
+    const double b = -a * inverse * slope / n;
+    coefficients[c] = static_cast<float>(a);
+    coefficients[columns + c] = static_cast<float>(b);
+    coefficients[2 * columns + c] = static_cast<float>(-a * sum[c] / n - b * mean[c]);
+  }
+  const AlignedFloats wide = repeated(coefficients, columns, f.width);
+  for_chunks(f, threads, [&](std::size_t first, std::size_t count, std::size_t) {
+    k.norm_gradient(gradient + first, z + first, count, f.width, activate, wide.data(),
+                    grad_input + first);
+  });
+  for (std::size_t i = 0; i < f.rest; ++i) {
+    const float y = z[tail + i], g = gradient[tail + i];
+    const float d = wide[i] * g + wide[f.width + i] * y + wide[2 * f.width + i];
+    grad_input[tail + i] = activate ? d * std::min(y + 1.0f, 1.0f) : d;
+  }
+}
+
+}  // namespace segloc

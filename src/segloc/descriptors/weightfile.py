@@ -1,0 +1,119 @@
+"""Weights files: named tensors with settings, a card and a hash, as one safetensors file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from ..errors import WeightsError
+
+_VERSION = "2"
+
+
+@dataclass(frozen=True)
+class WeightFile:
+    """What a weights file holds.
+
+    Attributes
+    ----------
+    tensors : mapping of str to arrays
+        float32, but for those whose dtype the reader names.
+    settings : mapping of str to str
+        Whatever decides, beside the tensors, what the network computes.
+    card : dict
+        Where the weights come from: data, command, figures, licence.
+    sha256 : str
+        Of tensors and settings.
+    """
+
+    tensors: dict[str, NDArray[Any]]
+    settings: dict[str, str]
+    card: dict[str, Any]
+    sha256: str
+
+
+def write_weights(
+    path: Path,
+    kind: str,
+    tensors: Mapping[str, NDArray[Any]],
+    settings: Mapping[str, str],
+    card: Mapping[str, Any],
+) -> None:
+    """Write a weights file of one kind of network."""
+    metadata = {
+        "format": f"segloc {kind}",
+        "version": _VERSION,
+        "settings": json.dumps(dict(settings), sort_keys=True),
+        "card": json.dumps(dict(card), sort_keys=True),
+        "sha256": _digest(tensors, settings),
+    }
+    contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_file(contiguous, path, metadata)
+
+
+def read_weights(
+    path: Path, kind: str, dtypes: Mapping[str, DTypeLike] | None = None
+) -> WeightFile:
+    """Read and check a weights file.
+
+    ``dtypes`` names the tensors that are not float32.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing, truncated, of another kind or version, does not match its hash, or
+        if a tensor is of the wrong dtype or not finite.
+    """
+    metadata, tensors = _read(path)
+    if metadata.get("format") != f"segloc {kind}" or metadata.get("version") != _VERSION:
+        raise WeightsError(f"{path}: not a {kind} of format version {_VERSION}")
+    for name, tensor in tensors.items():
+        expected = np.dtype((dtypes or {}).get(name, np.float32))
+        if tensor.dtype != expected:
+            raise WeightsError(f"{path}: tensor '{name}' is {tensor.dtype}, expected {expected}")
+        if not np.isfinite(tensor).all():
+            raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
+    try:
+        settings, card = json.loads(metadata["settings"]), json.loads(metadata["card"])
+    except (KeyError, ValueError) as error:
+        raise WeightsError(f"{path}: the metadata is damaged ({error})") from error
+    digest = _digest(tensors, settings)
+    if digest != metadata.get("sha256"):
+        raise WeightsError(f"{path}: the tensors do not match their hash")
+    return WeightFile(tensors, settings, card, digest)
+
+
+def shipped_weights(file: str) -> Path:
+    """Path of a weights file that comes with the package."""
+    return Path(__file__).resolve().parent.parent / "weights" / file
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
+    try:
+        with safe_open(path, framework="np") as file:
+            names = list(file.keys())
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in names}
+    except FileNotFoundError as error:
+        raise WeightsError(f"{path}: no such file") from error
+    except (OSError, SafetensorError) as error:
+        raise WeightsError(f"{path}: {error}") from error
+
+
+def _digest(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:
+    digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True).encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        tensor = np.ascontiguousarray(tensor, dtype=tensor.dtype.newbyteorder("<"))
+        digest.update(f"{name} {tensor.shape} ".encode())
+        digest.update(tensor.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,106 @@
+"""Continuous motion: where a sensor is at any moment, and what that does to its scans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation, Slerp
+
+from ..errors import ConfigError, InvalidScan
+from ..geometry import travelled
+from ..types import Float64, Scan
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A path through space and time: linear in position and slerp in rotation between its knots.
+
+    Attributes
+    ----------
+    stamps : (K,) float64
+        Seconds, strictly rising.
+    poses : (K, 4, 4) float64
+        T_world_sensor.
+    way : (K,) float64 or None
+        Metres travelled over ground up to each knot; None for the distances between the knots.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than two knots, shapes do not fit or stamps do not rise.
+    """
+
+    stamps: Float64
+    poses: Float64
+    way: Float64 | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.stamps) < 2 or self.poses.shape != (len(self.stamps), 4, 4):
+            raise ConfigError(
+                f"a motion needs two knots or more, not {self.stamps.shape} stamps "
+                f"with {self.poses.shape} poses"
+            )
+        if not (np.diff(self.stamps) > 0).all():
+            raise ConfigError("the stamps of a motion must rise")
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first knot to the last."""
+        return float(self.stamps[-1] - self.stamps[0])
+
+    @cached_property
+    def _slerp(self) -> Slerp:
+        return Slerp(self.stamps, Rotation.from_matrix(self.poses[:, :3, :3]))
+
+    def at(self, times: ArrayLike) -> Float64:
+        """Poses (N, 4, 4) at times (N,); before the first knot and after the last it rests.
+
+        Raises
+        ------
+        ConfigError
+            If a time is not finite.
+        """
+        asked = np.asarray(times, dtype=np.float64).reshape(-1)
+        if not np.isfinite(asked).all():
+            raise ConfigError("a motion is asked for a time that is not finite")
+        inside = np.clip(asked, self.stamps[0], self.stamps[-1])
+        T = np.tile(np.eye(4), (len(inside), 1, 1))
+        T[:, :3, :3] = self._slerp(inside).as_matrix()
+        for axis in range(3):
+            T[:, axis, 3] = np.interp(inside, self.stamps, self.poses[:, axis, 3])
+        return T
+
+    def times_of(self, distances: Float64) -> Float64:
+        """When the sensor has travelled given distances (N,), metres."""
+        way = travelled(self.poses) if self.way is None else self.way
+        return np.asarray(np.interp(distances, way, self.stamps), dtype=np.float64)
+
+
+def deskew(scan: Scan, motion: Motion, start: float) -> Scan:
+    """Undo what the sensor's motion did to a scan: all points in the frame at its start.
+
+    Parameters
+    ----------
+    scan : Scan
+        With ``times``, seconds from the scan's start.
+    motion : Motion
+        Of the sensor, in any fixed frame: the truth, or as odometry or an IMU has it.
+    start : float
+        When in the motion the scan starts.
+
+    Raises
+    ------
+    InvalidScan
+        If the points have no times.
+    """
+    if scan.times is None:
+        raise InvalidScan("a scan without times cannot be de-skewed")
+    moments, which = np.unique(scan.times, return_inverse=True)
+    T = motion.at(np.append(moments + start, start))
+    relative = np.linalg.inv(T[-1]) @ T[:-1]
+    points = np.einsum("nij,nj->ni", relative[which, :3, :3], scan.points)
+    points += relative[which, :3, 3]
+    return Scan(points, times=scan.times, stamp=scan.stamp, T_odom_sensor=scan.T_odom_sensor)

@@ -1,0 +1,158 @@
+"""Recordings and simulated worlds -> a dataset folder."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets import Recording
+from ..segmentation import SegmentationConfig, Segmenter
+from ..simulation import process_pool
+from .extract import ExtractConfig, extract_session
+from .register import Registration
+from .shards import Session, finished, options_of, read_array, write_shard
+from .worlds import WorldSpec, simulated_drive
+
+Progress = Callable[[str], None]
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A posed recording as a session of a place."""
+
+    session: Session
+    recording: Recording
+
+
+def collect_recordings(
+    folder: Path,
+    recordings: Sequence[Posed],
+    config: ExtractConfig,
+    segmentation: SegmentationConfig,
+    *,
+    register: bool,
+    progress: Progress,
+) -> list[Session]:
+    """Write the shards of recordings of one place, in their order.
+
+    With ``register``, the local clouds of each are aligned with what the ones before it saw.
+
+    Returns
+    -------
+    list of Session
+        To be labelled by :func:`~segloc.training.shards.finish`.
+    """
+    segmenter = Segmenter(segmentation)
+    before: list[Session] = []
+    for item in recordings:
+        session, recording = item.session, item.recording
+        options = options_of(
+            config,
+            segmentation=segmentation.model_dump(mode="json"),
+            register=register,
+            before=[one.file for one in before],
+            scans=_fingerprint(recording),
+        )
+        if finished(folder, session, options):
+            progress(f"{session.name}: already there")
+        else:
+            registration = _registration(folder, before) if register and before else None
+            extract = extract_session(recording, segmenter.segment, config, registration)
+            write_shard(folder, session, extract, options)
+            progress(f"{session.name}: {len(extract)} segments{_told(registration)}")
+        before.append(session)
+    return before
+
+
+def _fingerprint(recording: Recording) -> list[int]:
+    return [len(recording), int(recording.indices[0]), int(recording.indices[-1])]
+
+
+def _registration(folder: Path, before: Sequence[Session]) -> Registration:
+    structure = [read_array(folder, session, "structure") for session in before]
+    return Registration(np.concatenate(structure))
+
+
+def _told(registration: Registration | None) -> str:
+    if registration is None:
+        return ""
+    shift = float(np.median(registration.shifts_m)) if registration.shifts_m else 0.0
+    return (
+        f"; of its local clouds {registration.accepted} aligned (by {shift:.2f} m, median), "
+        f"{registration.rejected} did not fit, {registration.alone} saw nothing known"
+    )
+
+
+def collect_worlds(
+    folder: Path,
+    worlds: Sequence[WorldSpec],
+    config: ExtractConfig,
+    segmentation: SegmentationConfig,
+    *,
+    workers: int,
+    progress: Progress,
+    executor: Executor | None = None,
+) -> list[Session]:
+    """Write the shards of simulated worlds, several at a time.
+
+    What is written depends neither on the executor nor on the number of workers.
+    """
+    done: list[Session] = []
+    tasks = [(spec, k) for spec in worlds for k in range(spec.sessions)]
+    with _pool(workers) if executor is None else nullcontext(executor) as pool:
+        futures = [pool.submit(_world, folder, spec, k, config, segmentation) for spec, k in tasks]
+        for future in as_completed(futures):
+            done.append(_told_world(future.result(), progress))
+    return done
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor]:
+    """Processes with one thread each for linear algebra: more would wait for each other."""
+    before = os.environ.get(_BLAS_THREADS)
+    os.environ[_BLAS_THREADS] = "1"
+    try:
+        with process_pool(workers) as pool:
+            yield pool
+    finally:
+        if before is None:
+            del os.environ[_BLAS_THREADS]
+        else:
+            os.environ[_BLAS_THREADS] = before
+
+
+def _told_world(result: tuple[Session, str], progress: Progress) -> Session:
+    session, text = result
+    progress(f"{session.place} {session.name}: {text}")
+    return session
+
+
+def _world(
+    folder: Path,
+    spec: WorldSpec,
+    k: int,
+    config: ExtractConfig,
+    segmentation: SegmentationConfig,
+) -> tuple[Session, str]:
+    """One session of one world, in whatever process."""
+    session = Session(spec.name, f"session-{k}", spec.sensors[k])
+    options = options_of(
+        config, segmentation=segmentation.model_dump(mode="json"), spec=spec.model_dump(), k=k
+    )
+    if finished(folder, session, options):
+        return session, "already there"
+    segmenter = Segmenter(segmentation)
+    drive = simulated_drive(spec, k)
+    own = config
+    if spec.sweeps(k):
+        own = config.model_copy(update={"lengths_m": (spec.swathe_m,)})
+    extract = extract_session(drive, segmenter.segment, own)
+    write_shard(folder, session, extract, options)
+    return session, f"{len(extract)} segments ({spec.sensors[k]})"

@@ -1,0 +1,145 @@
+"""The operations that training on a CPU spends its time on, as autograd functions.
+
+Each has a native form for float32 on the CPU and the same in torch for other devices and types.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .. import _native
+
+
+def _is_native(*tensors: Tensor) -> bool:
+    return all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors)
+
+
+def _array(tensor: Tensor) -> Any:
+    return tensor.detach().contiguous().numpy()
+
+
+def elu_norm(
+    x: Tensor, weight: Tensor, bias: Tensor, eps: float, activate: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Batch norm over the columns of (R, C), after ELU where ``activate`` is set.
+
+    Returns
+    -------
+    output : (R, C)
+    mean, variance : (C,)
+        Of the batch; the variance is biased. Without gradient.
+    """
+    if _is_native(x, weight, bias):
+        result: tuple[Tensor, Tensor, Tensor] = _EluNorm.apply(x, weight, bias, eps, activate)
+        return result
+    z = functional.elu(x) if activate else x
+    output = functional.batch_norm(z, None, None, weight, bias, True, 0.0, eps)
+    variance, mean = torch.var_mean(z.detach().float(), dim=0, correction=0)
+    return output, mean, variance
+
+
+class _EluNorm(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[no-untyped-def]
+        ctx, x: Tensor, weight: Tensor, bias: Tensor, eps: float, activate: bool
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        x = x.contiguous()
+        output = torch.empty_like(x)
+        z = torch.empty_like(x) if activate else x
+        mean, variance = torch.empty_like(weight), torch.empty_like(weight)
+        _native.elu_norm(
+            _array(x),
+            activate,
+            _array(weight),
+            _array(bias),
+            eps,
+            _array(z),
+            _array(output),
+            _array(mean),
+            _array(variance),
+            torch.get_num_threads(),
+        )
+        ctx.save_for_backward(z, weight, mean, variance)
+        ctx.eps, ctx.activate = eps, activate
+        ctx.mark_non_differentiable(mean, variance)
+        return output, mean, variance
+
+    @staticmethod
+    def backward(ctx, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[no-untyped-def]
+        z, weight, mean, variance = ctx.saved_tensors
+        x, w, b = torch.empty_like(z), torch.empty_like(weight), torch.empty_like(weight)
+        _native.elu_norm_backward(
+            _array(gradients[0]),
+            _array(z),
+            ctx.activate,
+            _array(weight),
+            ctx.eps,
+            _array(mean),
+            _array(variance),
+            _array(x),
+            _array(w),
+            _array(b),
+            torch.get_num_threads(),
+        )
+        return x, w, b, None, None
+
+
+def xconv_apply(
+    x: Tensor, lift: Tensor, features: Tensor | None, neighbors: Tensor, depthwise: Tensor
+) -> Tensor:
+    """Transform the features of each point's neighbours, and convolve them over the neighbours.
+
+    Parameters
+    ----------
+    x : (B, N, K, K)
+    lift : (B, N, K, L)
+    features : (B, S, F) or None
+        Gathered by ``neighbors`` and put behind ``lift``.
+    neighbors : (B, N, K) int64
+    depthwise : (D, K, L + F)
+
+    Returns
+    -------
+    (B, N, D, L + F)
+    """
+    if _is_native(x, lift, depthwise) and (features is None or _is_native(features)):
+        held = lift.new_empty(len(lift), 1, 0) if features is None else features
+        result: Tensor = _Apply.apply(x, lift, held, neighbors, depthwise)
+        return result
+    gathered = lift if features is None else torch.cat([lift, gather(features, neighbors)], dim=-1)
+    return torch.einsum("bnkc,mkc->bnmc", x @ gathered, depthwise.to(gathered.dtype))
+
+
+class _Apply(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, *inputs: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
+        inputs = tuple(t.contiguous() for t in inputs)
+        _, lift, features, neighbors, depthwise = inputs
+        B, N, _ = neighbors.shape
+        channels = lift.shape[-1] + features.shape[-1]
+        output = lift.new_empty(B, N, len(depthwise), channels)
+        arrays = [_array(t) for t in (*inputs, output)]
+        _native.xconv_apply(*arrays, threads=torch.get_num_threads())  # type: ignore[misc]
+        ctx.save_for_backward(*inputs)
+        return output
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[no-untyped-def]
+        inputs = ctx.saved_tensors
+        x, lift, features, _, depthwise = results = [torch.empty_like(t) for t in inputs]
+        arrays = [_array(t) for t in (*inputs, gradient, x, lift, features, depthwise)]
+        threads = torch.get_num_threads()
+        _native.xconv_apply_backward(*arrays, threads=threads)  # type: ignore[misc]
+        results[3] = None
+        return tuple(results)
+
+
+def gather(values: Tensor, index: Tensor) -> Tensor:
+    """values (B, S, C), index (B, N, K) -> (B, N, K, C)."""
+    B, S, C = values.shape
+    base = torch.arange(B, device=values.device).view(B, 1, 1) * S
+    return values.reshape(B * S, C)[index + base]

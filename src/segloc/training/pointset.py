@@ -1,0 +1,110 @@
+"""DSM and ESM as tasks: prepared points, X-conv, metric losses, native inference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from .. import _native
+from ..descriptors.pointset import POINTS
+from ..types import Float32
+from .augment import augment
+from .config import TrainConfig
+from .dataset import SegmentDataset
+from .export import export, folded
+from .losses import LOSSES, pair_match
+from .models import LAYERS, DescriptorNetwork
+from .quality import fit_quality
+from .sampling import reorder
+from .tasks import Batch, Inputs, Task
+
+
+class PointSetTask(Task):
+    """An X-conv network on 256 points of each segment.
+
+    The inputs are the points and each layer's neighbours, which are searched beside the training.
+    """
+
+    def network(self, objects: int) -> DescriptorNetwork:
+        return DescriptorNetwork(LAYERS[self.config.network])
+
+    def inputs(
+        self,
+        dataset: SegmentDataset,
+        indices: NDArray[np.int64],
+        rng: np.random.Generator | None = None,
+    ) -> Inputs:
+        prepared = prepared_points(dataset, indices, self.config, rng)
+        points = torch.from_numpy(prepared)
+        neighbors = neighbors_of(prepared, self.config)
+        return points, *(torch.from_numpy(index) for index in neighbors)
+
+    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        x = network(*batch.inputs).float()
+        loss = LOSSES[self.config.loss](x, batch.same, batch.different)
+        if self.config.pair_weight > 0:
+            head = getattr(network, "module", network).pair_logits
+            pairs = head(x[:, None], x[None, :])
+            loss = loss + self.config.pair_weight * pair_match(pairs, batch.same, batch.different)
+        return loss
+
+    def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
+        """By the native network: what inference will see."""
+        assert isinstance(network, DescriptorNetwork)
+        table = [(x.points, x.neighbors, x.dilation, x.channels) for x in network.layers]
+        native = _native.Network(table, folded(network), POINTS)
+        parts = [np.empty((0, native.dim), np.float32)]
+        for first in range(0, len(dataset), 1024):
+            indices = np.arange(first, min(first + 1024, len(dataset)))
+            prepared = prepared_points(dataset, indices, self.config)
+            parts.append(native.describe(prepared, self.config.threads)[0])
+        return np.concatenate(parts)
+
+    def finish(self, network: nn.Module, training: SegmentDataset) -> None:
+        assert isinstance(network, DescriptorNetwork)
+        fit_quality(self, network, training)
+
+    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
+        assert isinstance(network, DescriptorNetwork)
+        export(network, path, card, self.config.alignment)
+
+
+def create(config: TrainConfig) -> PointSetTask:
+    """The task of "dsm" and "esm"."""
+    return PointSetTask(config)
+
+
+def prepared_points(
+    dataset: SegmentDataset,
+    indices: NDArray[np.int64],
+    config: TrainConfig,
+    rng: np.random.Generator | None = None,
+) -> Float32:
+    """Segments as the network reads them, (B, 256, 3); augmented where a generator is given."""
+    parts = [dataset.segment(int(i)) for i in indices]
+    if rng is not None:
+        parts = [augment(part, config.augmentation, rng) for part in parts]
+    offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
+    prepared = _native.prepare_segments(
+        np.concatenate(parts), offsets, POINTS, config.alignment, config.threads
+    )
+    return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))
+
+
+def neighbors_of(prepared: Float32, config: TrainConfig) -> list[NDArray[np.int64]]:
+    """Dilated neighbours of every layer, (B, N, K) each."""
+    result, sources = [], prepared.shape[1]
+    for layer in LAYERS[config.network]:
+        result.append(
+            _native.dilated_neighbors(
+                prepared, sources, layer.points, layer.neighbors, layer.dilation, config.threads
+            )
+        )
+        sources = layer.points
+    return result

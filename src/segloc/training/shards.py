@@ -1,0 +1,229 @@
+"""A dataset as a folder: a shard a session, and an index that labels what the shards hold.
+
+``index.json`` names the places with their sessions; ``labels.safetensors`` holds the labels of
+each shard's segments, which need all sessions of a place. A shard that is finished stays as it
+is, so that an extraction that was cut off goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from ..errors import DatasetError
+from ..files import replacing, write_text
+from ..types import Float32, Int64
+from .dataset import FAR_M, SegmentDataset
+from .extract import Extract, ExtractConfig
+from .labels import LabelConfig, LabelCounts, count_labels, label_objects
+
+INDEX = "index.json"
+_LABELS = "labels.safetensors"
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Session:
+    """One recording of a place: what its shard is called, and which sensor made it."""
+
+    place: str
+    name: str
+    sensor: str
+
+    @property
+    def file(self) -> str:
+        return f"{self.place}--{self.name}.safetensors"
+
+
+def options_of(config: ExtractConfig, **more: Any) -> str:
+    """A hash of everything that decides what a shard holds."""
+    text = config.model_dump_json(exclude={"label"}) + json.dumps(more, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def write_shard(folder: Path, session: Session, extract: Extract, options: str) -> None:
+    """Write a session's shard; points are kept in half precision about their centroids."""
+    arrays = {f.name: np.ascontiguousarray(getattr(extract, f.name)) for f in fields(Extract)}
+    arrays["points"] = arrays["points"].astype(np.float16)
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / session.file) as stream:
+        stream.write(save(arrays, {"options": options, **asdict(session)}))
+
+
+def finished(folder: Path, session: Session, options: str) -> bool:
+    """Whether a session's shard is there, made with these options."""
+    try:
+        with safe_open(folder / session.file, framework="np") as file:
+            return bool((file.metadata() or {}).get("options") == options)
+    except (OSError, SafetensorError):
+        return False
+
+
+def read_array(folder: Path, session: Session, name: str) -> Any:
+    """One array of a shard.
+
+    Raises
+    ------
+    DatasetError
+        If the shard cannot be read or has no such array.
+    """
+    try:
+        with safe_open(folder / session.file, framework="np") as file:
+            return file.get_tensor(name)
+    except (OSError, SafetensorError) as error:
+        raise DatasetError(f"{folder / session.file}: {error}") from error
+
+
+def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> LabelCounts:
+    """Label the segments of the named sessions, all others in the folder, and write the index.
+
+    Returns
+    -------
+    LabelCounts
+        Of the whole dataset. Pairs are counted within places.
+    """
+    known = {session.file: session for session in (*_listed(folder), *sessions)}
+    everything = sorted(known.values(), key=lambda session: session.file)
+    labels: dict[str, Int64] = {}
+    counts: list[LabelCounts] = []
+    for place in sorted({session.place for session in everything}):
+        own = [session for session in everything if session.place == place]
+        found, count = _label_place(folder, own, config)
+        labels.update(found)
+        counts.append(count)
+    total = _total(counts)
+    with replacing(folder / _LABELS) as stream:
+        stream.write(save(labels))
+    index = {
+        "version": _VERSION,
+        "label": config.model_dump(),
+        "sessions": [asdict(session) for session in everything],
+        "counts": asdict(total),
+    }
+    write_text(folder / INDEX, json.dumps(index, indent=2).replace("NaN", "null") + "\n")
+    return total
+
+
+def _listed(folder: Path) -> list[Session]:
+    if not (folder / INDEX).exists():
+        return []
+    return [Session(**row) for row in _index(folder)["sessions"]]
+
+
+def _index(folder: Path) -> dict[str, Any]:
+    try:
+        index: dict[str, Any] = json.loads((folder / INDEX).read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{folder / INDEX}: {error}") from error
+    if index.get("version") != _VERSION or not isinstance(index.get("sessions"), list):
+        raise DatasetError(f"{folder / INDEX}: not an index of format version {_VERSION}")
+    return index
+
+
+def _label_place(
+    folder: Path, sessions: Sequence[Session], config: LabelConfig
+) -> tuple[dict[str, Int64], LabelCounts]:
+    def joined(name: str) -> Any:
+        return np.concatenate([read_array(folder, session, name) for session in sessions])
+
+    sizes = [len(read_array(folder, session, "lengths")) for session in sessions]
+    centroids = joined("centroids")
+    labels = label_objects(centroids, joined("extents"), config)
+    numbers = np.repeat(np.arange(len(sessions)), sizes)
+    count = count_labels(labels, numbers, centroids, joined("objects"), FAR_M)
+    parts = np.split(labels, np.cumsum(sizes)[:-1])
+    return {s.file: part for s, part in zip(sessions, parts, strict=True)}, count
+
+
+def _total(counts: Iterable[LabelCounts]) -> LabelCounts:
+    rows = list(counts)
+    again = sum(c.seen_again for c in rows)
+    known = [c for c in rows if not np.isnan(c.agreeing)]
+    across = sum(c.matching_across for c in known)
+    return LabelCounts(
+        sum(c.segments for c in rows),
+        sum(c.objects for c in rows),
+        again,
+        sum(c.views * c.seen_again for c in rows) / max(again, 1),
+        sum(c.matching for c in rows),
+        sum(c.matching_across for c in rows),
+        sum(c.different for c in rows),
+        sum(c.agreeing * c.matching_across for c in known) / across if across else float("nan"),
+    )
+
+
+def load_dataset(path: Path) -> SegmentDataset:
+    """Read a dataset: a folder of shards, or one file that :meth:`SegmentDataset.save` wrote.
+
+    Raises
+    ------
+    DatasetError
+        If it is missing, damaged, or not finished.
+    """
+    if path.is_file():
+        return SegmentDataset.load(path)
+    if not (path / INDEX).is_file():
+        raise DatasetError(f"{path}: no dataset: there is no {INDEX} in it")
+    sessions = [Session(**row) for row in _index(path)["sessions"]]
+    if not sessions:
+        raise DatasetError(f"{path}: the dataset is empty")
+    labels = _labels(path)
+    places = sorted({session.place for session in sessions})
+    parts = [
+        _place(path, [session for session in sessions if session.place == place], labels)
+        for place in places
+    ]
+    return SegmentDataset.concatenate(parts)
+
+
+def _labels(path: Path) -> dict[str, Int64]:
+    try:
+        with safe_open(path / _LABELS, framework="np") as file:
+            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError) as error:
+        raise DatasetError(f"{path / _LABELS}: {error}") from error
+
+
+def _place(path: Path, sessions: Sequence[Session], labels: dict[str, Int64]) -> SegmentDataset:
+    """All sessions of one place; their labels already fit together."""
+    names = tuple(sorted({session.sensor for session in sessions}))
+    parts = [_session(path, session, names, labels) for session in sessions]
+    joined = SegmentDataset.concatenate(parts)  # numbers the sessions; labels fit already
+    together = np.concatenate([part.labels for part in parts])
+    return replace(joined, labels=together, places=np.zeros(len(joined), np.int64))
+
+
+def _session(
+    path: Path,
+    session: Session,
+    sensor_names: tuple[str, ...],
+    labels: dict[str, Int64],
+) -> SegmentDataset:
+    try:
+        with safe_open(path / session.file, framework="np") as file:
+            arrays = {f.name: file.get_tensor(f.name) for f in fields(Extract)
+                      if f.name not in ("structure", "extents")}  # fmt: skip
+    except (OSError, SafetensorError) as error:
+        raise DatasetError(f"{path / session.file}: {error}") from error
+    P = len(arrays["lengths"])
+    own = labels.get(session.file)
+    if own is None or len(own) != P:
+        raise DatasetError(f"{path / session.file}: its labels are missing or do not fit")
+    points: Float32 = arrays.pop("points").astype(np.float32)
+    return SegmentDataset(
+        points=points,
+        labels=own,
+        sessions=np.zeros(P, np.int64),
+        places=np.zeros(P, np.int64),
+        sensors=np.full(P, sensor_names.index(session.sensor), np.int64),
+        sensor_names=sensor_names,
+        **arrays,
+    )
