@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import ConfigError
-from ..simulation import Lidar, Route, SimulatedSequence, World, simulate_session, town
-from ..simulation.lidar import hdl32e, hdl64e, vlp16
+from ..simulation import (
+    PLATFORMS,
+    SCENES,
+    SENSORS,
+    Conditions,
+    Lidar,
+    LineLidar,
+    Route,
+    SimulatedSequence,
+    SpinningLidar,
+    simulate_session,
+)
 
-SCENES: dict[str, Callable[..., World]] = {"town": town}
-SENSORS: dict[str, Callable[..., Lidar]] = {"hdl64e": hdl64e, "hdl32e": hdl32e, "vlp16": vlp16}
+_USUAL_SENSORS = ("hdl64e", "hdl64e", "hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128", "lms151")
+_WALKERS = ("wheeled", "legged", "handheld")
 
 
 class WorldSpec(BaseModel):
@@ -27,6 +37,10 @@ class WorldSpec(BaseModel):
     sensors: tuple[str, ...]
     lanes_m: tuple[float, ...]
     reverse: tuple[bool, ...]
+    platforms: tuple[str, ...]
+    raised_m: tuple[float, ...]
+    foliage: tuple[float, ...]
+    replaced: tuple[float, ...]
     swathe_m: float = 30.0
 
     @property
@@ -39,7 +53,7 @@ class WorldSpec(BaseModel):
 
     def sweeps(self, k: int) -> bool:
         """Whether session k's sensor is a push-broom one, which needs its motion to see."""
-        return False
+        return isinstance(_sensor(self.sensors[k]), LineLidar)
 
 
 def draw_worlds(
@@ -47,15 +61,16 @@ def draw_worlds(
 ) -> list[WorldSpec]:
     """Worlds as ``town:10,park:4`` asks for them.
 
-    Each has two or three sessions, in different lanes, some the other way round, each with a
-    sensor of its own choice.
+    Each has two or three sessions, in different lanes and seasons, some the other way round, each
+    with a sensor, a carrier and a mounting height of its own; from session to session some objects
+    have been replaced.
 
     Raises
     ------
     ConfigError
         If the text cannot be read or names a scene or a sensor that does not exist.
     """
-    wanted = sensors or tuple(SENSORS)
+    wanted = sensors or _USUAL_SENSORS
     for name in wanted:
         if name not in SENSORS:
             raise ConfigError(f"no sensor {name!r}; there are {', '.join(sorted(SENSORS))}")
@@ -73,14 +88,26 @@ def draw_worlds(
 def _draw(scene: str, seed: int, i: int, length_m: float, sensors: tuple[str, ...]) -> WorldSpec:
     rng = np.random.default_rng([seed, i, *scene.encode()])
     sessions = int(rng.integers(2, 4))
+    later = range(sessions - 1)
+    carriers = ("car",) if scene == "town" else _WALKERS
     return WorldSpec(
         scene=scene,
         seed=10_000 * seed + i,
         length_m=length_m,
         sensors=tuple(str(rng.choice(sensors)) for _ in range(sessions)),
         lanes_m=tuple(float(rng.uniform(0.3, 1.9)) for _ in range(sessions)),
-        reverse=(False, *(bool(rng.random() < 0.5) for _ in range(sessions - 1))),
+        reverse=(False, *(bool(rng.random() < 0.5) for _ in later)),
+        platforms=tuple(str(rng.choice(carriers)) for _ in range(sessions)),
+        raised_m=tuple(float(rng.uniform(-0.15, 0.35)) for _ in range(sessions)),
+        foliage=tuple(float(rng.uniform(0.2, 1.0)) for _ in range(sessions)),
+        replaced=(0.0, *(float(rng.uniform(0.0, 0.2)) for _ in later)),
     )
+
+
+def _sensor(name: str) -> Lidar:
+    """A sensor with about half of its firings where that is enough for dense local clouds."""
+    sensor = SENSORS[name]()
+    return sensor.thinned(2) if isinstance(sensor, SpinningLidar) else sensor
 
 
 def simulated_drive(spec: WorldSpec, k: int) -> SimulatedSequence:
@@ -91,4 +118,14 @@ def simulated_drive(spec: WorldSpec, k: int) -> SimulatedSequence:
     way = world.roads.walk(rng, [start], spec.length_m, avoid=[])
     junctions = tuple(way[::-1] if spec.reverse[k] else way)
     route = Route(junctions, lane_offset_m=spec.lanes_m[k], length_m=spec.length_m)
-    return simulate_session(world, k, route, SENSORS[spec.sensors[k]](), spec.seed)
+    carrier = PLATFORMS[spec.platforms[k]]()
+    return simulate_session(
+        world,
+        k,
+        route,
+        _sensor(spec.sensors[k]),
+        spec.seed,
+        conditions=Conditions(foliage=spec.foliage[k], replaced=spec.replaced[k]),
+        platform=replace(carrier, mount_height_m=carrier.mount_height_m + spec.raised_m[k]),
+        by_rate=spec.sweeps(k),
+    )
