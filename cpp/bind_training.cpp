@@ -65,6 +65,35 @@ void backward(In<float, nb::ndim<4>> x, In<float, nb::ndim<4>> lift, In3<float> 
                  chosen, threads);
 }
 
+std::size_t checked_columns(In3<float> x, In3<float> weight) {
+  const std::size_t K = x.shape(2);
+  require(K > 0 && x.shape(1) == K, "x must have shape (R, K, K)");
+  require(weight.shape(0) == K && weight.shape(1) == K && weight.shape(2) == K,
+          "weight must have shape (K, K, K)");
+  return K;
+}
+
+void column_maps(In3<float> x, In3<float> weight, Result output, int threads,
+                 const std::string& isa) {
+  const std::size_t K = checked_columns(x, weight);
+  require_size(output, x.size(), "output");
+  const Isa chosen = parse_isa(isa);
+  nb::gil_scoped_release release;
+  columns_forward(x.data(), weight.data(), x.shape(0), K, output.data(), chosen, threads);
+}
+
+void column_maps_backward(In3<float> x, In3<float> weight, In3<float> gradient, Result grad_x,
+                          Result grad_weight, int threads, const std::string& isa) {
+  const std::size_t K = checked_columns(x, weight);
+  require_size(gradient, x.size(), "gradient");
+  require_size(grad_x, x.size(), "grad_x");
+  require_size(grad_weight, weight.size(), "grad_weight");
+  const Isa chosen = parse_isa(isa);
+  nb::gil_scoped_release release;
+  columns_backward(x.data(), weight.data(), gradient.data(), x.shape(0), K, grad_x.data(),
+                   grad_weight.data(), chosen, threads);
+}
+
 void norm_forward(In2<float> input, bool activate, In1<float> weight, In1<float> bias, float eps,
                   Result z, Result output, Result mean, Result variance, int threads,
                   const std::string& isa) {
@@ -113,6 +142,11 @@ void bind_training(nb::module_& m) {
         "gradient"_a.noconvert(), "grad_x"_a.noconvert(), "grad_lift"_a.noconvert(),
         "grad_features"_a.noconvert(), "grad_depthwise"_a.noconvert(), "threads"_a = 1,
         "isa"_a = "auto");
+  m.def("column_maps", &column_maps, "x"_a.noconvert(), "weight"_a.noconvert(),
+        "output"_a.noconvert(), "threads"_a = 1, "isa"_a = "auto");
+  m.def("column_maps_backward", &column_maps_backward, "x"_a.noconvert(), "weight"_a.noconvert(),
+        "gradient"_a.noconvert(), "grad_x"_a.noconvert(), "grad_weight"_a.noconvert(),
+        "threads"_a = 1, "isa"_a = "auto");
   m.def("elu_norm", &norm_forward, "input"_a.noconvert(), "activate"_a, "weight"_a.noconvert(),
         "bias"_a.noconvert(), "eps"_a, "z"_a.noconvert(), "output"_a.noconvert(),
         "mean"_a.noconvert(), "variance"_a.noconvert(), "threads"_a = 1, "isa"_a = "auto");

@@ -106,10 +106,26 @@ struct ApplyPoint {
   float* grad_depthwise;  // added to
 };
 
+// Points of a depthwise map of K x K matrices: row c of the result comes from column c of x.
+// x (points, K, K); y and its gradient (points, K, K) with 16 values behind the last that may be
+// read and written; weight (K, K, lanes): [c][i][o]; transposed [c][o][i]; lanes is K padded to 16.
+struct ColumnTask {
+  size_t points, neighbors, lanes;
+  const float* x;
+  const float* weight;
+  const float* transposed;
+  float* y;            // the result, or the gradient that comes in
+  float* grad_x;       // (points, K, K)
+  float* grad_weight;  // (K, K, lanes), added to; whatever is beyond K means nothing
+  float* scratch;      // (K, lanes)
+};
+
 // The inner loops of train_ops.cpp; rows of a width that is a multiple of 16.
 struct TrainKernels {
   void (*apply)(const ApplyPoint& point);
   void (*apply_backward)(const ApplyPoint& point);
+  void (*columns)(const ColumnTask& task);
+  void (*columns_backward)(const ColumnTask& task);
   void (*elu_sums)(const float* input, size_t rows, size_t width, bool activate, float* z,
                    float* sum, float* square);
   void (*scale_shift)(const float* z, size_t rows, size_t width, const float* scale,

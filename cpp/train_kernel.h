@@ -66,6 +66,81 @@ inline void apply_point_backward(const ApplyPoint& p) {
   small_product(p.grad_t, p.width, p.f_transposed, p.rows, p.width, p.lanes, p.grad_x);
 }
 
+// For Points points and column c: sum over i of x[i * step] times row i of the weight.
+template <size_t Points>
+inline void column_rows(const float* x, size_t step, size_t stride, const float* weight,
+                        size_t inner, size_t lanes, float* y, size_t y_stride) {
+  for (size_t v = 0; v < lanes; v += kWidth) {
+    Vec sum[Points];
+    SEGLOC_UNROLL
+    for (size_t p = 0; p < Points; ++p) sum[p] = broadcast(0.0f);
+    for (size_t i = 0; i < inner; ++i) {
+      const Vec w = load(weight + i * lanes + v);
+      SEGLOC_UNROLL
+      for (size_t p = 0; p < Points; ++p) {
+        sum[p] = fma(broadcast(x[p * stride + i * step]), w, sum[p]);
+      }
+    }
+    SEGLOC_UNROLL
+    for (size_t p = 0; p < Points; ++p) store(y + p * y_stride + v, sum[p]);
+  }
+}
+
+// Rows overlap where K is no multiple of the vectors: each is written after the one before it.
+inline void columns(const ColumnTask& t) {
+  const size_t K = t.neighbors, square = K * K;
+  for (size_t p = 0; p < t.points; ++p) {
+    for (size_t c = 0; c < K; ++c) {
+      column_rows<1>(t.x + p * square + c, K, square, t.weight + c * K * t.lanes, K, t.lanes,
+                     t.y + p * square + c * K, square);
+    }
+  }
+}
+
+inline void columns_backward(const ColumnTask& t) {
+  constexpr size_t kBlockRows = 4;
+  const size_t K = t.neighbors, square = K * K;
+  for (size_t p = 0; p < t.points; ++p) {
+    for (size_t c = 0; c < K; ++c) {
+      column_rows<1>(t.y + p * square + c * K, 1, square, t.transposed + c * K * t.lanes, K,
+                     t.lanes, t.scratch + c * t.lanes, 0);
+    }
+    for (size_t i = 0; i < K; ++i) {
+      for (size_t c = 0; c < K; ++c) t.grad_x[p * square + i * K + c] = t.scratch[c * t.lanes + i];
+    }
+  }
+  for (size_t c = 0; c < K; ++c) {
+    for (size_t v = 0; v < t.lanes; v += kWidth) {
+      for (size_t first = 0; first < K; first += kBlockRows) {
+        const size_t rows = K - first < kBlockRows ? K - first : kBlockRows;
+        float* out = t.grad_weight + (c * K + first) * t.lanes + v;
+        const float* x = t.x + first * K + c;
+        const float* y = t.y + c * K + v;
+        Vec sum[kBlockRows];
+        SEGLOC_UNROLL
+        for (size_t r = 0; r < kBlockRows; ++r) sum[r] = broadcast(0.0f);
+        if (rows == kBlockRows) {
+          for (size_t p = 0; p < t.points; ++p) {
+            const Vec g = load(y + p * square);
+            SEGLOC_UNROLL
+            for (size_t r = 0; r < kBlockRows; ++r) {
+              sum[r] = fma(broadcast(x[p * square + r * K]), g, sum[r]);
+            }
+          }
+        } else {
+          for (size_t p = 0; p < t.points; ++p) {
+            const Vec g = load(y + p * square);
+            for (size_t r = 0; r < rows; ++r) {
+              sum[r] = fma(broadcast(x[p * square + r * K]), g, sum[r]);
+            }
+          }
+        }
+        for (size_t r = 0; r < rows; ++r) store(out + r * t.lanes, load(out + r * t.lanes) + sum[r]);
+      }
+    }
+  }
+}
+
 inline void elu_sums(const float* input, size_t rows, size_t width, bool activate, float* z,
                      float* sum, float* square) {
   for (size_t v = 0; v < width; v += kWidth) {
@@ -123,7 +198,8 @@ inline void norm_gradient(const float* gradient, const float* z, size_t rows, si
   }
 }
 
-constexpr TrainKernels kTraining = {&apply_point,   &apply_point_backward, &elu_sums,
+constexpr TrainKernels kTraining = {&apply_point, &apply_point_backward, &columns,
+                                    &columns_backward, &elu_sums,
                                     &scale_shift, &gradient_sums,        &norm_gradient};
 
 }  // namespace

@@ -13,6 +13,7 @@ namespace {
 
 constexpr std::size_t kCloudsATask = 4;
 constexpr std::size_t kFloatsATask = 8192;
+constexpr std::size_t kMatricesATask = 64;
 constexpr std::size_t kLanes = 16;
 
 // Scratch memory of one worker, and how inputs are brought into it.
@@ -108,6 +109,21 @@ void store_gradients(const ApplyShape& shape, const ApplyInputs& in, const Apply
     float* sum = out.features + (cloud * shape.sources + source) * shape.inputs;
     for (std::size_t c = 0; c < shape.inputs; ++c) sum[c] += row[shape.lifted + c];
   }
+}
+
+// weight (K, K, K): [i][c][o] -> [c][i][lane o], or [c][o][lane i].
+AlignedFloats column_weights(const float* weight, std::size_t K, bool transposed) {
+  const std::size_t lanes = padded(K, kLanes);
+  AlignedFloats result(K * K * lanes);
+  for (std::size_t i = 0; i < K; ++i) {
+    for (std::size_t c = 0; c < K; ++c) {
+      for (std::size_t o = 0; o < K; ++o) {
+        result[(c * K + (transposed ? o : i)) * lanes + (transposed ? i : o)] =
+            weight[(i * K + c) * K + o];
+      }
+    }
+  }
+  return result;
 }
 
 // Rows of `columns` values seen as rows of a multiple of 16, as far as they go; the rest, less
@@ -210,6 +226,53 @@ void apply_backward(const ApplyShape& shape, const ApplyInputs& in, const float*
         const float* from = partial.data() + task * size + (m * rows + n) * width;
         float* to = out.depthwise + (m * shape.neighbors + n) * C;
         for (std::size_t c = 0; c < C; ++c) to[c] += from[c];
+      }
+    }
+  }
+}
+
+void columns_forward(const float* x, const float* weight, std::size_t count, std::size_t K,
+                     float* output, Isa isa, int threads) {
+  const TrainKernels& k = kernels(isa).training;
+  const AlignedFloats wide = column_weights(weight, K, false);
+  const std::size_t lanes = padded(K, kLanes), square = K * K;
+  parallel_for(count, kMatricesATask, threads, [&](std::size_t begin, std::size_t end, int) {
+    AlignedFloats y(kMatricesATask * square + kLanes);
+    for (std::size_t first = begin; first < end; first += kMatricesATask) {
+      const std::size_t points = std::min(kMatricesATask, end - first);
+      k.columns({points, K, lanes, x + first * square, wide.data(), nullptr, y.data(), nullptr,
+                 nullptr, nullptr});
+      std::copy_n(y.data(), points * square, output + first * square);
+    }
+  });
+}
+
+void columns_backward(const float* x, const float* weight, const float* gradient,
+                      std::size_t count, std::size_t K, float* grad_x, float* grad_weight, Isa isa,
+                      int threads) {
+  const TrainKernels& k = kernels(isa).training;
+  const AlignedFloats transposed = column_weights(weight, K, true);
+  const std::size_t lanes = padded(K, kLanes), square = K * K, size = square * lanes;
+  const std::size_t tasks = (count + kMatricesATask - 1) / kMatricesATask;
+  AlignedFloats partial(tasks * size);
+  parallel_for(tasks, 1, threads, [&](std::size_t begin, std::size_t end, int) {
+    AlignedFloats y(kMatricesATask * square + kLanes), scratch(K * lanes);
+    for (std::size_t task = begin; task < end; ++task) {
+      const std::size_t first = task * kMatricesATask;
+      const std::size_t points = std::min(kMatricesATask, count - first);
+      std::copy_n(gradient + first * square, points * square, y.data());
+      k.columns_backward({points, K, lanes, x + first * square, nullptr, transposed.data(),
+                          y.data(), grad_x + first * square, partial.data() + task * size,
+                          scratch.data()});
+    }
+  });
+  std::fill_n(grad_weight, square * K, 0.0f);
+  for (std::size_t task = 0; task < tasks; ++task) {
+    for (std::size_t c = 0; c < K; ++c) {
+      for (std::size_t i = 0; i < K; ++i) {
+        const float* from = partial.data() + task * size + (c * K + i) * lanes;
+        float* to = grad_weight + (i * K + c) * K;
+        for (std::size_t o = 0; o < K; ++o) to[o] += from[o];
       }
     }
   }

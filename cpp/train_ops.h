@@ -41,6 +41,13 @@ void apply_forward(const ApplyShape& shape, const ApplyInputs& in, float* output
 void apply_backward(const ApplyShape& shape, const ApplyInputs& in, const float* gradient,
                     const ApplyGradients& out, Isa isa, int threads);
 
+// Depthwise maps of (count, K, K) matrices: output[c][o] = sum_i x[i][c] * weight[i][c][o].
+void columns_forward(const float* x, const float* weight, std::size_t count, std::size_t K,
+                     float* output, Isa isa, int threads);
+void columns_backward(const float* x, const float* weight, const float* gradient,
+                      std::size_t count, std::size_t K, float* grad_x, float* grad_weight, Isa isa,
+                      int threads);
+
 // Batch norm over the columns of (rows, columns), after ELU where `activate` is set.
 // Keeps the activated values in `z`; writes mean and biased variance of each column.
 void elu_norm_forward(const float* input, std::size_t rows, std::size_t columns, bool activate,

@@ -9,7 +9,7 @@ from segloc import _native
 
 torch = pytest.importorskip("torch")
 
-from segloc.training.ops import elu_norm, gather, xconv_apply  # noqa: E402
+from segloc.training.ops import column_maps, elu_norm, gather, xconv_apply  # noqa: E402
 
 torch.set_num_threads(1)
 
@@ -57,6 +57,17 @@ def test_xconv_apply(K: int, lifted: int, inputs: int, depth: int) -> None:
     ours, theirs = run(single), run(double)
     torch.testing.assert_close(ours.double(), theirs, rtol=1e-4, atol=1e-4)
     for a, b in zip(gradients(ours, single), gradients(theirs, double), strict=True):
+        torch.testing.assert_close(a.double(), b, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("K", [1, 8, 10, 17])
+def test_column_maps(K: int) -> None:
+    single, double = leaves((7, 11, K, K), (K, K, K))
+    ours, theirs = column_maps(*single), column_maps(*double)
+    expected = torch.einsum("bnic,ico->bnco", *double)
+    torch.testing.assert_close(theirs, expected)
+    torch.testing.assert_close(ours.double(), expected, rtol=1e-4, atol=1e-4)
+    for a, b in zip(gradients(ours, single), gradients(expected, double), strict=True):
         torch.testing.assert_close(a.double(), b, rtol=1e-4, atol=1e-3)
 
 

@@ -172,6 +172,22 @@ def xconv_apply_backward(
     threads: int = 1,
     isa: str = "auto",
 ) -> None: ...
+def column_maps(
+    x: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    output: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
+def column_maps_backward(
+    x: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+    grad_x: NDArray[np.float32],
+    grad_weight: NDArray[np.float32],
+    threads: int = 1,
+    isa: str = "auto",
+) -> None: ...
 def elu_norm(
     input: NDArray[np.float32],
     activate: bool,

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from .. import _native
 from ..descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
-from .ops import elu_norm, gather, xconv_apply
+from .ops import column_maps, elu_norm, gather, xconv_apply
 
 LAYERS = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
 DIM = 16
@@ -118,19 +118,10 @@ class XConv(nn.Module):
         """The K x K matrix of each query."""
         B, N, K, _ = relative.shape
         x = self.x0_norm(relative.reshape(B, N, 3 * K) @ self.x0.flatten(1))
-        x = self.x1_norm(x @ _columnwise(self.x1))
-        x = self.x2_norm(x @ _columnwise(self.x2))
-        result: Tensor = x.view(B, N, K, K)
+        x = column_maps(x.view(B, N, K, K), self.x1)
+        x = column_maps(self.x1_norm(x.flatten(2)).view(B, N, K, K), self.x2)
+        result: Tensor = self.x2_norm(x.flatten(2)).view(B, N, K, K)
         return result
-
-
-def _columnwise(weight: Tensor) -> Tensor:
-    """A depthwise map (i, c, o), which makes row c from column c, as a matrix (ic, co).
-
-    Most of it is zero, and yet one large product is several times faster than K small ones.
-    """
-    K = len(weight)
-    return torch.diag_embed(weight.transpose(1, 2)).permute(0, 2, 3, 1).reshape(K * K, K * K)
 
 
 class DescriptorNetwork(nn.Module):

@@ -138,6 +138,47 @@ class _Apply(torch.autograd.Function):
         return tuple(results)
 
 
+def column_maps(x: Tensor, weight: Tensor) -> Tensor:
+    """A depthwise map of matrices: row c of the result comes from column c.
+
+    Parameters
+    ----------
+    x : (..., K, K)
+    weight : (K, K, K)
+        The result at (c, o) is the sum over i of x at (i, c) times the weight at (i, c, o).
+    """
+    if _is_native(x, weight):
+        result: Tensor = _ColumnMaps.apply(x, weight)
+        return result
+    # Most of this matrix is zero, and yet one large product is faster than K small ones.
+    K = len(weight)
+    matrix = torch.diag_embed(weight.transpose(1, 2)).permute(0, 2, 3, 1).reshape(K * K, K * K)
+    return (x.flatten(-2) @ matrix.to(x.dtype)).view(x.shape)
+
+
+class _ColumnMaps(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, x: Tensor, weight: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
+        x, weight = x.contiguous(), weight.contiguous()
+        K = len(weight)
+        output = torch.empty_like(x)
+        arrays = [_array(t) for t in (x.view(-1, K, K), weight, output)]
+        _native.column_maps(*arrays, threads=torch.get_num_threads())  # type: ignore[misc]
+        ctx.save_for_backward(x, weight)
+        return output
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor, Tensor]:  # type: ignore[no-untyped-def]
+        x, weight = ctx.saved_tensors
+        K = len(weight)
+        grad_x, grad_weight = torch.empty_like(x), torch.empty_like(weight)
+        flat = gradient.contiguous().view(-1, K, K)
+        arrays = [_array(t) for t in (x.view(-1, K, K), weight, flat, grad_x, grad_weight)]
+        threads = torch.get_num_threads()
+        _native.column_maps_backward(*arrays, threads=threads)  # type: ignore[misc]
+        return grad_x, grad_weight
+
+
 def gather(values: Tensor, index: Tensor) -> Tensor:
     """values (B, S, C), index (B, N, K) -> (B, N, K, C)."""
     B, S, C = values.shape
