@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ..training.extract import ExtractConfig
     from ..training.labels import LabelCounts
     from ..training.shards import Session
+    from ..training.worlds import WorldSpec
 
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="What `train extract` wrote.")]
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
@@ -83,8 +84,16 @@ def extract(
         label=LabelConfig(rule="centroids" if centroids_only else "extents"),
     )
     if simulate is not None:
+        from ..training.worlds import draw_worlds
+
         chosen = tuple(sensors.split(",")) if sensors else ()
-        done = _simulate(out, simulate, seed, drive, chosen, settings, workers, config)
+        done = _simulate(
+            out,
+            draw_worlds(simulate, seed, length_m=drive, sensors=chosen),
+            settings,
+            workers,
+            config,
+        )
     else:
         named = _Recordings(sequences or [], poses or [], select or [], place, sensor)
         done = named.collect(out, settings, register, config)
@@ -96,19 +105,14 @@ def extract(
 
 def _simulate(
     out: Path,
-    text: str,
-    seed: int,
-    drive: float,
-    sensors: tuple[str, ...],
+    worlds: list[WorldSpec],
     settings: ExtractConfig,
     workers: int,
     config: Path | None,
 ) -> list[Session]:
     from ..training.collect import collect_worlds
-    from ..training.worlds import draw_worlds
     from .options import load_config
 
-    worlds = draw_worlds(text, seed, length_m=drive, sensors=sensors)
     segmentation = load_config(config, None, 1).segmentation
     return collect_worlds(out, worlds, settings, segmentation, workers=workers, progress=_say)
 

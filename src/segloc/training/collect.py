@@ -155,4 +155,4 @@ def _world(
         own = config.model_copy(update={"lengths_m": (spec.swathe_m,)})
     extract = extract_session(drive, segmenter.segment, own)
     write_shard(folder, session, extract, options)
-    return session, f"{len(extract)} segments ({spec.sensors[k]})"
+    return session, f"{len(extract)} segments ({session.sensor})"

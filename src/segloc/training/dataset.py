@@ -27,8 +27,9 @@ class SegmentDataset:
 
     Attributes
     ----------
-    points : (M, 3) float32
-        Raw points of all segments, local frames, metres.
+    points : (M, 3) float32 or float16
+        Raw points of all segments, local frames, metres; in half precision about their centroids
+        where they come from shards.
     offsets : (P + 1,) int64
     labels : (P,) int64
         Segments with the same label show the same object.
@@ -49,7 +50,7 @@ class SegmentDataset:
     sensor_names : tuple of str
     """
 
-    points: Float32
+    points: Float32 | NDArray[np.float16]
     offsets: Int64
     labels: Int64
     sessions: Int64
@@ -71,8 +72,11 @@ class SegmentDataset:
         return len(self.labels)
 
     def segment(self, index: int) -> Float32:
-        """The (n, 3) points of one segment."""
-        return self.points[self.offsets[index] : self.offsets[index + 1]]
+        """The (n, 3) points of one segment, float32."""
+        points: Float32 = self.points[self.offsets[index] : self.offsets[index + 1]].astype(
+            np.float32, copy=False
+        )
+        return points
 
     def segments(self, indices: NDArray[np.integer] | None = None) -> Segments:
         """Some segments (all by default) as the descriptors take them."""

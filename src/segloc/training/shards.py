@@ -20,7 +20,7 @@ from safetensors.numpy import save
 
 from ..errors import DatasetError
 from ..files import replacing, write_text
-from ..types import Float32, Int64
+from ..types import Int64
 from .dataset import FAR_M, SegmentDataset
 from .extract import Extract, ExtractConfig
 from .labels import LabelConfig, LabelCounts, count_labels, label_objects
@@ -217,9 +217,7 @@ def _session(
     own = labels.get(session.file)
     if own is None or len(own) != P:
         raise DatasetError(f"{path / session.file}: its labels are missing or do not fit")
-    points: Float32 = arrays.pop("points").astype(np.float32)
     return SegmentDataset(
-        points=points,
         labels=own,
         sessions=np.zeros(P, np.int64),
         places=np.zeros(P, np.int64),
