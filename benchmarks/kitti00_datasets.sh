@@ -27,7 +27,11 @@ extract test square 948:999 1361:1413
 extract test start 48:81 619:654
 extract test corner 158:170 988:1003
 
-# Full scans against keyframes of a later pass: the first 81 keyframes lie on the scans' way.
-segloc train extract "$data/keyframes" "$data/scans" --poses "$data/keyframes.tum" \
-  --poses "$data/scans.tum" --select 619:654 --select 1: --place start --sensor hdl64e \
-  --length 40 --length 16 --length 0 --out "$out/single"
+# Full scans against keyframes of a later pass.
+single() {
+  segloc train extract "$data/keyframes" "$data/scans" --poses "$data/keyframes.tum" \
+    --poses "$data/scans.tum" --select "$2" --select "$3" --place "$1" --sensor hdl64e \
+    --length 40 --length 16 --length 0 --every 4 --out "$out/single"
+}
+single start 619:654 56:76
+single corner 988:1003 152:166
