@@ -221,6 +221,7 @@ def score(
 _EXPLAINED = {
     "dsm": "DSM, 16 numbers from 160 down to 4 points.",
     "esm": "ESM, DSM's predecessor with more points.",
+    "segmap": "SegMap's network over a grid of voxels, 64 numbers.",
 }
 
 
