@@ -53,9 +53,10 @@ def extract(
     sensors: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Simulated sensors to choose from.")
     ] = None,
+    thin: Annotated[int, typer.Option(min=1, help="Simulate every so many firings only.")] = 1,
     drive: Annotated[float, typer.Option(help="Metres of a simulated drive.")] = 500.0,
     length: Lengths = None,
-    every: Annotated[float, typer.Option(help="Metres between local clouds.")] = 8.0,
+    every: Annotated[float, typer.Option(help="Metres between local clouds.")] = 10.0,
     centroids_only: Annotated[
         bool, typer.Option(help="Label by centroids alone, as the paper does.")
     ] = False,
@@ -89,7 +90,7 @@ def extract(
         chosen = tuple(sensors.split(",")) if sensors else ()
         done = _simulate(
             out,
-            draw_worlds(simulate, seed, length_m=drive, sensors=chosen),
+            draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin),
             settings,
             workers,
             config,

@@ -17,7 +17,7 @@ from ..simulation import process_pool
 from .extract import ExtractConfig, extract_session
 from .register import Registration
 from .shards import Session, finished, options_of, read_array, write_shard
-from .worlds import WorldSpec, simulated_drive
+from .worlds import WorldSpec, simulated_drive, sweeps
 
 Progress = Callable[[str], None]
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"
@@ -105,7 +105,7 @@ def collect_worlds(
     What is written depends neither on the executor nor on the number of workers.
     """
     done: list[Session] = []
-    tasks = [(spec, k) for spec in worlds for k in range(spec.sessions)]
+    tasks = [(spec, k) for spec in worlds for k in range(len(spec.drives))]
     with _pool(workers) if executor is None else nullcontext(executor) as pool:
         futures = [pool.submit(_world, folder, spec, k, config, segmentation) for spec, k in tasks]
         for future in as_completed(futures):
@@ -142,7 +142,7 @@ def _world(
     segmentation: SegmentationConfig,
 ) -> tuple[Session, str]:
     """One session of one world, in whatever process."""
-    session = Session(spec.name, f"session-{k}", spec.sensors[k])
+    session = Session(spec.name, f"session-{k}", spec.drives[k].sensor)
     options = options_of(
         config, segmentation=segmentation.model_dump(mode="json"), spec=spec.model_dump(), k=k
     )
@@ -151,8 +151,8 @@ def _world(
     segmenter = Segmenter(segmentation)
     drive = simulated_drive(spec, k)
     own = config
-    if spec.sweeps(k):
-        own = config.model_copy(update={"lengths_m": (spec.swathe_m,)})
+    if sweeps(spec.drives[k]):
+        own = config.model_copy(update={"lengths_m": (config.swathe_m,)})
     extract = extract_session(drive, segmenter.segment, own)
     write_shard(folder, session, extract, options)
     return session, f"{len(extract)} segments ({session.sensor})"

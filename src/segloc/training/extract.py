@@ -35,7 +35,8 @@ class ExtractConfig(BaseModel):
     lengths_m: tuple[float, ...] = Field(
         (40.0, 16.0, 0.0), description="way that local clouds span; 0 is a single scan"
     )
-    every_m: float = Field(8.0, gt=0, description="distance between local clouds")
+    swathe_m: float = Field(30.0, gt=0, description="the same for push-broom sensors")
+    every_m: float = Field(10.0, gt=0, description="distance between local clouds")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
     label: LabelConfig = LabelConfig()
     max_points: int = Field(2048, ge=1, description="points kept of a segment, chosen at random")

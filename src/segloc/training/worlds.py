@@ -13,16 +13,33 @@ from ..simulation import (
     SCENES,
     SENSORS,
     Conditions,
-    Lidar,
     LineLidar,
     Route,
     SimulatedSequence,
-    SpinningLidar,
     simulate_session,
 )
 
+_LANE_OF = 3.4  # half the width of a street that has room for all lanes, metres
+_SWEEP_SPACING_M = 0.15
 _USUAL_SENSORS = ("hdl64e", "hdl64e", "hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128", "lms151")
+_CARRIERS = {"town": ("car",)}
 _WALKERS = ("wheeled", "legged", "handheld")
+
+
+class Drive(BaseModel):
+    """One session of a world."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    sensor: str
+    thin: int = Field(1, ge=1, description="every so many firings: faster scans of fewer points")
+    lane_m: float
+    reverse: bool
+    foliage: float
+    replaced: float
+    scaffolding: float
+    carrier: str = Field(description="one of PLATFORMS")
+    raised_m: float = Field(description="of its sensor above where it usually sits")
 
 
 class WorldSpec(BaseModel):
@@ -32,38 +49,26 @@ class WorldSpec(BaseModel):
 
     scene: str
     seed: int = Field(ge=0)
-    size_m: float = Field(330.0, gt=0)
     length_m: float = Field(500.0, gt=0, description="of each drive")
-    sensors: tuple[str, ...]
-    lanes_m: tuple[float, ...]
-    reverse: tuple[bool, ...]
-    platforms: tuple[str, ...]
-    raised_m: tuple[float, ...]
-    foliage: tuple[float, ...]
-    replaced: tuple[float, ...]
-    swathe_m: float = 30.0
+    drives: tuple[Drive, ...]
 
     @property
     def name(self) -> str:
         return f"{self.scene}-{self.seed}"
 
-    @property
-    def sessions(self) -> int:
-        return len(self.sensors)
-
-    def sweeps(self, k: int) -> bool:
-        """Whether session k's sensor is a push-broom one, which needs its motion to see."""
-        return isinstance(_sensor(self.sensors[k]), LineLidar)
-
 
 def draw_worlds(
-    text: str, seed: int, *, length_m: float = 500.0, sensors: tuple[str, ...] = ()
+    text: str,
+    seed: int,
+    *,
+    length_m: float = 500.0,
+    sensors: tuple[str, ...] = (),
+    thin: int = 1,
 ) -> list[WorldSpec]:
     """Worlds as ``town:10,park:4`` asks for them.
 
-    Each has two or three sessions, in different lanes and seasons, some the other way round, each
-    with a sensor, a carrier and a mounting height of its own; from session to session some objects
-    have been replaced.
+    Each has two or three sessions, in different lanes and seasons, some the other way round, with
+    some things replaced, each with a sensor of its own on a carrier of its own.
 
     Raises
     ------
@@ -81,51 +86,54 @@ def draw_worlds(
             raise ConfigError(f"no scene {scene!r}; there are {', '.join(sorted(SCENES))}")
         if not number.isdecimal() or not 0 < int(number) <= 10_000:
             raise ConfigError(f"{part.strip()!r} does not say how many: write {scene}:10")
-        specs += [_draw(scene, seed, i, length_m, wanted) for i in range(int(number))]
+        specs += [_draw(scene, seed, i, length_m, wanted, thin) for i in range(int(number))]
     return specs
 
 
-def _draw(scene: str, seed: int, i: int, length_m: float, sensors: tuple[str, ...]) -> WorldSpec:
+def _draw(
+    scene: str, seed: int, i: int, length_m: float, sensors: tuple[str, ...], thin: int
+) -> WorldSpec:
     rng = np.random.default_rng([seed, i, *scene.encode()])
-    sessions = int(rng.integers(2, 4))
-    later = range(sessions - 1)
-    carriers = ("car",) if scene == "town" else _WALKERS
-    return WorldSpec(
-        scene=scene,
-        seed=10_000 * seed + i,
-        length_m=length_m,
-        sensors=tuple(str(rng.choice(sensors)) for _ in range(sessions)),
-        lanes_m=tuple(float(rng.uniform(0.3, 1.9)) for _ in range(sessions)),
-        reverse=(False, *(bool(rng.random() < 0.5) for _ in later)),
-        platforms=tuple(str(rng.choice(carriers)) for _ in range(sessions)),
-        raised_m=tuple(float(rng.uniform(-0.15, 0.35)) for _ in range(sessions)),
-        foliage=tuple(float(rng.uniform(0.2, 1.0)) for _ in range(sessions)),
-        replaced=(0.0, *(float(rng.uniform(0.0, 0.2)) for _ in later)),
+    drives = tuple(
+        Drive(
+            sensor=str(rng.choice(sensors)),
+            thin=thin,
+            lane_m=float(rng.uniform(-0.3, 1.9)),
+            reverse=bool(k > 0 and rng.random() < 0.5),
+            foliage=float(rng.choice([0.0, 1.0]) if rng.random() < 0.5 else rng.random()),
+            replaced=float(rng.uniform(0.0, 0.3)),
+            scaffolding=float(rng.uniform(0.0, 0.1)),
+            carrier=str(rng.choice(_CARRIERS.get(scene, _WALKERS))),
+            raised_m=float(rng.uniform(-0.15, 0.35)),
+        )
+        for k in range(int(rng.integers(2, 4)))
     )
-
-
-def _sensor(name: str) -> Lidar:
-    """A sensor with about half of its firings where that is enough for dense local clouds."""
-    sensor = SENSORS[name]()
-    return sensor.thinned(2) if isinstance(sensor, SpinningLidar) else sensor
+    return WorldSpec(scene=scene, seed=10_000 * seed + i, length_m=length_m, drives=drives)
 
 
 def simulated_drive(spec: WorldSpec, k: int) -> SimulatedSequence:
-    """Session k of a world, with its true poses."""
-    world = SCENES[spec.scene](spec.seed, size_m=spec.size_m)
+    """Session k of a world, with its true poses; all sessions share most of their way."""
+    drive = spec.drives[k]
+    world = SCENES[spec.scene](spec.seed)
+    sensor = SENSORS[drive.sensor]().thinned(drive.thin)
     rng = np.random.default_rng([spec.seed, 31])
     start = int(rng.integers(len(world.roads.nodes)))
     way = world.roads.walk(rng, [start], spec.length_m, avoid=[])
-    junctions = tuple(way[::-1] if spec.reverse[k] else way)
-    route = Route(junctions, lane_offset_m=spec.lanes_m[k], length_m=spec.length_m)
-    carrier = PLATFORMS[spec.platforms[k]]()
-    return simulate_session(
-        world,
-        k,
-        route,
-        _sensor(spec.sensors[k]),
-        spec.seed,
-        conditions=Conditions(foliage=spec.foliage[k], replaced=spec.replaced[k]),
-        platform=replace(carrier, mount_height_m=carrier.mount_height_m + spec.raised_m[k]),
-        by_rate=spec.sweeps(k),
+    narrowest = min(street.half_width for street in world.roads.streets)
+    route = Route(
+        tuple(way[::-1] if drive.reverse else way),
+        drive.lane_m * min(1.0, narrowest / _LANE_OF),
+        _SWEEP_SPACING_M if sweeps(drive) else 2.0,
+        spec.length_m,
     )
+    conditions = Conditions(drive.foliage, drive.replaced, drive.scaffolding)
+    carrier = PLATFORMS[drive.carrier]()
+    carrier = replace(carrier, mount_height_m=carrier.mount_height_m + drive.raised_m)
+    return simulate_session(
+        world, k, route, sensor, spec.seed, conditions=conditions, platform=carrier
+    )
+
+
+def sweeps(drive: Drive) -> bool:
+    """Whether the sensor is a push-broom one, which needs the vehicle's motion to see."""
+    return isinstance(SENSORS[drive.sensor](), LineLidar)
