@@ -59,6 +59,9 @@ class Task(ABC):
     config : TrainConfig
     """
 
+    max_objects: int | None = None
+    """Train on the objects with most views only, where the network depends on their number."""
+
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
 
