@@ -192,6 +192,7 @@ def _show(counts: LabelCounts, title: str) -> None:
 _EXPLAINED = {
     "dsm": "DSM, 16 numbers from 160 down to 4 points.",
     "esm": "ESM, DSM's predecessor with more points.",
+    "profile": "Profile, segloc's own: metric shape profiles, 24 numbers.",
 }
 
 
