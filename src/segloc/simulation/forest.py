@@ -179,4 +179,4 @@ def _by_the_tracks(land: Land) -> None:
             elif pick < 0.65:
                 land.grow("name sign", lambda: name_sign(rng), at, 1.0, yaw=facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
-        land.people.extend(street.at(walkers, street.half_width + 0.5)[0])
+        land.walkers(street.at(walkers, street.half_width + 1.4)[0])

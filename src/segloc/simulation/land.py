@@ -14,7 +14,7 @@ from .layout import Occupancy, Site
 from .mesh import Mesh
 from .roads import RoadNetwork
 from .terrain import Terrain, relief, roughness
-from .worlds import Objects, Spots, World
+from .worlds import Objects, World
 
 _STEP = 0.5
 _VERGE = 1.0  # kept clear beside paths, metres
@@ -92,13 +92,12 @@ class Land(Site):
         begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
         return points[begin:end]
 
+    def walkers(self, points: Float64) -> None:
+        """People may stand at those of the (n, 2) points that no vehicle comes near."""
+        self.people.extend(p for p in points if self.distance(p) > _VERGE)
+
     def world(self, name: str, seed: int, make: Callable[..., World], *arguments: Any) -> World:
         """The finished world; ``make(*arguments)`` makes it again."""
-        spots = Spots(
-            np.array(self.parking).reshape(-1, 5),
-            np.array(self.people).reshape(-1, 2),
-            np.array(self.bicycles).reshape(-1, 3),
-        )
         static = Objects.of([item for item in self.items if len(item[1])], 1)
         return World(
             f"{name}-{seed}",
@@ -107,7 +106,7 @@ class Land(Site):
             self.ground_reflectance,
             self.roads,
             static,
-            spots,
+            self.spots(),
             (make, arguments),
         )
 

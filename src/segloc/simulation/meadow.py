@@ -165,4 +165,4 @@ def _by_the_paths(land: Land) -> None:
             elif pick < 0.61:
                 land.grow("picnic table", lambda: picnic_table(rng), at, 2.2, yaw=facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
-        land.people.extend(street.at(walkers, street.half_width + 0.5)[0])
+        land.walkers(street.at(walkers, street.half_width + 1.4)[0])
