@@ -105,7 +105,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7, help="of the town")
     args = parser.parse_args()
     print(
-        "| sensor | processes | by | ms a scan | CPU ms | M rays/s | M points/s | CPU, trimesh to this |"
+        "| sensor | processes | by | ms a scan | CPU ms | M rays/s | M points/s | CPU ratio |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name in args.sensors:

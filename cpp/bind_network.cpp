@@ -1,7 +1,6 @@
 #include <map>
 
 #include "bindings.h"
-#include "finite.h"
 #include "fps.h"
 #include "knn.h"
 #include "neighbors.h"
@@ -13,15 +12,8 @@
 namespace segloc::bindings {
 namespace {
 
-// Squares of larger values would overflow. Prepared segments, which are centred, may be a little
-// larger than the points they came from.
-constexpr float kLargest = 1e15f, kLargestPrepared = 1e16f;
-
-void require_usable(const float* values, std::size_t count, const char* name,
-                    float limit = kLargest) {
-  require(all_below(values, count, limit),
-          std::string(name) + " has values that are not finite or beyond 1e15");
-}
+// Prepared segments, which are centred, may be a little larger than the points they came from.
+constexpr float kLargestPrepared = 1e16f;
 
 Out<int32_t> fps(In3<float> points, std::size_t samples, int threads, const std::string& isa) {
   const std::size_t clouds = points.shape(0), n = points.shape(1);
@@ -43,15 +35,6 @@ Alignment parse_alignment(const std::string& name) {
   if (name == "pca2d") return Alignment::pca2d;
   if (name == "pca3d") return Alignment::pca3d;
   throw std::invalid_argument("alignment must be none, pca2d or pca3d, not '" + name + "'");
-}
-
-void check_offsets(In1<int64_t> offsets, std::size_t points) {
-  require(offsets.size() > 0 && offsets.data()[0] == 0, "offsets must start with 0");
-  for (std::size_t i = 1; i < offsets.size(); ++i) {
-    require(offsets.data()[i] >= offsets.data()[i - 1], "offsets must not fall");
-  }
-  require(offsets.data()[offsets.size() - 1] == static_cast<int64_t>(points),
-          "offsets must end with the number of points");
 }
 
 Out<float> prepare(In2<float> points, In1<int64_t> offsets, std::size_t count,

@@ -14,6 +14,8 @@
 #include <utility>
 #include <vector>
 
+#include "finite.h"
+
 namespace segloc::bindings {
 
 namespace nb = nanobind;
@@ -32,6 +34,24 @@ using Out = nb::ndarray<nb::numpy, T>;
 
 inline void require(bool condition, const std::string& message) {
   if (!condition) throw std::invalid_argument(message);
+}
+
+// Squares of larger values would overflow.
+constexpr float kLargest = 1e15f;
+
+inline void require_usable(const float* values, std::size_t count, const char* name,
+                           float limit = kLargest) {
+  require(all_below(values, count, limit),
+          std::string(name) + " has values that are not finite or beyond 1e15");
+}
+
+inline void check_offsets(const In1<int64_t>& offsets, std::size_t points) {
+  require(offsets.size() > 0 && offsets.data()[0] == 0, "offsets must start with 0");
+  for (std::size_t i = 1; i < offsets.size(); ++i) {
+    require(offsets.data()[i] >= offsets.data()[i - 1], "offsets must not fall");
+  }
+  require(offsets.data()[offsets.size() - 1] == static_cast<int64_t>(points),
+          "offsets must end with the number of points");
 }
 
 // Hands a vector's memory to NumPy without copying it.

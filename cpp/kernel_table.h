@@ -2,6 +2,7 @@
 #pragma once
 
 #include "consensus_kernel.h"
+#include "conv_kernel.h"
 #include "fps_kernel.h"
 #include "knn_kernel.h"
 #include "neighbors_kernel.h"
@@ -13,8 +14,8 @@ namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth, kBlock, kPanel,   &fps,
-                        &neighbors,      &xconv, &dense, &knn_scan,
-                        &equal_edges,    &near_pose, kTraining};
+                        &neighbors,      &xconv, &dense, &conv,    &knn_scan,
+                        &equal_edges,    &near_pose,     kTraining};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

@@ -37,6 +37,23 @@ struct XConvWeights;
 struct XConvTask;
 struct DenseWeights;
 
+// Rows of a convolution or a dense layer: output = start + sum over the pieces of input * weight.
+// The columns come in panels as in DenseWeights; a row starts from its own sums.
+struct ConvTask {
+  size_t rows;
+  const float* const* input;   // (rows)
+  const float* const* start;   // (rows): the sums that a row starts from
+  float* const* output;        // (rows)
+  size_t pieces;
+  const size_t* offset;        // (pieces): from a row's input to the piece
+  const size_t* weight_row;    // (pieces): where its weights begin
+  size_t length;               // of a piece
+  const float* weight;         // (panels, weight_rows, panel)
+  size_t weight_rows;
+  size_t first_column, last_column;  // of the output; multiples of the panel
+  bool rectify;
+};
+
 // Squared distances of up to 4 queries to a tile of database points, fused with the selection.
 struct KnnScan {
   const float* queries[4];
@@ -129,6 +146,7 @@ struct Kernels {
   void (*xconv)(const XConvWeights& weights, const XConvTask& task);
   void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
                 float* output, size_t output_stride);
+  void (*conv)(const ConvTask& task);
   void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
   // Both write the indices of the matches in [begin, end) that pass, and return how many.
   size_t (*equal_edges)(const MatchField& f, const EdgeTest& test, size_t begin, size_t end,

@@ -1,152 +1,18 @@
 #include "prepare.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstring>
-#include <limits>
 #include <vector>
 
+#include "align.h"
 #include "aligned.h"
 #include "fps.h"
+#include "moments.h"
 #include "parallel.h"
 
 namespace segloc {
 namespace {
-
-using Vec3 = std::array<double, 3>;
-using Mat3 = std::array<Vec3, 3>;
-
-constexpr Mat3 kIdentity = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
-
-// A power of two that turns values up to `largest` into integers whose `order`-th powers, summed
-// over n terms, stay within 62 bits.
-double fixed_point_scale(double largest, std::size_t n, int order) {
-  int size_exponent = 0, count_exponent = 0;
-  std::frexp(largest, &size_exponent);
-  std::frexp(static_cast<double>(n), &count_exponent);
-  return std::ldexp(1.0, (62 - count_exponent) / order - size_exponent - 1);
-}
-
-Vec3 mean(const float* p, std::size_t n) {
-  double largest = 0;
-  for (std::size_t i = 0; i < 3 * n; ++i) largest = std::max(largest, std::abs(double{p[i]}));
-  if (largest == 0) return {0, 0, 0};
-  const double scale = fixed_point_scale(largest, n, 1);
-  std::array<int64_t, 3> sum = {0, 0, 0};
-  for (std::size_t i = 0; i < n; ++i) {
-    for (std::size_t d = 0; d < 3; ++d) sum[d] += std::llrint(double{p[3 * i + d]} * scale);
-  }
-  Vec3 result;
-  for (std::size_t d = 0; d < 3; ++d) {
-    result[d] = static_cast<double>(sum[d]) / scale / static_cast<double>(n);
-  }
-  return result;
-}
-
-Mat3 covariance(const std::vector<float>& p, std::size_t n) {
-  double largest = 0;
-  for (std::size_t i = 0; i < 3 * n; ++i) largest = std::max(largest, std::abs(double{p[i]}));
-  Mat3 result = {};
-  if (largest == 0) return result;
-  const double scale = fixed_point_scale(largest, n, 2);
-  int64_t sum[3][3] = {};
-  for (std::size_t i = 0; i < n; ++i) {
-    int64_t v[3];
-    for (std::size_t d = 0; d < 3; ++d) v[d] = std::llrint(double{p[3 * i + d]} * scale);
-    for (std::size_t a = 0; a < 3; ++a) {
-      for (std::size_t b = a; b < 3; ++b) sum[a][b] += v[a] * v[b];
-    }
-  }
-  for (std::size_t a = 0; a < 3; ++a) {
-    for (std::size_t b = 0; b < 3; ++b) {
-      const double value = static_cast<double>(sum[std::min(a, b)][std::max(a, b)]);
-      result[a][b] = value / scale / scale / static_cast<double>(n);
-    }
-  }
-  return result;
-}
-
-// Rows are unit eigenvectors by falling eigenvalue (cyclic Jacobi).
-Mat3 principal_axes(Mat3 a) {
-  Mat3 v = kIdentity;  // rows
-  for (int sweep = 0; sweep < 32; ++sweep) {
-    const double off = std::abs(a[0][1]) + std::abs(a[0][2]) + std::abs(a[1][2]);
-    if (off <= 1e-15 * (a[0][0] + a[1][1] + a[2][2])) break;
-    for (std::size_t p = 0; p < 2; ++p) {
-      for (std::size_t q = p + 1; q < 3; ++q) {
-        if (a[p][q] == 0) continue;
-        const double angle = 0.5 * std::atan2(2 * a[p][q], a[q][q] - a[p][p]);
-        const double c = std::cos(angle), s = std::sin(angle);
-        for (std::size_t i = 0; i < 3; ++i) {
-          const double x = a[i][p], y = a[i][q];
-          a[i][p] = c * x - s * y;
-          a[i][q] = s * x + c * y;
-        }
-        for (std::size_t i = 0; i < 3; ++i) {
-          const double x = a[p][i], y = a[q][i], vx = v[p][i], vy = v[q][i];
-          a[p][i] = c * x - s * y;
-          a[q][i] = s * x + c * y;
-          v[p][i] = c * vx - s * vy;
-          v[q][i] = s * vx + c * vy;
-        }
-      }
-    }
-  }
-  std::array<std::size_t, 3> order = {0, 1, 2};
-  std::stable_sort(order.begin(), order.end(),
-                   [&](std::size_t i, std::size_t j) { return a[i][i] > a[j][j]; });
-  return {v[order[0]], v[order[1]], v[order[2]]};
-}
-
-void rotate(std::vector<float>& p, std::size_t n, const Mat3& R) {
-  for (std::size_t i = 0; i < n; ++i) {
-    float* q = p.data() + 3 * i;
-    const double x = q[0], y = q[1], z = q[2];
-    for (std::size_t d = 0; d < 3; ++d) {
-      q[d] = static_cast<float>(R[d][0] * x + R[d][1] * y + R[d][2] * z);
-    }
-  }
-}
-
-// SegMap's rule: at least half of the points lie below the middle of the range.
-bool lower_half_is_sparse(const std::vector<float>& p, std::size_t n, std::size_t axis) {
-  float low = std::numeric_limits<float>::max(), high = -low;
-  for (std::size_t i = 0; i < n; ++i) {
-    low = std::min(low, p[3 * i + axis]);
-    high = std::max(high, p[3 * i + axis]);
-  }
-  const double middle = (double{low} + double{high}) / 2;
-  std::size_t below = 0;
-  for (std::size_t i = 0; i < n; ++i) below += p[3 * i + axis] < middle;
-  return 2 * below < n;
-}
-
-void flip(std::vector<float>& p, std::size_t n, std::size_t a, std::size_t b) {
-  for (std::size_t i = 0; i < n; ++i) {
-    p[3 * i + a] = -p[3 * i + a];
-    p[3 * i + b] = -p[3 * i + b];
-  }
-}
-
-void align_2d(std::vector<float>& p, std::size_t n) {
-  const Mat3 c = covariance(p, n);
-  const double angle = 0.5 * std::atan2(2 * c[0][1], c[0][0] - c[1][1]);
-  const double cs = std::cos(angle), sn = std::sin(angle);
-  rotate(p, n, {{{cs, sn, 0}, {-sn, cs, 0}, {0, 0, 1}}});
-  if (lower_half_is_sparse(p, n, 1)) flip(p, n, 0, 1);
-}
-
-void align_3d(std::vector<float>& p, std::size_t n) {
-  Mat3 axes = principal_axes(covariance(p, n));
-  const auto& [x, y, z] = axes;
-  const double volume = x[0] * (y[1] * z[2] - y[2] * z[1]) - x[1] * (y[0] * z[2] - y[2] * z[0]) +
-                        x[2] * (y[0] * z[1] - y[1] * z[0]);
-  if (volume < 0) axes[2] = {-z[0], -z[1], -z[2]};
-  rotate(p, n, axes);
-  if (lower_half_is_sparse(p, n, 0)) flip(p, n, 0, 2);
-  if (lower_half_is_sparse(p, n, 1)) flip(p, n, 1, 2);
-}
 
 uint64_t hash_point(const float* p) {
   uint64_t h = 0x9e3779b97f4a7c15ULL;
@@ -173,7 +39,7 @@ class Preparer {
       std::fill(output, output + 3 * count_, 0.0f);
       return;
     }
-    const Vec3 centre = mean(points, n);
+    const Vec3 centre = mean_of(points, n);
     cloud_.resize(std::max(cloud_.size(), 3 * n));
     for (std::size_t i = 0; i < 3 * n; ++i) {
       cloud_[i] = static_cast<float>(points[i] - centre[i % 3]);

@@ -96,11 +96,12 @@ def test_routes_are_clear(world: World) -> None:
     route = world.roads.walk(rng, [0], 350.0, avoid=[])
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(48)]).astype(np.float32)
-    static = Scene(world.terrain, world.ground_reflectance, [world.static])
-    for lane in (-2.0, 0.8, 2.0):
+    fixed = Scene(world.terrain, world.ground_reflectance, [world.static])
+    changed = world.session(2, Conditions(replaced=0.4))
+    for lane, scene in ((-2.0, fixed), (2.0, fixed), (0.8, fixed), (1.1, changed)):
         poses = Route(tuple(route), lane_offset_m=lane, spacing_m=0.5).poses(world, 1.73)
         origins = np.repeat(poses[:, :3, 3], 48, axis=0).astype(np.float32)
-        hits = static.cast(origins, np.tile(around, (len(poses), 1)), 5.0)
+        hits = scene.cast(origins, np.tile(around, (len(poses), 1)), 5.0)
         assert hits.ranges[hits.object_ids > 0].min() > 0.7
         climb = np.diff(poses[:, 2, 3]) / 0.5
         assert np.abs(climb).max() < 0.35

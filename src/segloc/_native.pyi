@@ -85,6 +85,69 @@ def knn(
     threads: int = 0,
     isa: str = "auto",
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
+def segment_moments(
+    points: NDArray[np.float32], offsets: NDArray[np.int64], threads: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def esf(
+    points: NDArray[np.float32],
+    offsets: NDArray[np.int64],
+    triples: int = 20_000,
+    seed: int = 0,
+    threads: int = 0,
+) -> NDArray[np.float32]: ...
+def gestalt(
+    points: NDArray[np.float32],
+    offsets: NDArray[np.int64],
+    radius: float = 5.0,
+    threads: int = 0,
+) -> NDArray[np.float32]: ...
+def pair_features(
+    query: NDArray[np.float32],
+    site: NDArray[np.float32],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    layout: tuple[int, bool, int],
+    threads: int = 0,
+) -> NDArray[np.float32]: ...
+
+class Forest:
+    def __init__(
+        self,
+        roots: NDArray[np.int32],
+        feature: NDArray[np.int32],
+        threshold: NDArray[np.float32],
+        first_child: NDArray[np.int32],
+        features: int,
+    ) -> None: ...
+    def predict(self, features: NDArray[np.float32], threads: int = 0) -> NDArray[np.float32]: ...
+    def predict_pairs(
+        self,
+        query: NDArray[np.float32],
+        site: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        columns: NDArray[np.int64],
+        layout: tuple[int, bool, int],
+        threads: int = 0,
+    ) -> NDArray[np.float32]: ...
+    @property
+    def features(self) -> int: ...
+
+def voxel_shapes(
+    points: NDArray[np.float32], offsets: NDArray[np.int64], threads: int = 0
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.float32]]: ...
+
+class VoxelNetwork:
+    def __init__(self, tensors: dict[str, NDArray[np.float32]], isa: str = "auto") -> None: ...
+    def describe(
+        self,
+        voxels: NDArray[np.int32],
+        offsets: NDArray[np.int64],
+        scales: NDArray[np.float32],
+        threads: int = 0,
+    ) -> NDArray[np.float32]: ...
+    @property
+    def dim(self) -> int: ...
+
 def xconv_apply(
     x: NDArray[np.float32],
     lift: NDArray[np.float32],

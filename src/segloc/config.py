@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .descriptors import available
+from . import descriptors
 from .errors import ConfigError
 from .local_cloud import LocalCloudConfig
 from .mapping import MappingConfig
@@ -42,9 +42,11 @@ class Config(BaseModel):
         ConfigError
             If there is no such method.
         """
-        if method not in available():
-            raise ConfigError(f"no method {method!r}; there are {', '.join(available())}")
-        return cls(method=method)
+        if method not in descriptors.available():
+            raise ConfigError(
+                f"no method {method!r}; there are {', '.join(descriptors.available())}"
+            )
+        return cls.model_validate({"method": method, **descriptors.preset(method)})
 
     @classmethod
     def load(cls, path: str | Path | None, method: str | None = None) -> Config:

@@ -45,7 +45,9 @@ class Localizer:
             raise MapMismatch(
                 f"the map was described by {site.fingerprint}, not by {self.descriptor.fingerprint}"
             )
-        self.matcher = Matcher(site, config.matching, threads=config.threads)
+        self.matcher = Matcher(
+            site, config.matching, pruner=self.descriptor.pruner, threads=config.threads
+        )
         self.estimator = PoseEstimator(config.pose, threads=config.threads, seed=config.seed)
         self.verifier = Verifier(site.cloud, site.origin, config.verification)
 
@@ -72,7 +74,9 @@ class Localizer:
         with watch("descriptor"):
             descriptors = self.descriptor.encode(prepared)
         with watch("matching"):
-            matches = self.matcher.match(descriptors)
+            candidates = self.matcher.match(descriptors)
+        with watch("pruning"):
+            matches = self.matcher.prune(descriptors, candidates)
         with watch("pose"):
             hypotheses = self.estimator.estimate(
                 scene.segments.centroids, self.site.centroids, matches
@@ -84,6 +88,7 @@ class Localizer:
             "scans": cloud.num_scans,
             "points": len(cloud.points),
             "segments": len(scene.segments),
+            "candidates": len(candidates),
             "matches": len(matches),
             "hypotheses": len(hypotheses),
         }

@@ -5,11 +5,32 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import ConfigError
-from ..types import Descriptors, Segments
+from ..types import Descriptors, Float32, Int64, Segments
+
+
+class Pruner(ABC):
+    """Judges candidate matches more closely than the distance of their descriptors does."""
+
+    @abstractmethod
+    def probability(
+        self, query: Float32, site: Float32, rows: Int64, columns: Int64, threads: int = 0
+    ) -> Float32:
+        """How likely pairs are to show the same object, (M,) float32 in [0, 1].
+
+        Parameters
+        ----------
+        query : (P, dim) float32
+            Vectors of the query segments.
+        site : (N, dim) float32
+            Vectors of the map.
+        rows, columns : (M,) int64
+            The pairs, as indices into `query` and `site`.
+        """
 
 
 class Descriptor(ABC):
@@ -23,11 +44,14 @@ class Descriptor(ABC):
         Length of a vector; vectors are compared by Euclidean distance.
     fingerprint : str
         Hash of weights and preprocessing: maps and queries must agree on it.
+    pruner : Pruner or None
+        Sorts out candidate matches, for a method that has such a stage.
     """
 
     name: str
     dim: int
     fingerprint: str
+    pruner: Pruner | None = None
 
     def prepare(self, segments: Segments) -> Any:
         """What :meth:`encode` works on; the segments themselves where nothing is to be prepared.
@@ -47,17 +71,26 @@ class Descriptor(ABC):
 
 
 Factory = Callable[[int], Descriptor]
-_factories: dict[str, Factory] = {}
 
 
-def register(name: str) -> Callable[[Factory], Factory]:
+@dataclass(frozen=True)
+class _Entry:
+    factory: Factory
+    preset: Mapping[str, Any] = field(default_factory=dict)
+
+
+_entries: dict[str, _Entry] = {}
+
+
+def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Factory], Factory]:
     """Register a factory ``(threads) -> Descriptor`` under ``name``.
 
+    ``preset`` holds what the method's configuration sets differently from the defaults, by section.
     A new descriptor is one file in this package: its modules are found by themselves.
     """
 
     def decorate(factory: Factory) -> Factory:
-        _factories[name] = factory
+        _entries[name] = _Entry(factory, preset or {})
         return factory
 
     return decorate
@@ -72,7 +105,7 @@ def _discover() -> None:
 def available() -> list[str]:
     """Names of all descriptors, sorted."""
     _discover()
-    return sorted(_factories)
+    return sorted(_entries)
 
 
 def create(name: str, threads: int = 0) -> Descriptor:
@@ -83,7 +116,22 @@ def create(name: str, threads: int = 0) -> Descriptor:
     ConfigError
         If there is none.
     """
+    return _entry(name).factory(threads)
+
+
+def preset(name: str) -> Mapping[str, Any]:
+    """What a method sets differently from the defaults of the configuration.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such method.
+    """
+    return _entry(name).preset
+
+
+def _entry(name: str) -> _Entry:
     _discover()
-    if name not in _factories:
-        raise ConfigError(f"no descriptor {name!r}; there are {', '.join(sorted(_factories))}")
-    return _factories[name](threads)
+    if name not in _entries:
+        raise ConfigError(f"no descriptor {name!r}; there are {', '.join(sorted(_entries))}")
+    return _entries[name]

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from ..errors import WeightsError
-from ..types import Float32
 
 _VERSION = "2"
 
@@ -25,7 +25,8 @@ class WeightFile:
 
     Attributes
     ----------
-    tensors : mapping of str to float32 arrays
+    tensors : mapping of str to arrays
+        float32, but for those whose dtype the reader names.
     settings : mapping of str to str
         Whatever decides, beside the tensors, what the network computes.
     card : dict
@@ -34,7 +35,7 @@ class WeightFile:
         Of tensors and settings.
     """
 
-    tensors: dict[str, Float32]
+    tensors: dict[str, NDArray[Any]]
     settings: dict[str, str]
     card: dict[str, Any]
     sha256: str
@@ -43,7 +44,7 @@ class WeightFile:
 def write_weights(
     path: Path,
     kind: str,
-    tensors: Mapping[str, Float32],
+    tensors: Mapping[str, NDArray[Any]],
     settings: Mapping[str, str],
     card: Mapping[str, Any],
 ) -> None:
@@ -60,8 +61,12 @@ def write_weights(
     save_file(contiguous, path, metadata)
 
 
-def read_weights(path: Path, kind: str) -> WeightFile:
+def read_weights(
+    path: Path, kind: str, dtypes: Mapping[str, DTypeLike] | None = None
+) -> WeightFile:
     """Read and check a weights file.
+
+    ``dtypes`` names the tensors that are not float32.
 
     Raises
     ------
@@ -73,8 +78,9 @@ def read_weights(path: Path, kind: str) -> WeightFile:
     if metadata.get("format") != f"segloc {kind}" or metadata.get("version") != _VERSION:
         raise WeightsError(f"{path}: not a {kind} of format version {_VERSION}")
     for name, tensor in tensors.items():
-        if tensor.dtype != np.float32:
-            raise WeightsError(f"{path}: tensor '{name}' is {tensor.dtype}, expected float32")
+        expected = np.dtype((dtypes or {}).get(name, np.float32))
+        if tensor.dtype != expected:
+            raise WeightsError(f"{path}: tensor '{name}' is {tensor.dtype}, expected {expected}")
         if not np.isfinite(tensor).all():
             raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
     try:
@@ -92,7 +98,7 @@ def shipped_weights(file: str) -> Path:
     return Path(__file__).resolve().parent.parent / "weights" / file
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Float32]]:
+def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
     try:
         with safe_open(path, framework="np") as file:
             names = list(file.keys())
@@ -103,10 +109,11 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Float32]]:
         raise WeightsError(f"{path}: {error}") from error
 
 
-def _digest(tensors: Mapping[str, Float32], settings: Mapping[str, str]) -> str:
+def _digest(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:
     digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True).encode())
     for name in sorted(tensors):
-        tensor = np.ascontiguousarray(tensors[name], dtype="<f4")
+        tensor = tensors[name]
+        tensor = np.ascontiguousarray(tensor, dtype=tensor.dtype.newbyteorder("<"))
         digest.update(f"{name} {tensor.shape} ".encode())
         digest.update(tensor.tobytes())
     return digest.hexdigest()

@@ -34,6 +34,7 @@ STAGES = (
     "preprocessing",
     "descriptor",
     "matching",
+    "pruning",
     "pose",
     "verification",
     "total",

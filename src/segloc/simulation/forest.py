@@ -73,9 +73,9 @@ def forest(seed: int, *, size_m: float = 280.0) -> World:
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 100..1000 or the seed is negative.
+        If ``size_m`` is not in 100..400 or the seed is negative.
     """
-    check_world(seed, size_m, 100.0)
+    check_world(seed, size_m, 100.0, 400.0)
     rng = np.random.default_rng([seed, 15_485_863])
     tracks = street_network(
         rng,
@@ -179,4 +179,4 @@ def _by_the_tracks(land: Land) -> None:
             elif pick < 0.65:
                 land.grow("name sign", lambda: name_sign(rng), at, 1.0, yaw=facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
-        land.people.extend(street.at(walkers, street.half_width + 0.5)[0])
+        land.walkers(street.at(walkers, street.half_width + 1.4)[0])

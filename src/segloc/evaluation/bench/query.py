@@ -122,6 +122,8 @@ def stage_ms(
     mark("description")
     matches = localizer.matcher.match(descriptors)
     mark("matching")
+    matches = localizer.matcher.prune(descriptors, matches)
+    mark("pruning")
     hypotheses = localizer.estimator.estimate(
         scene.segments.centroids, localizer.site.centroids, matches
     )

@@ -1,0 +1,325 @@
+#include "voxel_network.h"
+
+#include <algorithm>
+#include <array>
+#include <stdexcept>
+#include <string>
+
+#include "parallel.h"
+
+namespace segloc {
+namespace {
+
+constexpr std::size_t kChannels = 32;    // every number of channels is a multiple
+constexpr std::size_t kBatch = 64;       // segments whose features wait for the dense layers
+constexpr std::size_t kDenseRows = 512;  // inputs of a dense layer whose weights stay in cache
+constexpr std::size_t kTaps = 27;
+
+// The grids after one and after two poolings, and with a border of zeros.
+constexpr std::size_t kX1 = kShapeSize[0] / 2, kY1 = kShapeSize[1] / 2, kZ1 = kShapeSize[2] / 2;
+constexpr std::size_t kX2 = kX1 / 2, kY2 = kY1 / 2, kZ2 = kZ1 / 2;
+constexpr std::size_t kCells2 = kX2 * kY2 * kZ2;
+
+std::size_t padded_column(std::size_t x, std::size_t y, std::size_t columns, std::size_t depth) {
+  return (x * (columns + 2) + y) * (depth + 2);
+}
+
+// Which columns of a grid with a border differ from those of the empty grid.
+template <std::size_t X, std::size_t Y>
+using Active = std::array<std::array<bool, Y + 2>, X + 2>;
+
+// The columns around one that differ, as pieces of a convolution.
+struct Pieces {
+  std::size_t count = 0;
+  std::array<std::size_t, 9> offset, weight_row;
+
+  void add(std::size_t dx, std::size_t dy, std::size_t columns, std::size_t depth,
+           std::size_t channels) {
+    offset[count] = padded_column(dx, dy, columns, depth) * channels;
+    weight_row[count++] = (3 * dx + dy) * 3 * channels;
+  }
+};
+
+const TensorView& tensor(const Tensors& tensors, const std::string& name) {
+  const auto found = tensors.find(name);
+  if (found == tensors.end()) throw std::invalid_argument("tensor '" + name + "' is missing");
+  return found->second;
+}
+
+std::size_t outputs_of(const Tensors& tensors, const std::string& name) {
+  const TensorView& weight = tensor(tensors, name + ".weight");
+  const std::size_t outputs = weight.shape.empty() ? 0 : weight.shape.back();
+  if (outputs == 0 || outputs % kChannels != 0) {
+    throw std::invalid_argument("tensor '" + name + ".weight' needs a multiple of 32 outputs");
+  }
+  return outputs;
+}
+
+void pool(const float* values, std::size_t stride, std::size_t channels, float* output) {
+  std::copy_n(values, channels, output);
+  for (std::size_t i = 1; i < 8; ++i) {
+    const float* other = values + i * stride;
+    for (std::size_t c = 0; c < channels; ++c) output[c] = std::max(output[c], other[c]);
+  }
+}
+
+}  // namespace
+
+// All memory that one worker needs for one segment.
+struct VoxelNetwork::Scratch {
+  explicit Scratch(const VoxelNetwork& n)
+      : cell(8 * n.a_),
+        delta1((kX1 + 2) * (kY1 + 2) * (kZ1 + 2) * n.a_),
+        sums(4 * kZ1 * n.b_),
+        delta2((kX2 + 2) * (kY2 + 2) * (kZ2 + 2) * n.b_) {}
+
+  void clear() {
+    std::fill_n(delta1.data(), delta1.size(), 0.0f);
+    std::fill_n(delta2.data(), delta2.size(), 0.0f);
+    active1 = {};
+    active2 = {};
+  }
+
+  AlignedFloats cell, delta1, sums, delta2;
+  Active<kX1, kY1> active1{};
+  Active<kX2, kY2> active2{};
+};
+
+VoxelNetwork::Layer VoxelNetwork::packed(const Tensors& tensors, const char* name,
+                                         const std::vector<std::size_t>& shape) {
+  const std::string weight = std::string(name) + ".weight", bias = std::string(name) + ".bias";
+  const TensorView &w = tensor(tensors, weight), &b = tensor(tensors, bias);
+  if (w.shape != shape) throw std::invalid_argument("tensor '" + weight + "' has a wrong shape");
+  if (b.shape != std::vector<std::size_t>{shape.back()}) {
+    throw std::invalid_argument("tensor '" + bias + "' has a wrong shape");
+  }
+  Layer layer;
+  layer.outputs = shape.back();
+  layer.inputs = 1;
+  for (std::size_t i = 0; i + 1 < shape.size(); ++i) layer.inputs *= shape[i];
+  layer.bias = AlignedFloats(layer.outputs);
+  std::copy_n(b.data, layer.outputs, layer.bias.data());
+  layer.weight = AlignedFloats(layer.inputs * layer.outputs);
+  const std::size_t panel = kernels_.panel;
+  for (std::size_t i = 0; i < layer.inputs; ++i) {
+    for (std::size_t o = 0; o < layer.outputs; ++o) {
+      layer.weight[(o / panel * layer.inputs + i) * panel + o % panel] =
+          w.data[i * layer.outputs + o];
+    }
+  }
+  return layer;
+}
+
+VoxelNetwork::VoxelNetwork(const Tensors& tensors, Isa isa)
+    : kernels_(segloc::kernels(isa)),
+      a_(outputs_of(tensors, "conv1")),
+      b_(outputs_of(tensors, "conv2")),
+      c_(outputs_of(tensors, "conv3")),
+      hidden_(outputs_of(tensors, "fc1")),
+      dim_(outputs_of(tensors, "fc2")),
+      features_(kCells2 * c_ + 3) {
+  if (tensors.size() != 10) throw std::invalid_argument("a voxel network has ten tensors");
+  conv1_ = packed(tensors, "conv1", {3, 3, 3, 1, a_});
+  conv2_ = packed(tensors, "conv2", {3, 3, 3, a_, b_});
+  conv3_ = packed(tensors, "conv3", {3, 3, 3, b_, c_});
+  fc1_ = packed(tensors, "fc1", {features_, hidden_});
+  fc2_ = packed(tensors, "fc2", {hidden_, dim_});
+  weight1_ = AlignedFloats(kTaps * a_);
+  std::copy_n(tensor(tensors, "conv1.weight").data, kTaps * a_, weight1_.data());
+  precompute();
+}
+
+// What the layers give for an empty grid. Only the border of zeros makes it vary from place to
+// place.
+void VoxelNetwork::precompute() {
+  Scratch scratch(*this);
+  empty1_ = AlignedFloats(a_);
+  for (std::size_t i = 0; i < a_; ++i) empty1_[i] = std::max(conv1_.bias[i], 0.0f);
+  for (std::size_t x = 1; x <= kX1; ++x) {
+    for (std::size_t y = 1; y <= kY1; ++y) {
+      float* column = scratch.delta1.data() + padded_column(x, y, kY1, kZ1) * a_;
+      for (std::size_t z = 1; z <= kZ1; ++z) std::copy_n(empty1_.data(), a_, column + z * a_);
+    }
+  }
+  empty2_ = AlignedFloats(kX1 * kY1 * kZ1 * b_);
+  Pieces all;
+  for (std::size_t d = 0; d < 9; ++d) all.add(d / 3, d % 3, kY1, kZ1, a_);
+  std::array<const float*, kZ1> input, start;
+  std::array<float*, kZ1> output;
+  for (std::size_t column = 0; column < kX1 * kY1; ++column) {
+    for (std::size_t z = 0; z < kZ1; ++z) {
+      const std::size_t at = padded_column(column / kY1, column % kY1, kY1, kZ1) + z;
+      input[z] = scratch.delta1.data() + at * a_;
+      start[z] = conv2_.bias.data();
+      output[z] = empty2_.data() + (column * kZ1 + z) * b_;
+    }
+    kernels_.conv({kZ1, input.data(), start.data(), output.data(), all.count, all.offset.data(),
+                   all.weight_row.data(), 3 * a_, conv2_.weight.data(), conv2_.inputs, 0, b_,
+                   false});
+  }
+  pooled2_ = AlignedFloats(kCells2 * b_);  // zeros: the least that ReLU gives
+  for (std::size_t v = 0; v < kX1 * kY1 * kZ1; ++v) {
+    const std::size_t x = v / (kY1 * kZ1) / 2, y = v / kZ1 % kY1 / 2, z = v % kZ1 / 2;
+    float* pooled = pooled2_.data() + ((x * kY2 + y) * kZ2 + z) * b_;
+    for (std::size_t c = 0; c < b_; ++c) pooled[c] = std::max(pooled[c], empty2_[v * b_ + c]);
+  }
+  for (std::size_t column = 0; column < kX2 * kY2; ++column) {
+    const std::size_t x = column / kY2 + 1, y = column % kY2 + 1;
+    std::copy_n(pooled2_.data() + column * kZ2 * b_, kZ2 * b_,
+                scratch.delta2.data() + (padded_column(x, y, kY2, kZ2) + 1) * b_);
+    scratch.active2[x][y] = true;
+  }
+  empty3_ = AlignedFloats(kCells2 * c_);
+  third(scratch, conv3_.bias.data(), 0, empty3_.data(), false);
+}
+
+// Occupancy -> differences of the pooled first layer to those of an empty grid.
+void VoxelNetwork::first(const int32_t* voxels, std::size_t count, Scratch& scratch) const {
+  // Bit z + 1 of a column, with a border of one.
+  std::array<std::array<uint32_t, kShapeSize[1] + 2>, kShapeSize[0] + 2> columns{};
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto v = static_cast<std::size_t>(voxels[i]);
+    const std::size_t column = v / kShapeSize[2];
+    columns[column / kShapeSize[1] + 1][column % kShapeSize[1] + 1] |= 2u << v % kShapeSize[2];
+  }
+  for (std::size_t x = 0; x < kX1; ++x) {
+    for (std::size_t y = 0; y < kY1; ++y) {
+      uint32_t any = 0;
+      for (std::size_t d = 0; d < 16; ++d) any |= columns[2 * x + d / 4][2 * y + d % 4];
+      if (any == 0) continue;
+      scratch.active1[x + 1][y + 1] = true;
+      for (std::size_t z = 0; z < kZ1; ++z) {
+        if ((any >> 2 * z & 15) == 0) continue;
+        float* cell = scratch.cell.data();  // the 2 x 2 x 2 outputs that are pooled
+        for (std::size_t o = 0; o < 8; ++o) std::copy_n(conv1_.bias.data(), a_, cell + o * a_);
+        for (std::size_t d = 0; d < 64; ++d) {
+          const std::size_t dx = d / 16, dy = d / 4 % 4, dz = d % 4;
+          if ((columns[2 * x + dx][2 * y + dy] >> (2 * z + dz) & 1) == 0) continue;
+          for (std::size_t o = 0; o < 8; ++o) {
+            const std::size_t tx = dx - o / 4, ty = dy - o / 2 % 2, tz = dz - o % 2;
+            if (tx > 2 || ty > 2 || tz > 2) continue;  // also where one is below zero
+            const float* weight = weight1_.data() + ((tx * 3 + ty) * 3 + tz) * a_;
+            for (std::size_t c = 0; c < a_; ++c) cell[o * a_ + c] += weight[c];
+          }
+        }
+        float* out = scratch.delta1.data() + (padded_column(x + 1, y + 1, kY1, kZ1) + z + 1) * a_;
+        pool(cell, a_, a_, out);
+        for (std::size_t c = 0; c < a_; ++c) out[c] = std::max(out[c], 0.0f) - empty1_[c];
+      }
+    }
+  }
+}
+
+// -> differences of the pooled second layer.
+void VoxelNetwork::second(Scratch& scratch) const {
+  std::array<const float*, kZ1> input, start;
+  std::array<float*, kZ1> output;
+  for (std::size_t cell = 0; cell < kX2 * kY2; ++cell) {
+    const std::size_t px = cell / kY2, py = cell % kY2;
+    std::array<Pieces, 4> pieces;
+    std::size_t total = 0;
+    for (std::size_t k = 0; k < 4; ++k) {
+      const std::size_t x = 2 * px + k / 2, y = 2 * py + k % 2;
+      for (std::size_t d = 0; d < 9; ++d) {
+        if (scratch.active1[x + d / 3][y + d % 3]) pieces[k].add(d / 3, d % 3, kY1, kZ1, a_);
+      }
+      total += pieces[k].count;
+    }
+    if (total == 0) continue;
+    scratch.active2[px + 1][py + 1] = true;
+    for (std::size_t k = 0; k < 4; ++k) {
+      const std::size_t x = 2 * px + k / 2, y = 2 * py + k % 2;
+      for (std::size_t z = 0; z < kZ1; ++z) {
+        input[z] = scratch.delta1.data() + (padded_column(x, y, kY1, kZ1) + z) * a_;
+        start[z] = empty2_.data() + ((x * kY1 + y) * kZ1 + z) * b_;
+        // The eight values that are pooled follow each other.
+        output[z] = scratch.sums.data() + (z / 2 * 8 + k * 2 + z % 2) * b_;
+      }
+      kernels_.conv({kZ1, input.data(), start.data(), output.data(), pieces[k].count,
+                     pieces[k].offset.data(), pieces[k].weight_row.data(), 3 * a_,
+                     conv2_.weight.data(), conv2_.inputs, 0, b_, true});
+    }
+    for (std::size_t z = 0; z < kZ2; ++z) {
+      float* out = scratch.delta2.data() + (padded_column(px + 1, py + 1, kY2, kZ2) + z + 1) * b_;
+      const float* empty = pooled2_.data() + (cell * kZ2 + z) * b_;
+      pool(scratch.sums.data() + z * 8 * b_, b_, b_, out);
+      for (std::size_t c = 0; c < b_; ++c) out[c] -= empty[c];
+    }
+  }
+}
+
+// -> the third layer, (8, 8, 4, c). Sums start at `start`, `stride` floats apart.
+void VoxelNetwork::third(Scratch& scratch, const float* start_from, std::size_t stride,
+                         float* result, bool rectify) const {
+  constexpr std::size_t kRows = 2 * kZ2;  // two columns at a time fill the registers
+  std::array<const float*, kRows> input, start;
+  std::array<float*, kRows> output;
+  for (std::size_t x = 0; x < kX2; ++x) {
+    for (std::size_t y = 0; y < kY2; y += 2) {
+      Pieces pieces;
+      for (std::size_t d = 0; d < 9; ++d) {
+        const std::size_t nx = x + d / 3, ny = y + d % 3;
+        if (scratch.active2[nx][ny] || scratch.active2[nx][ny + 1]) {
+          pieces.add(d / 3, d % 3, kY2, kZ2, b_);
+        }
+      }
+      for (std::size_t r = 0; r < kRows; ++r) {
+        const std::size_t column = y + r / kZ2, z = r % kZ2;
+        const std::size_t at = (x * kY2 + column) * kZ2 + z;
+        input[r] = scratch.delta2.data() + (padded_column(x, column, kY2, kZ2) + z) * b_;
+        start[r] = start_from + at * stride;
+        output[r] = result + at * c_;
+      }
+      kernels_.conv({kRows, input.data(), start.data(), output.data(), pieces.count,
+                     pieces.offset.data(), pieces.weight_row.data(), 3 * b_,
+                     conv3_.weight.data(), conv3_.inputs, 0, c_, rectify});
+    }
+  }
+}
+
+// max(input * weight + bias, 0) for some rows, panel by panel.
+void VoxelNetwork::dense(const Layer& layer, const float* input, std::size_t stride,
+                         std::size_t rows, int threads, float* output) const {
+  const std::size_t panel = kernels_.panel;
+  parallel_for(layer.outputs / panel, 1, threads, [&](std::size_t begin, std::size_t end, int) {
+    std::array<const float*, kBatch> in, start;
+    std::array<float*, kBatch> out;
+    const std::size_t zero = 0;
+    for (std::size_t first = 0; first < layer.inputs; first += kDenseRows) {
+      const std::size_t length = std::min(kDenseRows, layer.inputs - first);
+      for (std::size_t r = 0; r < rows; ++r) {
+        in[r] = input + r * stride + first;
+        out[r] = output + r * layer.outputs;
+        start[r] = first == 0 ? layer.bias.data() : out[r];
+      }
+      kernels_.conv({rows, in.data(), start.data(), out.data(), 1, &zero, &first, length,
+                     layer.weight.data(), layer.inputs, begin * panel, end * panel,
+                     first + length == layer.inputs});
+    }
+  });
+}
+
+void VoxelNetwork::describe(const int32_t* voxels, const int64_t* offsets, const float* scales,
+                            std::size_t segments, int threads, float* vectors) const {
+  const std::size_t most = std::min(segments, kBatch);
+  AlignedFloats features(most * features_), hidden(most * hidden_);
+  for (std::size_t batch = 0; batch < segments; batch += kBatch) {
+    const std::size_t rows = std::min(kBatch, segments - batch);
+    parallel_for(rows, 4, threads, [&](std::size_t begin, std::size_t end, int) {
+      Scratch scratch(*this);
+      for (std::size_t r = begin; r < end; ++r) {
+        const std::size_t s = batch + r;
+        float* row = features.data() + r * features_;
+        scratch.clear();
+        first(voxels + offsets[s], static_cast<std::size_t>(offsets[s + 1] - offsets[s]), scratch);
+        second(scratch);
+        third(scratch, empty3_.data(), c_, row, true);
+        std::copy_n(scales + 3 * s, 3, row + features_ - 3);
+      }
+    });
+    dense(fc1_, features.data(), features_, rows, threads, hidden.data());
+    dense(fc2_, hidden.data(), hidden_, rows, threads, vectors + batch * dim_);
+  }
+}
+
+}  // namespace segloc

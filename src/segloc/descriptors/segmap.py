@@ -1,0 +1,162 @@
+"""SegMap: a convolutional network over the occupancy grid of a segment (arXiv 1909.12837).
+
+Weights are a safetensors file with the tensors that cpp/voxel_network.h lists, channels last, and
+batch norms folded into the linear map behind them. The first dense layer, which holds 98 % of the
+parameters, is stored as int8 with a scale for each output: 9 MB instead of 34.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _native
+from ..errors import WeightsError
+from ..types import Descriptors, Float32, Int64, Segments
+from .base import Descriptor, register
+from .weightfile import read_weights, shipped_weights, write_weights
+
+GRID = (32, 32, 16)
+
+PREPROCESSING_VERSION = 1
+"""Counts changes of `prepare` that change its result."""
+
+_KIND = "voxel network"
+_QUANTIZED = "fc1.weight"
+_SCALE = "fc1.weight.scale"
+
+
+@dataclass(frozen=True)
+class VoxelShapes:
+    """Occupancy grids of P segments.
+
+    Attributes
+    ----------
+    voxels : (V,) int32
+        Numbers of the occupied voxels, one segment after another; (x, y, z) is number
+        (x * 32 + y) * 16 + z.
+    offsets : (P + 1,) int64
+        Segment i is ``voxels[offsets[i]:offsets[i + 1]]``.
+    scales : (P, 3) float32
+        Metres that the grid spans.
+    """
+
+    voxels: NDArray[np.int32]
+    offsets: Int64
+    scales: Float32
+
+    def __len__(self) -> int:
+        return len(self.scales)
+
+    def dense(self) -> Float32:
+        """The grids in full, (P, 32, 32, 16) float32 of zeros and ones: what training reads."""
+        grids = np.zeros((len(self), GRID[0] * GRID[1] * GRID[2]), np.float32)
+        grids[np.repeat(np.arange(len(self)), np.diff(self.offsets)), self.voxels] = 1.0
+        return grids.reshape(len(self), *GRID)
+
+
+def prepare(segments: Segments, threads: int = 0) -> VoxelShapes:
+    """Align segments as for DSM, scale each axis to the grid and centre on the mean.
+
+    An axis along which a segment is shorter than 0.1 m a voxel is not stretched. Independent of the
+    order of a segment's points.
+    """
+    return VoxelShapes(*_native.voxel_shapes(segments.points, segments.offsets, threads))
+
+
+def save_weights(path: Path, tensors: Mapping[str, Float32], card: Mapping[str, Any]) -> None:
+    """Write a weights file with its card and hash.
+
+    Parameters
+    ----------
+    path : Path
+    tensors : dict of str to array
+        float32: conv1.weight (3, 3, 3, 1, 32), conv2.weight (3, 3, 3, 32, 64), conv3.weight
+        (3, 3, 3, 64, 64), fc1.weight (16387, 512), fc2.weight (512, 64), and a bias for each. The
+        first dense layer reads the features by x, y, z and channel, then the three scales.
+    card : dict
+        Where the weights come from: data, command, figures, licence.
+    """
+    stored: dict[str, NDArray[Any]] = {
+        name: np.ascontiguousarray(tensor, np.float32) for name, tensor in tensors.items()
+    }
+    stored[_QUANTIZED], stored[_SCALE] = quantized(stored[_QUANTIZED])
+    settings = {"preprocessing": str(PREPROCESSING_VERSION)}
+    write_weights(path, _KIND, stored, settings, card)
+
+
+def quantized(weight: Float32) -> tuple[NDArray[np.int8], Float32]:
+    """A (inputs, outputs) matrix as int8 and the scale of each output."""
+    largest = np.abs(weight).max(axis=0)
+    scale = np.where(largest > 0, largest / 127, 1).astype(np.float32)
+    return np.rint(weight / scale).astype(np.int8), scale
+
+
+def load_weights(path: Path) -> tuple[_native.VoxelNetwork, dict[str, Any], str]:
+    """The network, the card and the hash of a weights file.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing, truncated, of another format, does not match its hash, or if a
+        tensor is missing, unknown, of the wrong shape or dtype, or not finite.
+    """
+    file = read_weights(path, _KIND, {_QUANTIZED: np.int8})
+    if file.settings.get("preprocessing") != str(PREPROCESSING_VERSION):
+        raise WeightsError(f"{path}: made for another preparation of the segments")
+    try:
+        tensors = dict(file.tensors)
+        tensors[_QUANTIZED] = tensors[_QUANTIZED] * tensors.pop(_SCALE)
+        return _native.VoxelNetwork(tensors), file.card, file.sha256
+    except KeyError as error:
+        raise WeightsError(f"{path}: there is no tensor {error}") from error
+    except (TypeError, ValueError) as error:
+        raise WeightsError(f"{path}: {error}") from error
+
+
+class SegMapDescriptor(Descriptor):
+    """The 64-number learned descriptor of SegMap.
+
+    Parameters
+    ----------
+    path : Path
+        Weights file.
+    threads : int
+        0 is all cores; results do not depend on it.
+
+    Raises
+    ------
+    WeightsError
+        If the weights are missing or damaged.
+    """
+
+    name = "segmap"
+
+    def __init__(self, path: Path, threads: int = 0) -> None:
+        self._network, self.card, digest = load_weights(path)
+        self.dim = self._network.dim
+        self.fingerprint = f"segmap-{PREPROCESSING_VERSION}-{digest[:16]}"
+        self._threads = threads
+
+    def prepare(self, segments: Segments) -> VoxelShapes:
+        """Occupancy grids; see :func:`prepare`."""
+        return prepare(segments, self._threads)
+
+    def encode(self, prepared: VoxelShapes) -> Descriptors:
+        """Describe prepared segments: (P, 64) float32 vectors."""
+        return Descriptors(
+            self._network.describe(
+                prepared.voxels, prepared.offsets, prepared.scales, self._threads
+            )
+        )
+
+
+@register("segmap")
+def segmap(threads: int = 0) -> SegMapDescriptor:
+    """With the shipped weights."""
+    return SegMapDescriptor(shipped_weights("segmap.safetensors"), threads)

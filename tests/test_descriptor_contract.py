@@ -1,0 +1,157 @@
+"""What every registered descriptor promises, whatever it computes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from segloc import geometry
+from segloc.descriptors import Descriptor, available, create
+from segloc.errors import WeightsError
+from segloc.types import Segments
+
+FRAME_BOUND = {"segmatch-eigen-ethz"}
+"""Descriptors that see the axes of the frame, by their definition."""
+
+
+def packed(clouds: list[np.ndarray], height: float = 1.0) -> Segments:
+    points = np.vstack([np.empty((0, 3), np.float32), *clouds]).astype(np.float32)
+    offsets = np.cumsum([0, *map(len, clouds)], dtype=np.int64)
+    centroids = np.stack([c.astype(np.float64).mean(axis=0) for c in clouds])
+    return Segments(points, offsets, centroids, np.full(len(clouds), height, np.float32))
+
+
+def objects(count: int = 12, seed: int = 0) -> list[np.ndarray]:
+    """Leaning boxes' surfaces of various sizes, on a grid of 1/256 m: sums are then exact."""
+    rng = np.random.default_rng(seed)
+    clouds = []
+    for _ in range(count):
+        n = int(rng.integers(30, 500))
+        shell = rng.uniform(-1, 1, (n, 3))
+        shell[np.arange(n), rng.integers(0, 2, n)] = rng.choice([-1, 1], n, p=[0.3, 0.7])
+        box = shell * rng.uniform([0.8, 0.2, 0.5], [4, 0.7, 2.5])
+        box[:, 1] += 0.15 * box[:, 2]
+        placed = geometry.transform(
+            geometry.yaw_transform(rng.uniform(0, 6), tuple(rng.uniform(-30, 30, 3))), box
+        )
+        clouds.append(np.round(placed * 256) / 256)
+    return clouds
+
+
+def separation(vectors: np.ndarray) -> float:
+    """A typical distance between different objects: the measure of every tolerance."""
+    apart = np.linalg.norm(vectors[:, None] - vectors[None], axis=2)
+    return float(np.median(apart[np.triu_indices(len(vectors), 1)]))
+
+
+@pytest.fixture(scope="module", params=available())
+def descriptor(request: pytest.FixtureRequest) -> Descriptor:
+    try:
+        return create(request.param, threads=1)
+    except WeightsError as error:
+        if "no such file" not in str(error):
+            raise
+        pytest.skip(f"the weights of {request.param} are not shipped")
+
+
+def test_shape_dtype_and_name(descriptor: Descriptor) -> None:
+    segments = packed(objects())
+    described = descriptor.describe(segments)
+    assert described.vectors.shape == (12, descriptor.dim)
+    assert described.vectors.dtype == np.float32
+    assert np.isfinite(described.vectors).all()
+    assert descriptor.name in available() and descriptor.fingerprint
+    assert separation(described.vectors) > 0
+    if described.quality is not None:
+        assert described.quality.shape == (12,) and described.quality.dtype == np.float32
+        assert ((described.quality >= 0) & (described.quality <= 1)).all()
+
+
+def test_repeats_itself_for_any_number_of_threads(descriptor: Descriptor) -> None:
+    segments = packed(objects())
+    first = descriptor.describe(segments)
+    for other in (descriptor, create(descriptor.name, threads=2)):
+        again = other.describe(segments)
+        np.testing.assert_array_equal(again.vectors, first.vectors)
+        if first.quality is not None:
+            np.testing.assert_array_equal(again.quality, first.quality)
+        assert other.fingerprint == descriptor.fingerprint
+
+
+def test_input_is_not_changed(descriptor: Descriptor) -> None:
+    segments = packed(objects(3))
+    before = segments.points.copy()
+    segments.points.flags.writeable = False
+    descriptor.describe(segments)
+    np.testing.assert_array_equal(segments.points, before)
+
+
+def test_the_order_of_points_does_not_matter(descriptor: Descriptor) -> None:
+    rng = np.random.default_rng(1)
+    clouds = objects()
+    first = descriptor.describe(packed(clouds)).vectors
+    again = descriptor.describe(packed([rng.permutation(c) for c in clouds])).vectors
+    assert np.abs(again - first).max() < 1e-4 * separation(first)
+
+
+def test_a_batch_is_its_segments(descriptor: Descriptor) -> None:
+    clouds = objects()
+    together = descriptor.describe(packed(clouds)).vectors
+    alone = np.vstack([descriptor.describe(packed([cloud])).vectors for cloud in clouds])
+    np.testing.assert_allclose(alone, together, atol=1e-5 * separation(together), rtol=1e-5)
+
+
+def test_moving_changes_nothing(descriptor: Descriptor) -> None:
+    clouds = objects()
+    first = descriptor.describe(packed(clouds)).vectors
+    moved = descriptor.describe(packed([c + [64.0, -32.0, 0.0] for c in clouds])).vectors
+    assert np.linalg.norm(moved - first, axis=1).max() < 1e-3 * separation(first)
+
+
+@pytest.mark.parametrize("yaw", [math.pi / 2, 2.0, -0.7])
+def test_turning_changes_little(descriptor: Descriptor, yaw: float) -> None:
+    if descriptor.name in FRAME_BOUND:
+        pytest.skip("sees the axes of the frame")
+    clouds = objects()
+    first = descriptor.describe(packed(clouds)).vectors
+    turn = geometry.yaw_transform(yaw)
+    turned = descriptor.describe(packed([geometry.transform(turn, c) for c in clouds])).vectors
+    change = np.linalg.norm(turned - first, axis=1)
+    assert np.median(change) < 0.2 * separation(first)
+    assert change.max() < 0.5 * separation(first)
+
+
+def test_no_segments(descriptor: Descriptor) -> None:
+    nothing = Segments(
+        np.empty((0, 3), np.float32), np.zeros(1, np.int64), np.empty((0, 3)), np.empty(0, "f4")
+    )
+    assert descriptor.describe(nothing).vectors.shape == (0, descriptor.dim)
+
+
+@pytest.mark.parametrize(
+    "cloud",
+    {
+        "one point": np.array([[3.0, -2.0, 1.0]]),
+        "two points": np.array([[3.0, -2.0, 1.0], [3.5, -2.0, 1.0]]),
+        "one place": np.full((50, 3), 7.25),
+        "line": np.linspace([0.0, 0, 0], [3, 2, 1], 64),
+        "upright line": np.linspace([1.0, 1, 0], [1, 1, 4], 64),
+        "plane": np.stack(
+            [*np.meshgrid(np.arange(8.0), np.arange(8.0)), np.ones((8, 8))], -1
+        ).reshape(-1, 3),
+        "far away": np.random.default_rng(0).normal(1e5, 1.0, (80, 3)),
+        "huge": np.random.default_rng(0).normal(0, 1e4, (80, 3)),
+    }.items(),
+    ids=lambda item: item[0],
+)
+def test_odd_segments_have_finite_descriptors(
+    descriptor: Descriptor, cloud: tuple[str, np.ndarray]
+) -> None:
+    ordinary = objects(2)
+    vectors = descriptor.describe(packed([ordinary[0], cloud[1], ordinary[1]])).vectors
+    assert np.isfinite(vectors).all()
+    # Their neighbours do not feel them.
+    expected = descriptor.describe(packed(ordinary)).vectors
+    np.testing.assert_allclose(vectors[[0, 2]], expected, rtol=1e-5, atol=1e-5)
