@@ -104,9 +104,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=40, help="of each process")
     parser.add_argument("--seed", type=int, default=7, help="of the town")
     args = parser.parse_args()
-    print(
-        "| sensor | processes | by | ms a scan | CPU ms | M rays/s | M points/s | CPU ratio |"
-    )
+    print("| sensor | processes | by | ms a scan | CPU ms | M rays/s | M points/s | CPU ratio |")
     print("|---|---|---|---|---|---|---|---|")
     for name in args.sensors:
         rays = len(SENSORS[name]().rays(0.0).directions)
