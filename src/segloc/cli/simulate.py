@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,25 +90,32 @@ def simulate(
         _write_suite(suite, scale, seed, out, suffix, workers)
         return
     assert scene is not None
+    order = _Order(scene, size, seed, sensor, thin, platform, skew, length, spacing, swathe)
     plan = _plan(sessions, season, foliage, replaced, scaffolding)
-    drives = _drives(scene, sensor, thin, platform, skew, plan, length, spacing, size, seed)
-    facts = {
-        "scene": scene,
-        "size_m": size,
-        "sensor": sensor,
-        "thin": thin,
-        "platform": platform,
-        "skew": skew,
-        "swathe_m": swathe,
-        "seed": seed,
-    }
+    drives = _drives(order, plan)
     recordings = [_gathered(drive, swathe) for drive in drives]
     for drive, recording in zip(drives, recordings, strict=True):
         _record(recording, out / drive.name, suffix, objects, workers)
     kinds = _kinds(drives) if objects else {}
     described = [_described(drive, len(r)) for drive, r in zip(drives, recordings, strict=True)]
-    _write_facts(out, facts | {"sessions": described}, kinds)
+    _write_facts(out, asdict(order) | {"sessions": described}, kinds)
     print(f"{len(drives)} sessions of {drives[0].world.name} are in {out}")
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What is to be simulated, as ``scene.json`` records it."""
+
+    scene: str
+    size_m: float | None
+    seed: int
+    sensor: str
+    thin: int
+    platform: str | None
+    skew: bool
+    length_m: float
+    spacing_m: float | None
+    swathe_m: float | None
 
 
 def _choice(table: dict[str, Any], name: str, what: str) -> Any:
@@ -133,36 +140,29 @@ def _plan(
     return plan
 
 
-def _drives(
-    scene: str,
-    sensor: str,
-    thin: int,
-    platform: str | None,
-    skew: bool,
-    plan: list[Conditions],
-    length: float,
-    spacing: float | None,
-    size: float | None,
-    seed: int,
-) -> list[SimulatedSequence]:
+def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
     from ..simulation import PLATFORMS, SCENES, SENSORS, LineLidar, simulate_sessions
     from .console import busy
 
-    make = _choice(SCENES, scene, "the scene")
-    lidar = _choice(SENSORS, sensor, "--sensor")().thinned(thin)
-    carrier = None if platform is None else _choice(PLATFORMS, platform, "--platform")()
-    usual = 0.2 if isinstance(lidar, LineLidar) else 2.0
-    with busy(f"Building a {scene}"):
-        world = make(seed) if size is None else make(seed, size_m=size)
+    make = _choice(SCENES, order.scene, "the scene")
+    lidar = _choice(SENSORS, order.sensor, "--sensor")().thinned(order.thin)
+    carrier = None
+    if order.platform is not None:
+        carrier = _choice(PLATFORMS, order.platform, "--platform")()
+    spacing = order.spacing_m
+    if spacing is None:
+        spacing = 0.2 if isinstance(lidar, LineLidar) else 2.0
+    with busy(f"Building {order.scene} {order.seed}"):
+        size = {} if order.size_m is None else {"size_m": order.size_m}
         drives = simulate_sessions(
-            world,
+            make(order.seed, **size),
             lidar,
             plan,
-            length_m=length,
-            spacing_m=spacing if spacing is not None else usual,
-            seed=seed,
+            length_m=order.length_m,
+            spacing_m=spacing,
+            seed=order.seed,
             platform=carrier,
-            skew=skew,
+            skew=order.skew,
         )
     return [drive.with_odometry() for drive in drives]
 
@@ -194,9 +194,13 @@ def _described(drive: SimulatedSequence, scans: int) -> dict[str, Any]:
 
 def _kinds(drives: list[SimulatedSequence]) -> dict[str, str]:
     """What every object id of the sessions stands for."""
-    found: dict[int, str] = {}
+    from ..simulation.worlds import GROUND_ID
+
+    found = {GROUND_ID: "ground"}
     for drive in drives:
-        found |= drive.world.session(drive.session, drive.conditions).kinds
+        world, k = drive.world, drive.session
+        for group in (*world.standing(k, drive.conditions), world.changing(k)):
+            found |= group.kinds
     return {str(number): kind for number, kind in sorted(found.items())}
 
 
