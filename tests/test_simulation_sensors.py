@@ -25,6 +25,7 @@ from segloc.simulation import (
     Gait,
     Lidar,
     Motion,
+    OdometryNoise,
     Route,
     Scene,
     World,
@@ -254,6 +255,19 @@ def test_by_rate_scans_are_as_far_apart_as_the_platform_is_fast(small: World, ro
     assert part.stamps is not None
     np.testing.assert_allclose(part.stamps, [0.7, 0.8, 0.9])
     np.testing.assert_array_equal(part.scan(1).points, drive.scan(8).points)
+
+
+def test_odometry_drifts_by_half_a_percent_of_the_way() -> None:
+    truth = np.tile(np.eye(4), (201, 1, 1))
+    truth[:, 0, 3] = np.arange(201.0)
+    drift = []
+    for seed in range(40):
+        odometry = OdometryNoise().odometry(truth, np.random.default_rng(seed))
+        step = np.linalg.inv(odometry[50]) @ odometry[150]
+        drift.append(np.linalg.norm(step[:3, 3] - [100.0, 0.0, 0.0]))
+        near = np.linalg.inv(odometry[50]) @ odometry[60]
+        assert np.linalg.norm(near[:3, 3] - [10.0, 0.0, 0.0]) < 0.35
+    assert 0.4 < np.mean(drift) < 0.7
 
 
 # --- skew -----------------------------------------------------------------------------------------
