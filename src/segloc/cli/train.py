@@ -189,9 +189,41 @@ def _show(counts: LabelCounts, title: str) -> None:
     table(title, ("", ""), rows)
 
 
+@train.command("score")
+def score(
+    weights: Annotated[str, typer.Argument(help="A weights file, or a descriptor's name.")],
+    dataset: Dataset,
+    distractors: Annotated[
+        list[Path] | None, typer.Option(help="Datasets of other worlds that fill the pool.")
+    ] = None,
+    pool: Annotated[list[int] | None, typer.Option(help="Sizes of the pool.")] = None,
+    threads: Annotated[int, typer.Option(min=1)] = 1,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+) -> None:
+    """ROC area and recall among the k nearest, of each session against the others."""
+    from ..training.scoring import KS, load_descriptor, score_descriptor
+    from ..training.shards import load_dataset
+    from .console import table
+
+    descriptor = load_descriptor(weights, threads)
+    report = score_descriptor(
+        descriptor,
+        load_dataset(dataset),
+        [load_dataset(path) for path in distractors or []],
+        pools=pool or [],
+        seed=seed,
+        threads=threads,
+    )
+    rows = [(f"{size:,}", *(f"{recall:.4f}" for recall in found)) for size, found in report.recalls]
+    title = f"{weights} on {dataset}: {report.queries:,} queries, AUC {report.auc}"
+    table(title, ("pool", *(f"recall@{k}" for k in KS)), rows)
+
+
 _EXPLAINED = {
     "dsm": "DSM, 16 numbers from 160 down to 4 points.",
     "esm": "ESM, DSM's predecessor with more points.",
+    "segmap": "SegMap's network over a grid of voxels, 64 numbers.",
+    "profile": "Profile, segloc's own: metric shape profiles, 24 numbers.",
 }
 
 

@@ -80,6 +80,8 @@ class Batches:
     def __init__(self, dataset: SegmentDataset, task: Task, rank: int = 0) -> None:
         self._dataset, self._task, self._rank = dataset, task, rank
         self.groups = groups_of(dataset)
+        if task.max_objects is not None and len(self.groups) > task.max_objects:
+            self.groups = sorted(self.groups, key=len, reverse=True)[: task.max_objects]
         self.mistakable: NDArray[np.int64] = np.empty((0, 0), np.int64)
         self._numbers = np.full(int(dataset.labels.max(initial=0)) + 1, -1, np.int64)
         for number, group in enumerate(self.groups):

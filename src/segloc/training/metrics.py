@@ -106,3 +106,108 @@ def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[
         first.append(a[keep])
         second.append(b[keep])
     return np.concatenate(first), np.concatenate(second)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4f} ({self.low:.4f} to {self.high:.4f})"
+
+
+def auc_interval(
+    vectors: Float32, dataset: SegmentDataset, *, resamples: int = 500, seed: int = 0
+) -> Interval:
+    """Area under the ROC with a bootstrap interval over places.
+
+    Pairs of one place are not independent, so whole places are drawn: worlds where there are at
+    least five, squares of 100 m otherwise. A pair belongs to the place of its first segment.
+
+    Parameters
+    ----------
+    vectors : (P, dim) float32
+    dataset : SegmentDataset
+    resamples : int
+    seed : int
+    """
+    rng = np.random.default_rng(seed)
+    places = _bootstrap_places(dataset)
+    (a, b), (c, d) = matching_pairs(dataset), _different_pairs(dataset, rng)
+    if len(a) == 0 or len(c) == 0:
+        return Interval(0.5, 0.0, 1.0)
+    positive = np.linalg.norm(vectors[a] - vectors[b], axis=1)
+    negative = np.linalg.norm(vectors[c] - vectors[d], axis=1)
+    order = np.argsort(negative, kind="stable")
+    low = np.searchsorted(negative[order], positive, side="left")
+    high = np.searchsorted(negative[order], positive, side="right")
+
+    def area(weights: NDArray[np.float64]) -> float:
+        below = np.concatenate([[0.0], np.cumsum(weights[places[c[order]]])])
+        own = weights[places[a]]
+        return float(1.0 - own @ (below[low] + below[high]) / (2 * below[-1] * own.sum()))
+
+    count = int(places.max()) + 1
+    drawn = [
+        area(weights)
+        for weights in rng.multinomial(count, np.full(count, 1 / count), resamples).astype(float)
+        if weights[places[a]].any() and weights[places[c]].any()
+    ]
+    lower, upper = np.quantile(drawn, [0.025, 0.975]) if drawn else (0.0, 1.0)
+    return Interval(area(np.ones(count)), float(lower), float(upper))
+
+
+def _bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
+    keys = dataset.places[:, None].astype(np.float64)
+    if len(np.unique(dataset.places)) < 5:
+        keys = np.column_stack([keys, np.floor(dataset.centroids[:, :2] / 100.0)])
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def _different_pairs(
+    dataset: SegmentDataset, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Random pairs that surely differ, as many as there are matching ones or 20 000."""
+    count = max(20_000, len(matching_pairs(dataset)[0]))
+    a, b = rng.integers(len(dataset), size=(2, 2 * count))
+    differ = dataset.different(a, b)
+    return a[differ][:count], b[differ][:count]
+
+
+def recall_at_k(
+    queries: Float32,
+    pool: Float32,
+    query_labels: NDArray[np.int64],
+    pool_labels: NDArray[np.int64],
+    ks: tuple[int, ...] = (1, 5, 25, 200),
+    threads: int = 1,
+) -> NDArray[np.float64]:
+    """Share of the queries with a right one among their k nearest in the pool, for each k.
+
+    Parameters
+    ----------
+    queries : (Q, dim) float32
+    pool : (M, dim) float32
+    query_labels : (Q,) int64
+    pool_labels : (M,) int64
+        -1 for distractors. Queries whose label is not in the pool are left out.
+    ks : tuple of int
+    threads : int
+
+    Returns
+    -------
+    (len(ks),) float64
+        NaN where no query has a right one.
+    """
+    known = np.isin(query_labels, pool_labels)
+    if not known.any():
+        return np.full(len(ks), np.nan)
+    indices, _ = _native.knn(
+        np.ascontiguousarray(queries[known]), np.ascontiguousarray(pool), max(ks), threads
+    )
+    hit = pool_labels[indices] == query_labels[known][:, None]
+    return np.array([hit[:, :k].any(axis=1).mean() for k in ks])

@@ -11,6 +11,9 @@ from pydantic import ValidationError
 from ..errors import ConfigError
 from .config import TrainConfig
 
+PUBLISHED: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-4, "hard_share": 0.0}}
+"""What a network's own paper sets, where it is not the default here."""
+
 
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
     """A configuration file, if there is one, with what the command line gives on top.
@@ -29,7 +32,8 @@ def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
         if not isinstance(values, dict):
             raise ConfigError(f"{path}: not a mapping of names to values")
     try:
-        return TrainConfig(**{**values, **given})
+        network = given.get("network", values.get("network", "dsm"))
+        return TrainConfig(**{**PUBLISHED.get(network, {}), **values, **given})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -24,9 +25,13 @@ def fit_quality(task: Task, model: DescriptorNetwork, dataset: SegmentDataset) -
     part = limited(dataset, config.quality_limit, config.seed)
     vectors = task.describe(model, part)
     right = nearest_is_right(vectors, part, config.threads)
-    known = ~np.isnan(right)
-    x, y = torch.from_numpy(vectors[known]), torch.from_numpy(right[known])
-    head = model.quality_head
+    fit_head(model.quality_head, torch.from_numpy(vectors), right)
+
+
+def fit_head(head: torch.nn.Linear, features: Tensor, right: NDArray[np.float32]) -> None:
+    """Logistic regression of ``right`` (P,), NaN where not known, on features (P, F)."""
+    known = torch.from_numpy(~np.isnan(right))
+    x, y = features[known], torch.from_numpy(right)[known]
     torch.nn.init.zeros_(head.weight)
     torch.nn.init.zeros_(head.bias)
     if len(y) == 0:

@@ -59,6 +59,9 @@ class Task(ABC):
     config : TrainConfig
     """
 
+    max_objects: int | None = None
+    """Train on the objects with most views only, where the network depends on their number."""
+
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
 
@@ -108,7 +111,7 @@ class Task(ABC):
 
 Factory = Callable[[TrainConfig], Task]
 
-MODULES = {"dsm": "pointset", "esm": "pointset", "segmap": "segmap"}
+MODULES = {"dsm": "pointset", "esm": "pointset", "profile": "profile", "segmap": "segmap"}
 """In which module of this package each network is; known without importing torch's users."""
 
 
