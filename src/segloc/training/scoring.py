@@ -60,7 +60,7 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
     except (OSError, SafetensorError) as error:
         raise WeightsError(f"{name}: {error}") from error
     if kind == "segloc network":
-        return PointSetDescriptor(path.stem, path, threads=threads)
+        return PointSetDescriptor(path.stem, path, True, threads)
     if kind == "segloc profile network":
         return ProfileDescriptor(path, threads)
     if kind == "segloc voxel network":
