@@ -144,7 +144,7 @@ class _Run:
                 )
                 losses = []
                 waited = (self.step - self.best_step) / config.validate_every
-                if expired or waited >= config.patience:
+                if self.group.agreed(expired or waited >= config.patience):
                     return
 
     def _upcoming(self) -> Iterator[Batch]:
