@@ -219,6 +219,35 @@ def score(
     table(title, ("pool", *(f"recall@{k}" for k in KS)), rows)
 
 
+@train.command("forest")
+def forest(
+    method: Annotated[str, typer.Argument(help="The method whose candidates it prunes.")],
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(metavar="FOREST.safetensors", help="The result.")],
+    threads: Annotated[int, typer.Option(min=1)] = 1,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    licence: Annotated[str, typer.Option(help="Of the forest; goes into the file.")] = "MIT",
+) -> None:
+    """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
+    from ..files import checked_target
+    from ..training.forest import ForestConfig, train_forest
+    from ..training.shards import load_dataset
+
+    checked_target(out)
+    card = _card(dataset, licence)
+    config = ForestConfig(seed=seed, threads=threads)
+    found = train_forest(load_dataset(dataset), out, method, config, card, _say)
+    typer.echo(
+        f"{out}: auc {found.auc:.4f}; kept of the right {found.right_kept:.4f}, "
+        f"of the wrong {found.wrong_kept:.4f}"
+    )
+
+
+def _card(dataset: Path, licence: str) -> dict[str, Any]:
+    command = " ".join(["segloc", *sys.argv[1:]])
+    return {"data": dataset.name, "command": command, "licence": licence}
+
+
 _EXPLAINED = {
     "dsm": "DSM, 16 numbers from 160 down to 4 points.",
     "esm": "ESM, DSM's predecessor with more points.",
@@ -274,12 +303,7 @@ def _train(
     settings = load_train_config(config, given)
     checked_target(out)
     data = load_dataset(dataset)
-    card = {
-        "data": dataset.name,
-        "command": " ".join(["segloc", *sys.argv[1:]]),
-        "licence": licence,
-        "torch": torch.__version__,
-    }
+    card = {**_card(dataset, licence), "torch": torch.__version__}
     scores = run(data, out, settings, card, _say)
     typer.echo(f"{out}: auc {scores.auc:.4f}, recall@25 {scores.recall:.4f}")
 

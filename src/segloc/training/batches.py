@@ -27,6 +27,7 @@ def groups_of(dataset: SegmentDataset) -> list[NDArray[np.int64]]:
 
 def draw_batch(
     groups: list[NDArray[np.int64]],
+    sessions: NDArray[np.int64],
     mistakable: NDArray[np.int64],
     config: TrainConfig,
     rng: np.random.Generator,
@@ -39,10 +40,21 @@ def draw_batch(
         rivals = mistakable[rng.choice(chosen, size=4 * hard)]
         picked = rivals[np.arange(len(rivals)), rng.integers(rivals.shape[1], size=len(rivals))]
         chosen += list(dict.fromkeys(picked[~np.isin(picked, chosen)]))[:hard]
-    views = [
-        rng.choice(groups[g], size=min(config.views, len(groups[g])), replace=False) for g in chosen
-    ]
-    return np.concatenate(views)
+    return np.concatenate([_views(groups[g], sessions, config, rng) for g in chosen])
+
+
+def _views(
+    group: NDArray[np.int64],
+    sessions: NDArray[np.int64],
+    config: TrainConfig,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    """Some views of an object; mostly of different sessions, as far as there are several."""
+    order = rng.permutation(group)
+    if rng.random() < config.across:
+        _, first = np.unique(sessions[order], return_index=True)
+        order = np.concatenate([order[np.sort(first)], np.delete(order, first)])
+    return order[: config.views]
 
 
 def relations(
@@ -92,7 +104,7 @@ class Batches:
         config = self._task.config
         seed = [config.seed, step, self._rank] if self._rank else [config.seed, step]
         rng = np.random.default_rng(seed)
-        indices = draw_batch(self.groups, self.mistakable, config, rng)
+        indices = draw_batch(self.groups, self._dataset.sessions, self.mistakable, config, rng)
         inputs = self._task.inputs(self._dataset, indices, rng)
         labels = torch.from_numpy(self._numbers[self._dataset.labels[indices]])
         return Batch(inputs, labels, *relations(self._dataset, indices, config.different_m))

@@ -28,6 +28,9 @@ class TrainConfig(BaseModel):
     steps: int = Field(3000, ge=1)
     classes: int = Field(32, ge=2, description="objects a batch")
     views: int = Field(2, ge=2, description="segments of each object a batch")
+    across: float = Field(
+        0.8, ge=0, le=1, description="chance that these are of different sessions if possible"
+    )
     different_m: float = Field(
         FAR_M, gt=0, description="segments of one world differ beyond this distance"
     )

@@ -66,9 +66,9 @@ class PointSetTask(Task):
             parts.append(native.describe(prepared, self.config.threads)[0])
         return np.concatenate(parts)
 
-    def finish(self, network: nn.Module, training: SegmentDataset) -> None:
+    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
         assert isinstance(network, DescriptorNetwork)
-        fit_quality(self, network, training)
+        fit_quality(self, network, training, held)
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, DescriptorNetwork)

@@ -105,8 +105,13 @@ class Task(ABC):
         network.train(was_training)
         return np.concatenate(parts)
 
-    def finish(self, network: nn.Module, training: SegmentDataset) -> None:  # noqa: B027
-        """Whatever is fitted to the finished descriptors, before the export."""
+    def finish(  # noqa: B027
+        self, network: nn.Module, training: SegmentDataset, held: SegmentDataset
+    ) -> None:
+        """Fit what is fitted to the finished descriptors, before the export.
+
+        ``held`` holds the segments that the network was not trained on.
+        """
 
 
 Factory = Callable[[TrainConfig], Task]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from torch import Tensor, nn
 
 from .. import _native
@@ -68,15 +69,15 @@ def train(
     """
     torch.set_num_threads(config.threads)
     task = task or create_task(config)
-    training, validation = dataset.split(config.validation_share, config.seed)
-    validation = limited(validation, config.validation_limit, config.seed)
+    training, held = dataset.split(config.validation_share, config.seed)
+    validation = limited(held, config.validation_limit, config.seed)
     with Group(config.device) as group:
         run = _Run(task, training, validation, group, out.with_suffix(".checkpoint"))
         run.resume(progress)
         run.loop(progress if group.leads else _silent)
         if group.leads:
             model = run.best_model()
-            task.finish(model, training)
+            task.finish(model, training, held)
             figures = {
                 "steps": run.best_step,
                 "training segments": len(training),
@@ -143,7 +144,7 @@ class _Run:
                 )
                 losses = []
                 waited = (self.step - self.best_step) / config.validate_every
-                if expired or waited >= config.patience:
+                if self.group.agreed(expired or waited >= config.patience):
                     return
 
     def _upcoming(self) -> Iterator[Batch]:
@@ -228,7 +229,7 @@ class _Run:
         if not self.checkpoint.exists():
             return
         state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
-        if state["config"] != self.config.model_dump_json(exclude=_MAY_CHANGE):
+        if not _agrees(state["config"], self.config):
             raise DatasetError(f"{self.checkpoint}: belongs to a run with another configuration")
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -237,6 +238,15 @@ class _Run:
         self.best_state = state["best_state"]
         self.batches.mistakable = state["mistakable"].cpu().numpy()
         progress(f"going on from step {self.step}")
+
+
+def _agrees(saved: str, config: TrainConfig) -> bool:
+    """Whether a run with the saved configuration may go on; unknown values have their defaults."""
+    try:
+        before = TrainConfig.model_validate_json(saved)
+    except ValidationError:
+        return False
+    return before.model_dump(exclude=_MAY_CHANGE) == config.model_dump(exclude=_MAY_CHANGE)
 
 
 def _text(scores: Scores) -> str:
