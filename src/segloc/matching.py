@@ -18,7 +18,7 @@ class MatchingConfig(BaseModel):
 
     neighbours: int = Field(25, ge=1, description="map segments proposed for each query segment")
     min_probability: float = Field(
-        0.6,
+        0.5,
         ge=0,
         le=1,
         description="matches that the method's forest finds less likely are dropped",
