@@ -115,7 +115,6 @@ class _Run:
             )
         torch.manual_seed(self.config.seed)
         self.model = task.network(objects).to(group.device)
-        self.parallel: nn.Module = group.shared(self.model)
         self.optimizer = torch.optim.Adam(
             self.model.parameters(),
             lr=self.config.learning_rate,
@@ -164,9 +163,10 @@ class _Run:
             group["lr"] = config.learning_rate * _schedule(self.step, config)
         self.model.train()
         with self._precision():
-            loss = self.task.loss(self.parallel, batch.to(self.group.device))
+            loss = self.task.loss(self.model, batch.to(self.group.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        self.group.average_gradients(self.model)
         nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.step += 1
@@ -192,6 +192,7 @@ class _Run:
         return model if self.group.device.type == "cpu" else copy.deepcopy(model).cpu()
 
     def _validate(self) -> Scores:
+        self.group.average_buffers(self.model)
         vectors = self._describe(self.model, self.validation)
         scores = score(vectors, self.validation, threads=self.config.threads)
         if scores.recall + scores.auc > self.best.recall + self.best.auc:
