@@ -7,121 +7,18 @@
 #include <numeric>
 #include <vector>
 
+#include "esf_grid.h"
 #include "moments.h"
 #include "parallel.h"
 
 namespace segloc {
 namespace {
 
-constexpr int kGrid = 64;
 constexpr float kRadius = 32.0f;
 constexpr float kLeastArea2 = 0.001f;
 constexpr float kSideScale = 1.0f / 32.0f;
 constexpr std::size_t kBlock = 256;           // triangles that are measured together
-constexpr std::size_t kRememberedPoints = 320;  // fewer: each side is traced at most once
-
-enum Kind : uint8_t { kInside, kOutside, kAcross };
-
-// What is known of the line between two points.
-struct Line {
-  uint8_t voxels = 0;  // 0: not traced yet
-  uint8_t occupied = 0;
-  Kind kind = kInside;
-  uint8_t share_bin = 0;
-};
-
-// The occupancy of the grid: bit z of column x, y.
-class Grid {
- public:
-  using Voxel = std::array<uint8_t, 3>;
-
-  void clear() { columns_.fill(0); }
-
-  static uint8_t coordinate(float v) {
-    const int i = static_cast<int>(v < 0 ? std::floor(v) : std::ceil(v) - 1) + kGrid / 2;
-    return static_cast<uint8_t>(std::clamp(i, 0, kGrid - 1));
-  }
-
-  void occupy(const Voxel& v) {
-    const uint64_t bits = v[2] == 0 ? 3 : uint64_t{7} << (v[2] - 1);
-    for (int x = std::max(v[0] - 1, 0); x <= std::min(v[0] + 1, kGrid - 1); ++x) {
-      for (int y = std::max(v[1] - 1, 0); y <= std::min(v[1] + 1, kGrid - 1); ++y) {
-        columns_[static_cast<std::size_t>(x * kGrid + y)] |= bits;
-      }
-    }
-  }
-
-  // Bresenham's line from a to b without its last voxel.
-  Line trace(const Voxel& a, const Voxel& b) const {
-    int position[3], step[3], length[3];
-    for (int d = 0; d < 3; ++d) {
-      position[d] = a[d];
-      step[d] = b[d] < a[d] ? -1 : 1;
-      length[d] = std::abs(int{b[d]} - int{a[d]});
-    }
-    const int major = length[0] >= length[1] && length[0] >= length[2] ? 0
-                      : length[1] >= length[2]                         ? 1
-                                                                       : 2;
-    const int other = major == 0 ? 1 : 0, third = major == 2 ? 1 : 2;
-    // Columns and bits are one index: bit i & 63 of word i >> 6.
-    constexpr int kStride[3] = {kGrid * kGrid, kGrid, 1};
-    int index = position[0] * kStride[0] + position[1] * kStride[1] + position[2];
-    const int forward = step[major] * kStride[major];
-    const int sideways[2] = {step[other] * kStride[other], step[third] * kStride[third]};
-    const int voxels = std::max(length[major], 1), turn = 2 * length[major];
-    const int rise[2] = {2 * length[other], 2 * length[third]};
-    int error[2] = {rise[0] - length[major], rise[1] - length[major]};
-    int occupied = 0;
-    for (int i = 0; i < voxels; ++i) {
-      occupied += static_cast<int>(columns_[static_cast<std::size_t>(index >> 6)] >> (index & 63) & 1);
-      for (int d = 0; d < 2; ++d) {
-        const int up = -(error[d] > 0);
-        index += up & sideways[d];
-        error[d] += rise[d] - (up & turn);
-      }
-      index += forward;
-    }
-    Line line;
-    line.voxels = static_cast<uint8_t>(voxels);
-    line.occupied = static_cast<uint8_t>(occupied);
-    line.kind = occupied >= voxels - 1 ? kInside : occupied <= 7 ? kOutside : kAcross;
-    const float share = static_cast<float>(occupied) / static_cast<float>(voxels);
-    line.share_bin = static_cast<uint8_t>(share * (kEsfBins - 1) + 0.5f);
-    return line;
-  }
-
- private:
-  std::array<uint64_t, kGrid * kGrid> columns_{};
-};
-
-// The bin of an angle in [0, pi / 2] by its cosine: angles are rounded to one of 63 steps.
-class AngleBins {
- public:
-  AngleBins() {
-    const double step = std::acos(0.0) / (kEsfBins - 1);
-    for (std::size_t b = 0; b < kEsfBins; ++b) {
-      lowest_[b] = static_cast<float>(std::cos((static_cast<double>(b) + 0.5) * step));
-    }
-    lowest_[kEsfBins - 1] = -1.0f;
-    for (std::size_t i = 0; i <= kCells; ++i) {
-      const float upper = static_cast<float>(i + 1) / kCells;
-      std::size_t b = 0;
-      while (lowest_[b] >= upper) ++b;
-      first_[i] = static_cast<uint8_t>(b);
-    }
-  }
-  std::size_t of(float cosine) const {
-    cosine = std::min(cosine, 1.0f);
-    std::size_t b = first_[static_cast<std::size_t>(cosine * kCells)];
-    while (cosine < lowest_[b]) ++b;
-    return b;
-  }
-
- private:
-  static constexpr std::size_t kCells = 1024;
-  std::array<float, kEsfBins> lowest_;
-  std::array<uint8_t, kCells + 1> first_;
-};
+constexpr std::size_t kRememberedPoints = 320;  // fewer: each line is traced and counted once
 
 uint64_t random_word(uint64_t counter) {  // splitmix64
   uint64_t z = counter * 0x9e3779b97f4a7c15ULL;
@@ -148,6 +45,7 @@ class Describer {
     if (n < 3 || !load(points, n)) return;
     for (Histogram* h : {angles_, area_, side_}) std::fill(h, h + 3, Histogram{});
     shares_.fill(0.0f);
+    longest_ = 0;
     sides_.clear();
     areas_.clear();
     for (std::size_t first = 0; first < 2 * triples_ && areas_.size() < triples_; first += kBlock) {
@@ -246,19 +144,25 @@ class Describer {
       length_[1][i] = b;
       length_[2][i] = c;
       area2_[i] = 0.25f * (nx * nx + ny * ny + nz * nz);
+      root_[i] = std::sqrt(std::sqrt(area2_[i]));
       cosine_[0][i] = std::abs(dot(0, 1)) / (a * b);
       cosine_[1][i] = std::abs(dot(1, 2)) / (b * c);
       cosine_[2][i] = std::abs(dot(0, 2)) / (a * c);
     }
   }
 
-  const Line& line(uint32_t a, uint32_t b) {
+  // The line between two corners; it is noted as a side of that length.
+  Line side(uint32_t a, uint32_t b, float length) {
     if (n_ >= kRememberedPoints) {
-      traced_ = grid_.trace(voxels_[a], voxels_[b]);
-      return traced_;
+      const Line traced = grid_.trace(voxels_[a], voxels_[b]);
+      sides_.push_back({length, traced.kind});
+      if (traced.kind == kAcross) shares_[traced.share_bin] += 1.0f;
+      return traced;
     }
     Line& known = lines_[a * n_ + b];
     if (known.voxels == 0) known = grid_.trace(voxels_[a], voxels_[b]);
+    ++known.drawn;
+    longest_ = std::max(longest_, length);
     return known;
   }
 
@@ -268,25 +172,42 @@ class Describer {
     int occupied = 0, voxels = 0;
     float across[3];
     for (std::size_t e = 0; e < 3; ++e) {
-      const Line& l = line(corner_[kEnds[e][0]][i], corner_[kEnds[e][1]][i]);
+      const Line l = side(corner_[kEnds[e][0]][i], corner_[kEnds[e][1]][i], length_[e][i]);
       occupied += l.occupied;
       voxels += l.voxels;
       across[e] = static_cast<float>(l.voxels) * kSideScale;
-      sides_.push_back({length_[e][i], l.kind});
-      if (l.kind == kAcross) shares_[l.share_bin] += 1.0f;
     }
     const Kind kind = occupied <= 21 ? kOutside : voxels - occupied < 4 ? kInside : kAcross;
     for (std::size_t k = 0; k < 3; ++k) {
       angles_[kind][bins_.of(cosine_[k][i])] += across[kOpposite[k]];
     }
-    areas_.push_back({std::sqrt(std::sqrt(area2_[i])), kind});
+    areas_.push_back({root_[i], kind});
+  }
+
+  // The histograms of sides: of each line as often as it was drawn, or of what was noted.
+  void count_sides() {
+    for (const Side& s : sides_) longest_ = std::max(longest_, s.length);
+    for (const Side& s : sides_) side_[s.kind][bin_of(s.length, longest_)] += 1.0f;
+    if (n_ >= kRememberedPoints) return;
+    for (std::size_t a = 0; a < n_; ++a) {
+      for (std::size_t b = a + 1; b < n_; ++b) {
+        const Line& l = lines_[a * n_ + b];
+        if (l.drawn == 0) continue;
+        float sum = 0;
+        for (const std::vector<float>& axis : scaled_) {
+          sum += (axis[b] - axis[a]) * (axis[b] - axis[a]);
+        }
+        const auto drawn = static_cast<float>(l.drawn);
+        side_[l.kind][bin_of(std::sqrt(sum), longest_)] += drawn;
+        if (l.kind == kAcross) shares_[l.share_bin] += drawn;
+      }
+    }
   }
 
   void finish(float* output) {
-    float longest = 0, largest = 0;
-    for (const Side& s : sides_) longest = std::max(longest, s.length);
+    count_sides();
+    float largest = 0;
     for (const Area& a : areas_) largest = std::max(largest, a.root);
-    for (const Side& s : sides_) side_[s.kind][bin_of(s.length, longest)] += 1.0f;
     for (const Area& a : areas_) area_[a.kind][bin_of(a.root, largest)] += 1.0f;
     constexpr float kWeights[10] = {0.5f, 0.5f, 0.5f, 0.5f, 0.5f, 1.0f, 0.5f, 2.0f, 2.0f, 1.0f};
     const Histogram* all[10] = {&angles_[0], &angles_[1], &angles_[2], &area_[0], &area_[1],
@@ -309,10 +230,11 @@ class Describer {
   std::vector<float> scaled_[3];
   std::vector<Grid::Voxel> voxels_;
   std::vector<Line> lines_;
-  Line traced_;
+  float longest_ = 0;
   uint32_t corner_[3][kBlock];
   float place_[3][3][kBlock];
-  float length_[3][kBlock], cosine_[3][kBlock], area2_[kBlock];
+  float length_[3][kBlock], cosine_[3][kBlock];
+  float area2_[kBlock], root_[kBlock];
   std::vector<Side> sides_;
   std::vector<Area> areas_;
   Histogram angles_[3], area_[3], side_[3], shares_;

@@ -118,6 +118,7 @@ def test_every_query_is_counted_once(evaluation: Evaluation) -> None:
         "preprocessing",
         "descriptor",
         "matching",
+        "pruning",
         "pose",
         "verification",
         "total",

@@ -34,5 +34,6 @@ inline std::vector<float> random_floats(std::size_t n, float low, float high, un
   return values;
 }
 
+void descriptor_tests();
 void geometry_tests();
 void network_tests();

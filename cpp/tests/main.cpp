@@ -1,8 +1,9 @@
 #include "check.h"
 
 int main() {
+  descriptor_tests();
   geometry_tests();
   network_tests();
-  std::puts("kernel tests: 2 passed, 0 failed");
+  std::puts("kernel tests: 3 passed, 0 failed");
   return 0;
 }

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import SeglocError
-from . import bench, config, demo, localize, map_build, map_info, map_merge
+from . import bench, config, demo, localize, map_build, map_info, map_merge, simulate
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -27,6 +27,7 @@ app.add_typer(train, name="train", context_settings=_CONTEXT)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("config")(config.config)
+app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)

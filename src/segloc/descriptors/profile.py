@@ -23,6 +23,8 @@ KIND = "profile network"
 PROFILE_VERSION = 1
 """Counts changes of the profile that change its numbers."""
 
+PROFILE_SIZE = 175
+
 LIMIT = 6.0
 """Standardised numbers are cut to this range: a freak number must not decide alone."""
 
@@ -81,6 +83,11 @@ class ProfileDescriptor(Descriptor):
             self._network = _native.Perceptron(weights.tensors, LIMIT)
         except ValueError as error:
             raise WeightsError(f"{path}: {error}") from error
+        if self._network.inputs != PROFILE_SIZE:
+            raise WeightsError(
+                f"{path}: reads {self._network.inputs} numbers, not the profile's "
+                f"{PROFILE_SIZE} numbers"
+            )
         self.dim = self._network.outputs - 1
         self.card = weights.card
         self.fingerprint = f"profile-{PROFILE_VERSION}-{weights.sha256[:16]}"

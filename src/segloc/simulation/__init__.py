@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .drives import demo_sessions, simulate_sessions
 from .forest import forest
 from .industrial import industrial
 from .lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
@@ -18,7 +19,7 @@ from .route import Route
 from .scenes import SCENES
 from .sensors import SENSORS
 from .town import town
-from .traversal import SimulatedSequence, demo_sessions, simulate_session
+from .traversal import SimulatedSequence, simulate_session
 from .worlds import Conditions, Scene, World
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "process_pool",
     "record",
     "simulate_session",
+    "simulate_sessions",
     "solid_state",
     "town",
     "vlp16",

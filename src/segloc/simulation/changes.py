@@ -25,6 +25,8 @@ from .street import (
 from .terrain import Terrain
 from .vegetation import bush, tree
 
+_CELL_M = 0.5
+
 Item: TypeAlias = tuple[str, Mesh]
 Clearance: TypeAlias = Callable[[Float64], Float64]
 
@@ -94,8 +96,11 @@ class Footing:
     ) -> None:
         corners = triangles.reshape(-1, 3)
         low = corners[corners[:, 2] < terrain.height(corners[:, 0], corners[:, 1]) + 2.5]
-        cells = np.unique(np.round(low[:, :2] * 2).astype(np.int32), axis=0)
-        self._taken = cKDTree(np.concatenate([cells / 2.0, parked]))
+        cell = np.rint(low[:, :2] / _CELL_M).astype(np.int64)
+        first = cell.min(axis=0, initial=0)
+        taken = np.zeros(cell.max(axis=0, initial=0) - first + 1, dtype=bool)
+        taken[tuple((cell - first).T)] = True
+        self._taken = cKDTree(np.concatenate([_CELL_M * (np.argwhere(taken) + first), parked]))
         self._parked = cKDTree(parked) if len(parked) else None
         self._clearance = clearance
 

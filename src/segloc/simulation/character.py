@@ -43,10 +43,10 @@ def draw_character(rng: np.random.Generator) -> Character:
     """One of four kinds of town, its shares and measures shaken."""
     kind = str(rng.choice(["suburb", "old town", "avenues", "mixed"], p=[0.4, 0.2, 0.15, 0.25]))
     shares, narrow, pavement, setback, green = {
-        "suburb": ((0.55, 0.15, 0.03, 0.12, 0.15), 3.4, (1.2, 2.4), 1.6, (0.65, 1.0)),
+        "suburb": ((0.55, 0.15, 0.03, 0.12, 0.15), 3.4, (1.2, 2.4), 1.05, (0.65, 1.0)),
         "old town": ((0.05, 0.7, 0.1, 0.15, 0.0), 3.3, (0.9, 1.8), 0.6, (0.05, 0.4)),
         "avenues": ((0.15, 0.2, 0.45, 0.15, 0.05), 5.6, (2.2, 4.0), 1.0, (0.35, 0.9)),
-        "mixed": ((0.34, 0.24, 0.12, 0.2, 0.1), 3.4, (1.3, 2.8), 1.3, (0.4, 0.95)),
+        "mixed": ((0.34, 0.24, 0.12, 0.2, 0.1), 3.4, (1.3, 2.6), 0.9, (0.4, 0.95)),
     }[kind]
     drawn = rng.dirichlet(15 * np.array(shares) + 0.05)
     return Character(

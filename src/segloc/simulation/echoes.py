@@ -65,38 +65,66 @@ def _beams_on_edges(
     At most one edge a ray.
     """
     rays, others, shares = [], [], []
-    for step in sorted({1, stride}):
-        first = _jumps(hits.ranges, stride, step)
-        chord = ways.take(first + step, axis=0) - ways.take(first, axis=0)
-        apart = np.sqrt(np.einsum("ij,ij->i", chord, chord))
-        edge = rng.random(len(first), dtype=np.float32) * apart
-        near = np.flatnonzero(np.minimum(edge, apart - edge) < divergence / 2)
-        near = near[_edges(hits, ways, first[near], first[near] + step)]
-        first, edge, apart = first[near], edge[near], apart[near]
+    for step, gaps in ((1, _between_beams), (stride, _between_firings)):
+        first, edge, apart = gaps(hits.ranges, ways, stride, divergence, rng)
+        kept = _edges(hits, ways, first, first + step)
+        first, edge, apart = first[kept], edge[kept], apart[kept]
         rays += [first, first + step]
         others += [first + step, first]
-        shares += [
-            0.5 - edge / np.float32(divergence),
-            0.5 - (apart - edge) / np.float32(divergence),
-        ]
+        shares += [0.5 - edge / divergence, 0.5 - (apart - edge) / divergence]
     ray, other, share = np.concatenate(rays), np.concatenate(others), np.concatenate(shares)
     over = np.flatnonzero(share > 0)
     _, once = np.unique(ray[over], return_index=True)
     chosen = over[once]
-    return ray[chosen], other[chosen], share[chosen]
+    return ray[chosen], other[chosen], share[chosen].astype(np.float32)
 
 
-def _jumps(ranges: Float32, stride: int, step: int) -> Int64:
-    """Rays whose range differs from that of the ray ``step`` further on, same firing or beam."""
+def _between_beams(
+    ranges: Float32, ways: Float32, stride: int, divergence: float, rng: np.random.Generator
+) -> tuple[Int64, Float32, Float32]:
+    """Where ranges jump from one beam of a firing to the next, and a cone reaches a drawn edge.
+
+    Returns the first of the two rays, the angle from it to the edge and that to the second ray.
+    The beams of a firing keep their angles to each other.
+    """
+    table = ranges.reshape(-1, stride)
+    fan = _angles(ways[:stride], np.arange(stride - 1), 1)
+    edge = rng.random((len(table), stride - 1), dtype=np.float32) * fan
+    found = _jumps(table[:, 1:], table[:, :-1])
+    found &= np.minimum(edge, fan - edge) < divergence / 2
+    firing, beam = np.nonzero(found)
+    return firing * stride + beam, edge[firing, beam], fan[beam]
+
+
+def _between_firings(
+    ranges: Float32, ways: Float32, stride: int, divergence: float, rng: np.random.Generator
+) -> tuple[Int64, Float32, Float32]:
+    """The same for one beam from one firing to the next."""
+    first = np.flatnonzero(_jumps(ranges[stride:], ranges[:-stride]))
+    apart = _angles(ways, first, stride)
+    edge = rng.random(len(first), dtype=np.float32) * apart
+    near = np.flatnonzero(np.minimum(edge, apart - edge) < divergence / 2)
+    return first[near], edge[near], apart[near]
+
+
+def _jumps(ranges: Float32, others: Float32) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):  # infinity less infinity is no jump
-        first = np.flatnonzero(np.abs(ranges[step:] - ranges[:-step]) > _JUMP_M)
-    return first if step == stride else first[first % stride < stride - step]
+        return np.asarray(np.abs(ranges - others) > _JUMP_M)
+
+
+def _angles(ways: Float32, first: Int64, step: int) -> Float32:
+    """Small angles between rays and those ``step`` further on, radians."""
+    chord = ways.take(first + step, axis=0) - ways.take(first, axis=0)
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", chord, chord)))
 
 
 def _edges(hits: Hits, ways: Float32, first: Int64, second: Int64) -> NDArray[np.bool_]:
     """Whether two rays meet surfaces of which neither continues the other."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return ~(_continues(hits, ways, first, second) | _continues(hits, ways, second, first))
+        edges = ~_continues(hits, ways, first, second)
+        left = np.flatnonzero(edges)
+        edges[left] = ~_continues(hits, ways, second[left], first[left])
+    return edges
 
 
 def _continues(hits: Hits, ways: Float32, ray: Int64, other: Int64) -> NDArray[np.bool_]:

@@ -24,10 +24,7 @@ def statue(rng: np.random.Generator) -> Mesh:
     cap = boxes([0, 0, foot + tall], [1.2 * wide, 1.2 * wide, 0.15], _STONE)
     top, pick = above(foot + tall + 0.05), rng.random()
     if pick < 0.4:
-        figure = person(rng)
-        bulk = rng.uniform(1.1, 1.7)
-        head = join([figure]).moved([0, 0, 0], float(rng.uniform(-0.4, 0.4)))
-        ornament = join([_scaled(head, bulk)])
+        ornament = _scaled(person(rng), rng.uniform(1.1, 1.7))
     elif pick < 0.6:
         r = wide * np.array([0.25, 0.15, 0.2, 0.45, 0.5, 0.3]) * rng.uniform(0.8, 1.2, 6)
         ornament = _turned(r, np.array([0.0, 0.15, 0.3, 0.6, 0.9, 1.1]) * rng.uniform(0.7, 1.4))

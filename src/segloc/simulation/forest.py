@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..types import Float64
 from .land import Ground, Land, check_world, lay_out, scattered
-from .mesh import Mesh
 from .roads import street_network
 from .street import bench, name_sign
 from .trees import grow
@@ -50,27 +49,19 @@ class Stand:
     fallen: float = 0.5
 
 
+_MIXED = {
+    "oak": 0.32, "ash": 0.18, "birch": 0.14, "hazel": 0.16, "beech": 0.1, "yew": 0.04, "snag": 0.06
+}  # fmt: skip
+_OPEN = {"hawthorn": 0.3, "birch": 0.2, "sapling": 0.4, "snag": 0.1}
+
 STANDS: tuple[tuple[float, Stand], ...] = (
-    (0.2, Stand({"beech": 0.9, "oak": 0.1}, (5.5, 8.0), growth=0.7, fallen=0.5)),
-    (0.15, Stand({"spruce": 0.97, "birch": 0.03}, (3.2, 4.4), 0.12, growth=0.4, fallen=0.6)),
-    (0.1, Stand({"pine": 0.95, "birch": 0.05}, (3.6, 5.0), 0.15, growth=1.6, fallen=0.4)),
-    (
-        0.3,
-        Stand(
-            {"oak": 0.34, "ash": 0.2, "birch": 0.16, "hazel": 0.14, "beech": 0.1, "snag": 0.06},
-            (4.6, 6.6),
-            growth=3.0,
-            fallen=0.9,
-        ),
-    ),
-    (0.1, Stand({"birch": 0.8, "sapling": 0.2}, (2.8, 4.0), scale=(0.6, 0.9), growth=1.0)),
-    (0.08, Stand({"ash": 0.85, "snag": 0.15}, (3.8, 5.2), 0.25, growth=2.0, fallen=1.0)),
-    (
-        0.07,
-        Stand(
-            {"hawthorn": 0.3, "birch": 0.2, "sapling": 0.4, "snag": 0.1}, (9.0, 15.0), growth=3.5
-        ),
-    ),
+    (0.18, Stand({"beech": 0.85, "oak": 0.1, "yew": 0.05}, (6.5, 9.0), growth=1.2, fallen=0.6)),
+    (0.14, Stand({"spruce": 0.97, "birch": 0.03}, (3.8, 5.0), 0.12, growth=0.6, fallen=0.7)),
+    (0.1, Stand({"pine": 0.95, "birch": 0.05}, (4.2, 5.8), 0.15, growth=3.0, fallen=0.5)),
+    (0.32, Stand(_MIXED, (5.4, 7.8), growth=5.0, fallen=1.1)),
+    (0.1, Stand({"birch": 0.8, "sapling": 0.2}, (3.3, 4.6), scale=(0.6, 0.9), growth=2.0)),
+    (0.08, Stand({"ash": 0.85, "snag": 0.15}, (4.5, 6.2), 0.25, growth=3.5, fallen=1.1)),
+    (0.08, Stand(_OPEN, (8.0, 14.0), growth=5.0)),
 )
 """Shares and stands: beech, rows of spruce and of pine, mixed, young birches, ash, clearing."""
 
@@ -82,9 +73,9 @@ def forest(seed: int, *, size_m: float = 280.0) -> World:
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 100..1000 or the seed is negative.
+        If ``size_m`` is not in 100..400 or the seed is negative.
     """
-    check_world(seed, size_m, 100.0)
+    check_world(seed, size_m, 100.0, 400.0)
     rng = np.random.default_rng([seed, 15_485_863])
     tracks = street_network(
         rng,
@@ -105,12 +96,17 @@ def forest(seed: int, *, size_m: float = 280.0) -> World:
     chosen = rng.choice(len(STANDS), len(seeds), p=shares / shares.sum())
     nearest = cKDTree(seeds)
     for k, pick in enumerate(chosen):
-        _plant(land, STANDS[pick][1], lambda xy, k=k: nearest.query(xy)[1] == k)
+        _plant(land, STANDS[pick][1], partial(_belongs, nearest, k))
     return land.world("forest", seed, _remake, seed, size_m)
 
 
 def _remake(seed: int, size_m: float) -> World:
     return forest(seed, size_m=size_m)
+
+
+def _belongs(seeds: cKDTree, stand: int, xy: Float64) -> np.ndarray:
+    """Which points (n, 2) are nearest to the seed of a stand."""
+    return np.asarray(seeds.query(xy)[1] == stand)
 
 
 def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> None:
@@ -121,11 +117,7 @@ def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> N
     kinds = rng.choice(list(stand.mix), len(points), p=np.array(list(stand.mix.values())))
     for at, kind in zip(points[rng.random(len(points)) < 0.88], kinds, strict=False):
         detail, scale = land.detail(at), float(rng.uniform(*stand.scale))
-
-        def make(kind: str = str(kind), detail: float = detail, scale: float = scale) -> Mesh:
-            return grow(rng, kind, detail=detail, scale=scale)
-
-        land.grow("tree", make, at, 1.2)
+        land.grow("tree", partial(grow, rng, str(kind), detail=detail, scale=scale), at, 1.2)
     patches = scattered(rng, size_m, 10.0 / np.sqrt(stand.growth), 0.6)
     for at in patches[mine(patches)]:
         if land.distance(at) < _LOOKED_AT:
@@ -187,4 +179,4 @@ def _by_the_tracks(land: Land) -> None:
             elif pick < 0.65:
                 land.grow("name sign", lambda: name_sign(rng), at, 1.0, yaw=facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
-        land.people.extend(street.at(walkers, street.half_width + 0.5)[0])
+        land.walkers(street.at(walkers, street.half_width + 1.4)[0])

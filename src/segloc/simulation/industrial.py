@@ -226,7 +226,7 @@ def _parking(site: Site, front: Frontage) -> None:
         large = rng.random() < 0.5
         size = (10.8, 2.7) if large else (5.4, 2.1)
         beside = rng.random() < 0.7
-        at, yaw = front.at(s, rng.uniform(2.0, 9.0) if beside else -0.8)
+        at, yaw = front.at(s, rng.uniform(2.0, 9.0) if beside else (0.1 if large else -0.6))
         turn = float(yaw) + (np.pi / 2 if beside and rng.random() < 0.4 else 0.0)
         if not site.ground.free(at, size, turn):
             continue

@@ -14,11 +14,11 @@ from .layout import Occupancy, Site
 from .mesh import Mesh
 from .roads import RoadNetwork
 from .terrain import Terrain, relief, roughness
-from .worlds import Objects, Spots, World
+from .worlds import Objects, World
 
 _STEP = 0.5
-_VERGE = 0.9  # kept clear beside paths, metres
-_CORNER = 4.6  # radius about junctions, where corners are cut
+_VERGE = 1.0  # kept clear beside paths, metres
+_CORNER = 5.2  # radius about junctions, where corners are cut
 _HEADROOM = 3.4
 
 
@@ -42,7 +42,7 @@ class Land(Site):
 
     def detail(self, at: Float64) -> float:
         """How finely to draw what stands there: fully by the paths, coarsely far away."""
-        return float(np.clip(1.05 - self.distance(at) / 22.0, 0.12, 0.8))
+        return float(np.clip(1.05 - self.distance(at) / 20.0, 0.18, 0.8))
 
     def grow(
         self, kind: str, make: Callable[[], Mesh], at: Float64, size: float, *, yaw: float = 0.0
@@ -92,13 +92,12 @@ class Land(Site):
         begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
         return points[begin:end]
 
+    def walkers(self, points: Float64) -> None:
+        """People may stand at those of the (n, 2) points that no vehicle comes near."""
+        self.people.extend(p for p in points if self.distance(p) > _VERGE)
+
     def world(self, name: str, seed: int, make: Callable[..., World], *arguments: Any) -> World:
         """The finished world; ``make(*arguments)`` makes it again."""
-        spots = Spots(
-            np.array(self.parking).reshape(-1, 5),
-            np.array(self.people).reshape(-1, 2),
-            np.array(self.bicycles).reshape(-1, 3),
-        )
         static = Objects.of([item for item in self.items if len(item[1])], 1)
         return World(
             f"{name}-{seed}",
@@ -107,7 +106,7 @@ class Land(Site):
             self.ground_reflectance,
             self.roads,
             static,
-            spots,
+            self.spots(),
             (make, arguments),
         )
 
@@ -169,16 +168,16 @@ def lay_out(rng: np.random.Generator, roads: RoadNetwork, size_m: float, ground:
     )
 
 
-def check_world(seed: int, size_m: float, smallest: float) -> None:
+def check_world(seed: int, size_m: float, smallest: float, largest: float) -> None:
     """Refuse a seed or a size that no world can be made of.
 
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in ``smallest`` to 1000 m or the seed is negative.
+        If ``size_m`` is not in ``smallest`` to ``largest`` metres or the seed is negative.
     """
-    if not smallest <= size_m <= 1000:
-        raise ConfigError(f"size_m must be in {smallest:.0f}..1000, not {size_m}")
+    if not smallest <= size_m <= largest:
+        raise ConfigError(f"size_m must be in {smallest:.0f}..{largest:.0f}, not {size_m}")
     if seed < 0:
         raise ConfigError(f"seed must not be negative, not {seed}")
 

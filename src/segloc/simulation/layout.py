@@ -14,6 +14,7 @@ from .worlds import Spots
 
 _KERB = 0.12
 _STEP = 0.5
+_HEADROOM = 3.8  # below which branches are cut over streets, metres
 
 
 class Occupancy:
@@ -111,8 +112,18 @@ class Site:
         """Stand an object of about ``size`` metres on free ground; False if there is none."""
         if self.roads.clearance(at) < size / 2 or not self.ground.claim(at, (size, size), yaw):
             return False
-        self.items.append((kind, mesh.moved([*at, float(self.terrain.height(*at))], yaw)))
+        placed = mesh.moved([*at, float(self.terrain.height(*at))], yaw)
+        self.items.append((kind, self.pruned(placed) if kind == "tree" else placed))
         return True
+
+    def pruned(self, mesh: Mesh) -> Mesh:
+        """A mesh in place without the triangles that hang low over a carriageway."""
+        middle = mesh.triangles.mean(axis=1)
+        ground = self.terrain.height(middle[:, 0], middle[:, 1])
+        low = np.flatnonzero(middle[:, 2] < ground + _HEADROOM)
+        keep = np.ones(len(mesh), dtype=bool)
+        keep[low] = self.roads.clearance(middle[low, :2]) > -0.2
+        return mesh if keep.all() else mesh.only(keep)
 
     def erect(
         self,

@@ -53,9 +53,8 @@ class SpinningLidar(Lidar):
         directions[..., 0] = np.cos(azimuth)[:, column] * flat
         directions[..., 1] = np.sin(azimuth)[:, column] * flat
         directions[..., 2] = np.sin(elevation)
-        beams = np.tile(np.arange(len(elevation), dtype=np.int64), self.azimuth_steps)
         times = np.arange(self.azimuth_steps) / (self.azimuth_steps * self.rate_hz)
-        return Rays(directions.reshape(-1, 3), beams, times)
+        return Rays(directions.reshape(-1, 3), times)
 
     def thinned(self, factor: int) -> SpinningLidar:
         if factor < 1:

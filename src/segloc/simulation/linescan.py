@@ -53,8 +53,7 @@ class LineLidar(Lidar):
         roll, pitch, yaw = self.plane_rpy_deg
         turn = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
         times = (angle + half) / (2 * np.pi * self.rate_hz)  # the mirror turns once a scan
-        beams = np.zeros(self.steps, dtype=np.int64)
-        return Rays(turn.apply(plane).astype(np.float32), beams, times)
+        return Rays(turn.apply(plane).astype(np.float32), times)
 
     def thinned(self, factor: int) -> LineLidar:
         if factor < 1:

@@ -104,7 +104,7 @@ def _edge(site: Site, kind: str, points: Float64) -> None:
     """A hedge, wall or fence along a (n, 2) line."""
     rng, line = site.rng, site.ground_line(points)
     if kind == "hedge":
-        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.6, 0.5], [2.2, 1.3]))))
+        site.items.append(("hedge", hedge(rng, line, *rng.uniform([0.7, 0.5], [2.8, 1.3]))))
     elif kind == "shrubs":
         site.items.append(("shrubs", shrubs(rng, line)))
     elif kind == "wall":
@@ -148,7 +148,7 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
 def _front_garden(site: Site, lot: Lot) -> None:
     front, setback, middle = lot.front, lot.setback, (lot.begin + lot.end) / 2
     rng = site.rng
-    for _ in range(int(rng.integers(0, 3 + round((2 + lot.setback) * 1.3 * site.green)))):
+    for _ in range(int(rng.integers(0, 3 + round((2 + lot.setback) * 1.6 * site.green)))):
         along = middle + rng.uniform(-0.5, 0.5) * lot.house_width
         at, yaw = front.at(along, front.pavement + rng.uniform(0.9, max(1.0, setback - 0.7)))
         pick = rng.random()
@@ -157,7 +157,7 @@ def _front_garden(site: Site, lot: Lot) -> None:
         elif pick < 0.75:
             site.stand("bush", trimmed_box_bush(rng), at, float(yaw), 0.8)
         else:
-            site.stand("tree", town_tree(rng, 2.5, 3.0 + 1.5 * setback), at, float(yaw), 0.8)
+            site.stand("tree", town_tree(rng, 3.0, 5.0 + 1.5 * setback), at, float(yaw), 0.8)
 
 
 def _divider(site: Site, front: Frontage, s: float, depth: float) -> None:

@@ -28,7 +28,7 @@ def meadow(seed: int, *, size_m: float = 340.0) -> World:
     ConfigError
         If ``size_m`` is not in 100..1000 or the seed is negative.
     """
-    check_world(seed, size_m, 100.0)
+    check_world(seed, size_m, 100.0, 1000.0)
     rng = np.random.default_rng([seed, 32_452_843])
     paths = street_network(
         rng,
@@ -121,7 +121,7 @@ def _single(land: Land, at: Float64) -> None:
 def _hedgerows(land: Land) -> None:
     """Old field boundaries: hawthorns with gaps, here and there a tree, or a row of posts."""
     rng, size_m = land.rng, land.ground.size_m
-    for _ in range(max(2, int((size_m / 95) ** 2))):
+    for _ in range(max(2, int((size_m / 75) ** 2))):
         start, turn = rng.uniform(10, size_m - 10, 2), rng.uniform(0, 2 * np.pi)
         s = np.arange(0.0, rng.uniform(20, 70), 1.6)
         angle = turn + np.cumsum(rng.normal(0, 0.04, len(s)))
@@ -165,4 +165,4 @@ def _by_the_paths(land: Land) -> None:
             elif pick < 0.61:
                 land.grow("picnic table", lambda: picnic_table(rng), at, 2.2, yaw=facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
-        land.people.extend(street.at(walkers, street.half_width + 0.5)[0])
+        land.walkers(street.at(walkers, street.half_width + 1.4)[0])

@@ -45,6 +45,10 @@ class Mesh:
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         return replace(self, triangles=self.triangles @ R + np.asarray(position, dtype=float))
 
+    def only(self, mask: NDArray[np.bool_]) -> Mesh:
+        """The triangles of a (T,) mask."""
+        return Mesh(self.triangles[mask], self.reflectance[mask], self.material[mask])
+
     def leaning(self, pitch: float, roll: float) -> Mesh:
         """The mesh leaning by small angles (radians): a sheared z axis, good for a few degrees."""
         shear = np.eye(3)

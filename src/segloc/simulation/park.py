@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -42,9 +42,9 @@ def park(seed: int, *, size_m: float = 240.0) -> World:
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 150..1000 or the seed is negative.
+        If ``size_m`` is not in 150..600 or the seed is negative.
     """
-    check_world(seed, size_m, 150.0)
+    check_world(seed, size_m, 150.0, 600.0)
     rng = np.random.default_rng([seed, 49_979_687])
     roads = _network(rng, size_m)
     ground = Ground(
@@ -87,7 +87,7 @@ def _network(rng: np.random.Generator, size_m: float) -> RoadNetwork:
     side = int(np.sqrt(len(net.nodes)))
     row, column = np.divmod(np.arange(len(net.nodes)), side)
     outer = (row % (side - 1) == 0) | (column % (side - 1) == 0)
-    wide = float(rng.uniform(3.3, 4.2))
+    wide = float(rng.uniform(4.0, 4.8))
     streets = []
     for street in net.streets:
         a, b = street.nodes
@@ -124,11 +124,14 @@ def _street(land: Land, front: Frontage) -> None:
     for side in (front.side, -front.side):
         lane = Frontage(street, side, 2.0, "green")
         for s in np.arange(10.0, street.length - 10.0, rng.uniform(5.6, 6.6)):
-            at, yaw = lane.at(s, -0.6)
-            if land.ground.free(at, (5.2, 1.9), float(yaw)):
+            at, yaw = lane.at(s, -0.3)
+            ends, _ = lane.at(np.array([s - 3.0, s + 3.0]), -0.3)
+            away = np.linalg.norm(land.roads.nodes - at, axis=1).min()
+            clear = land.roads.clearance(ends).min() > -0.6 and away > 9.0
+            if clear and land.ground.free(at, (5.2, 1.9), float(yaw)):
                 land.parking.append((*at, float(yaw), 5.3, busy))
     walkers = rng.uniform(3, street.length - 3, int(street.length / 8))
-    land.people.extend(front.at(walkers, rng.uniform(0.6, front.pavement, len(walkers)))[0])
+    land.walkers(front.at(walkers, rng.uniform(0.9, front.pavement, len(walkers)))[0])
 
 
 def _pick(
@@ -205,7 +208,7 @@ def _path(land: Land, street: Street) -> None:
         elif pick < 0.5:
             _edging(land, street, side)
     walkers = rng.uniform(3, max(4.0, length - 3), int(length / 8))
-    land.people.extend(street.at(walkers, beyond + 0.6)[0])
+    land.walkers(street.at(walkers, beyond + 1.3)[0])
 
 
 def _edging(land: Land, street: Street, side: int) -> None:
@@ -233,7 +236,7 @@ def _features(land: Land) -> None:
     inside = _MARGIN + 10.0
     for at in rng.uniform(inside, size_m - inside, (int(rng.integers(8, 16)), 2)):
         kind, make = _pick(rng, (("statue", statue), ("statue", statue), ("fountain", fountain)))
-        land.grow(kind, lambda make=make: make(rng), at, 3.4, yaw=rng.uniform(0, 6))
+        land.grow(kind, partial(make, rng), at, 3.4, yaw=rng.uniform(0, 6))
     for at in rng.uniform(inside, size_m - inside, (12, 2)):
         if land.grow("bandstand", lambda: bandstand(rng), at, 7.0, yaw=rng.uniform(0, 6)):
             break
@@ -243,7 +246,7 @@ def _features(land: Land) -> None:
         for _ in range(int(rng.integers(4, 9))):
             kind, make = _pick(rng, play)
             at = middle + rng.normal(0, 6.0, 2)
-            land.grow(kind, lambda make=make: make(rng), at, 3.6, yaw=rng.uniform(0, 6))
+            land.grow(kind, partial(make, rng), at, 3.6, yaw=rng.uniform(0, 6))
 
 
 def _lawns(land: Land) -> None:

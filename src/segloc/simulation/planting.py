@@ -7,7 +7,8 @@ import numpy as np
 from ..types import Float64
 from .layout import Site
 from .mesh import Mesh, join, scraps
-from .trees import SPECIES, grow
+from .species import SPECIES
+from .trees import grow
 from .vegetation import bush, shrubs, tree
 
 _TOWN_TREES = ("lime", "ash", "birch", "oak", "hawthorn", "yew", "pine", "willow")

@@ -127,7 +127,7 @@ class Platform:
             if not 0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
 
-    def motion(self, terrain: Terrain, line: Float64, seed: int) -> Motion:
+    def motion(self, terrain: Terrain, line: Float64, rng: np.random.Generator) -> Motion:
         """How it moves along a line on the ground, slower in bends, from the first point on.
 
         Parameters
@@ -135,8 +135,8 @@ class Platform:
         terrain : Terrain
         line : (n, 2) float64
             The way, metres.
-        seed : int
-            Of its sway.
+        rng : Generator
+            Decides its sway.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class Platform:
         feet = Footprint(self.wheelbase_m, self.track_m)
         poses = on_ground(terrain, xy, yaw, self.mount_height_m, feet, self._ride(distance))
         if self.gait is not None:
-            poses = poses @ self.gait.sways(stamps, np.random.default_rng([seed, 50_021]))
+            poses = poses @ self.gait.sways(stamps, rng)
         return Motion(stamps, poses, distance)
 
     def _ride(self, distance: Float64) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError
-from ..types import Float32, Float64, Int64, Pose
+from ..types import Float32, Float64, Pose
 from .echoes import mix_echoes
 from .mesh import GLASS
 from .worlds import Hits, Int32, Scene
@@ -31,14 +31,11 @@ class Rays(NamedTuple):
     ----------
     directions : (F * B, 3) float32
         Unit vectors, sensor frame.
-    beams : (F * B,) int64
-        Which beam sends each ray.
     times : (F,) float64
         When each firing is, seconds from the start of the scan; rising.
     """
 
     directions: Float32
-    beams: Int64
     times: Float64
 
     @property
@@ -212,21 +209,22 @@ class Lidar(ABC):
         hits = scene.cast(origins, ways, self.max_range_m)
         if self.glass:
             self._meet_glass(scene, origins, ways, hits)
-        count = len(ways)
-        bias = np.random.default_rng([self.unit, 23]).normal(0, 1, int(rays.beams.max()) + 1)
-        noise = rng.normal(0.0, self.range_sigma_m, count)
-        noise += self.beam_bias_sigma_m * bias[rays.beams]
-        draw = rng.random(count, dtype=np.float32)
+        beams = rays.beams_a_firing
+        noise = rng.standard_normal((len(rays.times), beams), dtype=np.float32)
+        noise *= np.float32(self.range_sigma_m)
+        bias = np.random.default_rng([self.unit, 23]).normal(0.0, self.beam_bias_sigma_m, beams)
+        noise += bias.astype(np.float32)
+        draw = rng.random(len(ways), dtype=np.float32)
         if self.divergence_mrad > 0:
-            mix_echoes(hits, ways, rays.beams_a_firing, self.divergence_mrad / 1000, rng)
-        measured = hits.ranges + noise.astype(np.float32)
+            mix_echoes(hits, ways, beams, self.divergence_mrad / 1000, rng)
+        measured = hits.ranges + noise.reshape(-1)
         kept = self._returned(hits, draw)
         kept &= (measured >= self.min_range_m) & (measured <= self.max_range_m)
         found = np.flatnonzero(kept)
         return Returns(
             rays.directions[found] * measured[found, None],
             hits.object_ids[found],
-            rays.times[found // rays.beams_a_firing],
+            rays.times[found // beams],
         )
 
     def _meet_glass(self, scene: Scene, origins: Float32, ways: Float32, hits: Hits) -> None:

@@ -15,6 +15,8 @@ from ..datasets.base import Recording
 from ..errors import ConfigError, DatasetError
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
+from .traversal import SimulatedSequence
+from .worlds import Int32
 
 _CHUNK = 8
 
@@ -24,6 +26,7 @@ def record(
     folder: str | PathLike[str],
     *,
     suffix: str | None = None,
+    objects: bool = False,
     executor: Executor | None = None,
     workers: int = 2,
     progress: Callable[[int, int], None] | None = None,
@@ -44,6 +47,8 @@ def record(
     suffix : str, optional
         Of the scans' format; ".npy" by default, ".npz" where the points have times. ".laz" takes
         less room and holds times, too.
+    objects : bool
+        Also write ``objects/000000.npy`` and so on: which object each point lies on, (N,) int32.
     executor : Executor, optional
         Where to cast; by default a pool of ``workers`` fresh processes, or this process for one
         worker. A script that uses the pool needs the usual ``if __name__ == "__main__":``.
@@ -54,7 +59,7 @@ def record(
     Raises
     ------
     ConfigError
-        If ``workers`` is below 1.
+        If ``workers`` is below 1, or ``objects`` are asked for that the sequence does not know.
     DatasetError
         If the sequence has no poses, or a format is unknown or has no room for times.
     SeglocError
@@ -77,10 +82,12 @@ def record(
 
     if executor is None and workers == 1:
         for chunk in chunks:
-            advance(_write_scans(sequence, target, ending, chunk))
+            advance(_write_scans(sequence, target, ending, objects, chunk))
         return target
     with process_pool(workers) if executor is None else nullcontext(executor) as pool:
-        futures = [pool.submit(_write_scans, sequence, target, ending, chunk) for chunk in chunks]
+        futures = [
+            pool.submit(_write_scans, sequence, target, ending, objects, chunk) for chunk in chunks
+        ]
         for future in as_completed(futures):
             advance(future.result())
     return target
@@ -97,14 +104,28 @@ def _write_poses(sequence: Recording, folder: Path) -> None:
         raise DatasetError(f"{sequence.name}: a recording without poses cannot be recorded")
     truth = getattr(sequence, "truth", None)
     stamps = getattr(sequence, "stamps", None)
-    stamps = sequence.indices.astype(np.float64) if stamps is None else stamps
+    if stamps is None or not (np.round(stamps, 9) % 1).any():  # whole ones are read as numbers
+        stamps = sequence.indices.astype(np.float64)
     write_tum(folder / "poses.tum", Trajectory(stamps, poses if truth is None else truth))
     if truth is not None and not np.array_equal(poses, truth):
         write_tum(folder / "odometry.tum", Trajectory(stamps, poses))
 
 
-def _write_scans(sequence: Recording, folder: Path, suffix: str, indices: range) -> int:
+def _write_scans(
+    sequence: Recording, folder: Path, suffix: str, objects: bool, indices: range
+) -> int:
+    if objects:
+        (folder / "objects").mkdir(exist_ok=True)
     for i in indices:
         scan = sequence.scan(i)
-        write_scan(folder / f"{sequence.indices[i]:06d}{suffix}", scan.points, scan.times)
+        name = f"{sequence.indices[i]:06d}"
+        write_scan(folder / f"{name}{suffix}", scan.points, scan.times)
+        if objects:
+            np.save(folder / "objects" / f"{name}.npy", _object_ids(sequence, i))
     return len(indices)
+
+
+def _object_ids(sequence: Recording, i: int) -> Int32:
+    if not isinstance(sequence, SimulatedSequence):
+        raise ConfigError(f"{sequence.name}: only simulated scans know the objects of their points")
+    return sequence.object_ids(i)

@@ -66,8 +66,7 @@ class RosetteLidar(Lidar):
         directions = np.stack(
             [np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)], axis=-1
         )
-        beams = np.tile(np.arange(self.beams, dtype=np.int64), self.firings)
-        return Rays(directions.reshape(-1, 3).astype(np.float32), beams, times)
+        return Rays(directions.reshape(-1, 3).astype(np.float32), times)
 
     def thinned(self, factor: int) -> RosetteLidar:
         if factor < 1:

@@ -60,11 +60,16 @@ class Route:
         return on_ground(world.terrain, xy, yaw, mount_height_m)
 
     def drive(
-        self, world: World, platform: Platform, seed: int, rate_hz: float | None = None
+        self,
+        world: World,
+        platform: Platform,
+        rng: np.random.Generator,
+        rate_hz: float | None = None,
     ) -> tuple[Motion, Float64]:
         """How a platform moves along the route, and when scans start, (N,) seconds.
 
-        Scans start ``spacing_m`` of way apart, or ``rate_hz`` of them a second.
+        Scans start ``spacing_m`` of way apart, or ``rate_hz`` of them a second; ``rng`` decides
+        the platform's sway.
 
         Raises
         ------
@@ -72,7 +77,7 @@ class Route:
             If the junctions are not a way through the world's road network.
         """
         line = self._line(world)
-        motion = platform.motion(world.terrain, line, seed)
+        motion = platform.motion(world.terrain, line, rng)
         stop = self._stop(line)
         if rate_hz is None:
             return motion, motion.times_of(np.arange(0.0, stop, self.spacing_m))

@@ -65,7 +65,7 @@ def relief(
 ) -> Float64:
     """Rolling ground: waves of the given lengths (m), root mean square slope about ``slope``."""
     waves = 7
-    length = np.exp(rng.uniform(*np.log(lengths), waves))
+    length = np.exp(rng.uniform(np.log(lengths[0]), np.log(lengths[1]), waves))
     angle, phase = rng.uniform(0, 2 * np.pi, (2, waves))
     amplitude = slope * length / (2 * np.pi) * np.sqrt(2.0 / waves)
     total = np.zeros(np.broadcast(x, y).shape)

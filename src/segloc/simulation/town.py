@@ -160,12 +160,12 @@ def _traffic(site: Site, front: Frontage) -> None:
 def _gardens(site: Site, size_m: float) -> None:
     """Trees, bushes and sheds behind and between the houses."""
     rng = site.rng
-    for at in rng.uniform(3, size_m - 3, (int(size_m**2 / 75), 2)):
+    for at in rng.uniform(3, size_m - 3, (int(size_m**2 * (0.008 + 0.012 * site.green)), 2)):
         if site.roads.clearance(at) < 4.5:
             continue
         pick, yaw = rng.random(), float(rng.uniform(0, 2 * np.pi))
         if pick < 0.5:
-            site.stand("tree", town_tree(rng, 4.0, 14.0), at, yaw, 1.2)
+            site.stand("tree", town_tree(rng, 4.0, 15.0), at, yaw, 1.2)
         elif pick < 0.9:
             site.stand("bush", bush(rng), at, yaw, 1.4)
         else:

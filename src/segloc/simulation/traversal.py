@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 
 from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
 from ..types import Float64, Int64, Scan
-from .lidar import hdl64e
 from .motion import Motion
 from .odometry import OdometryNoise
 from .platforms import Platform, car
 from .ranging import Lidar, PosesAt, Returns
 from .route import Route
-from .town import town
 from .worlds import Conditions, Int32, World
 
 
@@ -168,7 +165,8 @@ def simulate_session(
         poses = route.poses(world, sensor.mount_height_m)
     else:
         rate = sensor.rate_hz if by_rate else None
-        motion, stamps = route.drive(world, platform or car(), seed, rate)
+        rng = np.random.default_rng([seed, session, 50_021])
+        motion, stamps = route.drive(world, platform or car(), rng, rate)
         poses = motion.at(stamps)
     indices = np.arange(len(poses), dtype=np.int64)
     return SimulatedSequence(
@@ -185,67 +183,3 @@ def simulate_session(
         skew,
         conditions or Conditions(),
     )
-
-
-def _revisit(world: World, rng: np.random.Generator, mapped: list[int], length: float) -> list[int]:
-    """Along the mapped route, off into streets it never took, back onto it the other way.
-
-    Of several such drives the one whose three parts are most alike in length.
-    """
-    roads = world.roads
-    drives = []
-    for _ in range(32):
-        first = int(rng.integers(len(mapped) - 2))
-        last = first + 2
-        while last < len(mapped) and roads.length(mapped[first:last]) < 0.3 * length:
-            last += 1
-        route = roads.walk(rng, mapped[first:last], 0.2 * length, avoid=mapped)
-        route = roads.join(route, mapped[::-1])
-        left = max(0.0, length - roads.length(route))
-        drives.append(roads.walk(rng, route, left, avoid=mapped))
-    return max(drives, key=lambda route: min(_shares(world, route, mapped, length)))
-
-
-def _shares(
-    world: World, route: list[int], mapped: list[int], length: float
-) -> tuple[float, float, float]:
-    """Metres of the first ``length`` driven along a mapped route, against it, and off it."""
-    with_it, against = set(pairwise(mapped)), set(pairwise(mapped[::-1]))
-    shares, left = [0.0, 0.0, 0.0], length
-    for pair in pairwise(route):
-        metres = min(left, world.roads.length(list(pair)))
-        shares[0 if pair in with_it else 1 if pair in against else 2] += metres
-        left -= metres
-    return shares[0], shares[1], shares[2]
-
-
-def demo_sessions(
-    seed: int = 0,
-    *,
-    sensor: Lidar | None = None,
-    size_m: float = 330.0,
-    length_m: float = 500.0,
-) -> dict[str, SimulatedSequence]:
-    """Three drives: ``map``, ``revisit`` and ``elsewhere``.
-
-    ``revisit`` is another session of the same town (other parked cars and people): it drives part
-    of the mapped route in another lane, turns back over part of it in the opposite direction,
-    and leaves it for streets that the map never saw. ``elsewhere`` is another town.
-    """
-    lidar = hdl64e(900) if sensor is None else sensor
-    here, there = town(seed, size_m=size_m), town(seed + 1000, size_m=size_m)
-    rng = np.random.default_rng([seed, 31])
-    start = int(rng.integers(len(here.roads.nodes)))
-    mapped = here.roads.walk(rng, [start], length_m, avoid=[])
-    again = _revisit(here, rng, mapped, length_m)
-    start = int(rng.integers(len(there.roads.nodes)))
-    away = there.roads.walk(rng, [start], length_m, avoid=[])
-    routes = {
-        "map": (here, 0, Route(tuple(mapped), length_m=length_m)),
-        "revisit": (here, 1, Route(tuple(again), lane_offset_m=0.3, length_m=length_m)),
-        "elsewhere": (there, 0, Route(tuple(away), length_m=length_m)),
-    }
-    return {
-        name: simulate_session(world, session, route, lidar, seed, name=name)
-        for name, (world, session, route) in routes.items()
-    }

@@ -2,139 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..types import Float64
 from .mesh import LEAF, SOLID, Mesh, join, quads, scraps
+from .species import EVERGREEN, SPECIES, Species
 
 _GOLDEN = 2.4  # radians from one branch to the next, about the golden angle
-_TWIGS_FROM = 0.45  # detail below which twigs carry leaves but are not drawn
-
-Range = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Species:
-    """What trees of a kind have in common; pairs are the ranges that each tree is drawn from.
-
-    Attributes
-    ----------
-    height : (low, high)
-        Metres.
-    girth : (low, high)
-        Radius of the trunk over its height.
-    bare : (low, high)
-        Where the crown begins, as a share of the height.
-    spread : (low, high)
-        Radius of the crown over the height.
-    crown : tuple of float
-        Reach of the branches at even steps from the foot of the crown to its top.
-    branches : (low, high)
-        Number of branches.
-    rise : (low, high)
-        Elevation of the lowest and of the highest branches, radians.
-    droop : float
-        How far tips sink, as a share of the branch's length.
-    hang : float
-        How much twigs hang down: 0 for not at all, 1 for a willow.
-    leaves : (low, high)
-        Scraps of foliage a metre of twig.
-    leaf : float
-        Size of a scrap, metres.
-    stems : (low, high)
-        Stems from one root.
-    lean : float
-        Standard deviation of the lean, rise over run.
-    forked : float
-        Probability that the trunk divides.
-    bark : float
-        Reflectance.
-    """
-
-    height: Range
-    girth: Range
-    bare: Range
-    spread: Range
-    crown: tuple[float, ...]
-    branches: tuple[int, int]
-    rise: Range = (0.3, 1.0)
-    droop: float = 0.1
-    hang: float = 0.0
-    leaves: Range = (5.0, 9.0)
-    leaf: float = 0.17
-    stems: tuple[int, int] = (1, 1)
-    lean: float = 0.03
-    forked: float = 0.0
-    bark: float = 0.35
-
-
-_DOME = (0.75, 1.0, 1.0, 0.85, 0.5)
-_CONE = (1.0, 0.85, 0.6, 0.35, 0.05)
-_COLUMN = (0.6, 1.0, 0.9, 0.6, 0.2)
-_VASE = (0.4, 0.7, 0.95, 1.0, 0.7)
-
-SPECIES: dict[str, Species] = {
-    "oak": Species(
-        (9.0, 19.0), (0.022, 0.036), (0.18, 0.36), (0.28, 0.44), _DOME, (11, 22),
-        rise=(0.15, 1.1), droop=0.05, forked=0.6, lean=0.04, bark=0.3,
-    ),
-    "beech": Species(
-        (16.0, 27.0), (0.011, 0.019), (0.38, 0.6), (0.16, 0.27), _DOME, (12, 22),
-        rise=(0.5, 1.2), forked=0.25, leaves=(5.0, 8.0), bark=0.5,
-    ),
-    "ash": Species(
-        (10.0, 22.0), (0.012, 0.02), (0.25, 0.5), (0.18, 0.3), _VASE, (9, 17),
-        rise=(0.6, 1.2), forked=0.45, leaves=(3.0, 6.0), bark=0.4,
-    ),
-    "lime": Species(
-        (10.0, 21.0), (0.015, 0.026), (0.14, 0.28), (0.2, 0.32), _COLUMN, (16, 28),
-        rise=(0.2, 1.2), forked=0.3, leaves=(6.0, 10.0), bark=0.3,
-    ),
-    "birch": Species(
-        (8.0, 17.0), (0.006, 0.011), (0.25, 0.5), (0.13, 0.22), _COLUMN, (12, 22),
-        rise=(0.6, 1.2), droop=0.3, hang=0.4, leaves=(3.0, 6.0), leaf=0.12,
-        stems=(1, 2), lean=0.06, forked=0.15, bark=0.65,
-    ),
-    "willow": Species(
-        (6.0, 14.0), (0.02, 0.035), (0.2, 0.35), (0.35, 0.5), _DOME, (14, 24),
-        rise=(0.5, 1.1), droop=0.35, hang=1.0, leaves=(3.5, 6.0), leaf=0.14,
-        lean=0.08, forked=0.7, bark=0.3,
-    ),
-    "spruce": Species(
-        (11.0, 24.0), (0.009, 0.014), (0.08, 0.35), (0.12, 0.2), _CONE, (36, 60),
-        rise=(-0.25, 0.5), droop=0.15, leaves=(6.0, 9.0), leaf=0.13, lean=0.015,
-    ),
-    "pine": Species(
-        (12.0, 22.0), (0.009, 0.016), (0.5, 0.72), (0.13, 0.22), _DOME, (14, 26),
-        rise=(0.0, 0.7), leaves=(5.0, 9.0), leaf=0.14, lean=0.04, forked=0.1,
-    ),
-    "yew": Species(
-        (3.0, 8.0), (0.03, 0.05), (0.04, 0.15), (0.3, 0.5), _DOME, (16, 30),
-        rise=(0.2, 1.1), leaves=(9.0, 15.0), leaf=0.12, forked=0.5, bark=0.3,
-    ),
-    "hawthorn": Species(
-        (2.5, 6.0), (0.018, 0.03), (0.1, 0.3), (0.3, 0.5), _DOME, (12, 22),
-        rise=(0.2, 1.0), leaves=(7.0, 14.0), leaf=0.1, stems=(1, 4), lean=0.12, forked=0.4,
-    ),
-    "hazel": Species(
-        (2.5, 6.0), (0.007, 0.011), (0.15, 0.3), (0.18, 0.3), _VASE, (14, 26),
-        rise=(0.7, 1.2), leaves=(5.0, 9.0), leaf=0.13, stems=(4, 9), lean=0.22,
-    ),
-    "sapling": Species(
-        (1.2, 4.0), (0.005, 0.009), (0.15, 0.4), (0.16, 0.3), _COLUMN, (5, 12),
-        rise=(0.4, 1.0), leaves=(5.0, 10.0), leaf=0.11, lean=0.08, bark=0.4,
-    ),
-    "snag": Species(
-        (3.0, 13.0), (0.016, 0.035), (0.25, 0.5), (0.08, 0.22), _VASE, (2, 9),
-        rise=(0.0, 0.9), leaves=(0.0, 0.0), lean=0.09, forked=0.3, bark=0.45,
-    ),
-}  # fmt: skip
-"""Broadleaves, conifers, shrubs of tree shape, and dead wood."""
-
-EVERGREEN = frozenset({"spruce", "pine", "yew"})
-"""Species that keep their leaves in winter."""
+_TWIGS_FROM = 0.45  # detail below which twigs carry leaves but are not drawn, nor are bends
 
 
 def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: float = 1.0) -> Mesh:
@@ -155,13 +30,20 @@ def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: flo
     tall = scale * float(rng.uniform(*species.height))
     radius = tall * float(rng.uniform(*species.girth))
     axes, radii = _axes(rng, species, tall, radius)
-    sides = 9 if detail > _TWIGS_FROM else 5
-    parts = [limbs(axes, radii, species.bark, sides, rng.normal(1, 0.06, (*radii.shape, sides)))]
+    rough = rng.normal(1, 0.06, (*radii.shape, 9))
     branches, thick = _branches(rng, species, axes, radii, tall)
-    parts.append(limbs(branches, thick, species.bark, 4 if detail > _TWIGS_FROM else 3))
     twigs = _twigs(rng, species, branches)
     if detail > _TWIGS_FROM:
-        parts.append(limbs(twigs, np.array([0.014, 0.006]), species.bark, 3))
+        parts = [
+            limbs(axes, radii, species.bark, 9, rough),
+            limbs(branches, thick, species.bark, 4),
+            limbs(twigs, np.array([0.014, 0.006]), species.bark, 3),
+        ]
+    else:
+        parts = [
+            limbs(axes[:, ::2], radii[:, ::2], species.bark, 5),
+            limbs(branches[:, ::3], thick[:, ::3], species.bark, 3),
+        ]
     material = SOLID if kind in EVERGREEN else LEAF
     parts.append(_leaves(rng, species, twigs, detail, material))
     return join(parts)
@@ -211,21 +93,27 @@ def _axes(
     thick = radius * flare * (1 - 0.9 * t**1.2) * np.ones((count, 1))
     if rng.random() >= species.forked:
         return line, thick
-    ways = int(rng.integers(2, 4))
     begin = int(rng.integers(4, 7))
-    foot, share = line[0, begin], thick[0, begin]
-    turn = rng.uniform(0, 2 * np.pi) + np.arange(ways) * 2 * np.pi / ways
-    swing = rng.uniform(0.12, 0.4, ways)
-    rest = tall * rng.uniform(0.8, 1.0, ways) - foot[2]
-    s = np.linspace(0, 1, 9)[None, :, None]
-    out = np.stack([np.cos(turn), np.sin(turn)], axis=1)[:, None] * (swing * rest)[:, None, None]
-    forks = np.concatenate([out * s**0.8, rest[:, None, None] * s], axis=2) + foot
-    forks[:, 1:] += rng.normal(0, 0.008 * tall, (ways, 8, 3))
-    line[0, begin + 1 :] = foot
-    line[0, begin + 1 :, 2] += 0.01 * np.arange(1, 9 - begin)
-    thick[0, begin + 1 :] = 0.5 * share
-    slim = rng.uniform(0.6, 0.85, (ways, 1)) * share * (1 - 0.85 * s[0, :, 0])
+    forks, slim = _forks(rng, line[0, begin], float(thick[0, begin]), tall)
+    line[0, begin + 1 :] = line[0, begin] + np.outer(np.arange(1, 9 - begin), [0.0, 0.0, 0.01])
+    thick[0, begin + 1 :] = 0.5 * thick[0, begin]
     return np.concatenate([line, forks]), np.concatenate([thick, slim])
+
+
+def _forks(
+    rng: np.random.Generator, foot: Float64, radius: float, tall: float
+) -> tuple[Float64, Float64]:
+    """Two or three stems that a trunk divides into at ``foot``."""
+    ways = int(rng.integers(2, 4))
+    turn = rng.uniform(0, 2 * np.pi) + np.arange(ways) * 2 * np.pi / ways
+    rest = tall * rng.uniform(0.8, 1.0, ways) - foot[2]
+    swing = rng.uniform(0.12, 0.4, ways) * rest
+    s = np.linspace(0, 1, 9)[None, :, None]
+    out = np.stack([np.cos(turn), np.sin(turn)], axis=1)[:, None] * swing[:, None, None]
+    lines = np.concatenate([out * s**0.8, rest[:, None, None] * s], axis=2) + foot
+    lines[:, 1:] += rng.normal(0, 0.008 * tall, (ways, 8, 3))
+    slim = rng.uniform(0.6, 0.85, (ways, 1)) * radius * (1 - 0.85 * s[0, :, 0])
+    return lines, slim
 
 
 def _branches(
@@ -289,7 +177,7 @@ def _leaves(
     rng: np.random.Generator, species: Species, twigs: Float64, detail: float, material: int
 ) -> Mesh:
     length = np.linalg.norm(twigs[:, 1] - twigs[:, 0], axis=1)
-    dense = detail * float(rng.uniform(*species.leaves))
+    dense = 1.5 * detail * float(rng.uniform(*species.leaves))
     wanted = length * dense * rng.uniform(0.4, 1.6, len(length))
     many = (wanted + rng.random(len(length))).astype(int)
     of = np.repeat(np.arange(len(twigs)), many)
@@ -297,4 +185,4 @@ def _leaves(
     center = twigs[of, 0] * (1 - t) + twigs[of, 1] * t
     center += rng.normal(0, 0.22, (len(of), 3))
     shine = float(rng.uniform(0.4, 0.6))
-    return scraps(rng, center, 1.2 * species.leaf / np.sqrt(detail), shine, material)
+    return scraps(rng, center, 1.3 * species.leaf / np.sqrt(detail), shine, material)

@@ -289,12 +289,12 @@ class World:
         key = (k, conditions)
         if key not in self._scenes:
             self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
-            groups = [*self._standing(k, conditions), self.changing(k)]
+            groups = [*self.standing(k, conditions), self.changing(k)]
             leafy = [group.with_foliage(conditions.foliage) for group in groups]
             self._scenes[key] = Scene(self.terrain, self.ground_reflectance, leafy)
         return self._scenes[key]
 
-    def _standing(self, k: int, conditions: Conditions) -> list[Objects]:
+    def standing(self, k: int, conditions: Conditions) -> list[Objects]:
         """What stays, less what is gone in session k; and what is put up instead."""
         rng = np.random.default_rng([self.seed, 7927, k])
         gone: set[int] = set()

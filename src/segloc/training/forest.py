@@ -100,6 +100,7 @@ def train_forest(
     descriptor = create(method, config.threads)
     if not isinstance(descriptor, ForestDescriptor):
         raise ConfigError(f"{method} has no forest to train")
+    model = _classifier(config)
     training, validation = dataset.split(config.validation_share, config.seed)
     vectors = descriptor.describe(training.segments()).vectors
     rows, columns, same = training_pairs(vectors, training, config)
@@ -107,7 +108,8 @@ def train_forest(
     features = _native.pair_features(
         vectors, vectors, rows, columns, descriptor.layout.row, config.threads
     )
-    trees = _grown(features, same, config)
+    model.fit(features, same)
+    trees = trees_of([estimator.tree_ for estimator in model.estimators_])
     forest = PairForest(trees, descriptor.layout, descriptor.dim)
     scores = _scores(forest, descriptor, validation, config)
     progress(f"{method}: {scores}")
@@ -171,12 +173,12 @@ def _candidates(
     return rows[known], columns[known], same[known]
 
 
-def _grown(features: Float32, same: NDArray[np.bool_], config: ForestConfig) -> Trees:
+def _classifier(config: ForestConfig) -> Any:
     try:
         from sklearn.ensemble import RandomForestClassifier
     except ImportError as error:
         raise MissingDependency("scikit-learn", "baselines", "training a forest") from error
-    model = RandomForestClassifier(
+    return RandomForestClassifier(
         config.trees,
         max_leaf_nodes=config.max_leaves,
         min_samples_leaf=config.min_pairs,
@@ -184,8 +186,6 @@ def _grown(features: Float32, same: NDArray[np.bool_], config: ForestConfig) -> 
         random_state=config.seed,
         n_jobs=config.threads,
     )
-    model.fit(features, same)
-    return trees_of([estimator.tree_ for estimator in model.estimators_])
 
 
 def trees_of(trees: list[Any]) -> Trees:

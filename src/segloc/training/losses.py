@@ -11,7 +11,8 @@ from torch.nn import functional
 
 def squared_distances(x: Tensor) -> Tensor:
     """(B, B) squared Euclidean distances of the rows of (B, dim)."""
-    return (x[:, None] - x[None, :]).square().sum(dim=-1)
+    squares = x.square().sum(dim=-1)
+    return (squares[:, None] + squares[None, :] - 2.0 * x @ x.T).clamp(min=0.0)
 
 
 def info_nce(x: Tensor, same: Tensor, different: Tensor) -> Tensor:

@@ -116,7 +116,7 @@ class Task(ABC):
 
 Factory = Callable[[TrainConfig], Task]
 
-MODULES = {"dsm": "pointset", "esm": "pointset", "segmap": "segmap"}
+MODULES = {"dsm": "pointset", "esm": "pointset", "profile": "profile", "segmap": "segmap"}
 """In which module of this package each network is; known without importing torch's users."""
 
 

@@ -1,0 +1,248 @@
+"""``segloc simulate``"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..datasets import Sequence
+    from ..simulation import Conditions, SimulatedSequence
+
+FORMATS = dict.fromkeys(("npy", "npz", "laz", "bin", "pcd", "ply"))
+SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
+_CHANGING = ("summer", "autumn", "winter", "spring")  # of later sessions, where none is named
+_REPLACED, _SCAFFOLDING = 0.15, 0.03
+
+
+def simulate(
+    scene: Annotated[
+        str | None,
+        typer.Argument(metavar="SCENE", help="town, park, meadow, forest or industrial."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
+    ] = Path("simulated"),
+    suite: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Instead of a scene: six named test sets.")
+    ] = None,
+    scale: Annotated[str, typer.Option(help="Of a suite: small or full.")] = "small",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="What scans.")] = "hdl64e",
+    thin: Annotated[int, typer.Option(metavar="N", help="Only every N-th firing.")] = 1,
+    platform: Annotated[
+        str | None, typer.Option(metavar="NAME", help="car, wheeled, legged or handheld.")
+    ] = None,
+    skew: Annotated[bool, typer.Option(help="Let the sensor move while it scans.")] = False,
+    sessions: Annotated[int, typer.Option(min=1, help="Session 0 is the one to map.")] = 2,
+    length: Annotated[float, typer.Option(metavar="METRES", help="Of each session.")] = 300.0,
+    spacing: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
+    ] = None,
+    size: Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another world.")] = 0,
+    season: Annotated[
+        str | None, typer.Option(help="Of later sessions: summer, autumn, winter or spring.")
+    ] = None,
+    foliage: Annotated[
+        float | None, typer.Option(metavar="SHARE", help="Leaves left in later sessions, 0 to 1.")
+    ] = None,
+    replaced: Annotated[
+        float, typer.Option(metavar="SHARE", help="Of bins, benches, bushes and the like.")
+    ] = _REPLACED,
+    scaffolding: Annotated[
+        float, typer.Option(metavar="SHARE", help="Of buildings with scaffolding.")
+    ] = _SCAFFOLDING,
+    swathe: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", help="Gather the sweeps of a push-broom LiDAR."),
+    ] = None,
+    file_format: Annotated[
+        str | None, typer.Option("--format", metavar="SUFFIX", help="Of scans: npy, npz or laz.")
+    ] = None,
+    objects: Annotated[
+        bool, typer.Option("--objects", help="Also write which object each point lies on.")
+    ] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that cast rays.")] = 2,
+) -> None:
+    """Record drives through a simulated world: folders of scans with exact poses.
+
+    Writes DIR/session_0 and so on, each with poses.tum (the truth) and odometry.tum, and
+    DIR/scene.json. Session 0 is the one to map; later ones come back in other lanes and
+    directions, leave the map, and find other cars, other seasons and some things replaced.
+    """
+    from .results import check_folder
+
+    check_folder(out)
+    if file_format is not None:
+        _choice(FORMATS, file_format, "--format")
+    suffix = f".{file_format}" if file_format else None
+    if (scene is None) == (suite is None):
+        raise ConfigError("name either a scene or, with --suite, a suite of test sets")
+    if objects and (suite is not None or swathe is not None):
+        raise ConfigError("--objects goes with single scans, not with --swathe or --suite")
+    if suite is not None:
+        _write_suite(suite, scale, seed, out, suffix, workers)
+        return
+    assert scene is not None
+    order = _Order(scene, size, seed, sensor, thin, platform, skew, length, spacing, swathe)
+    plan = _plan(sessions, season, foliage, replaced, scaffolding)
+    drives = _drives(order, plan)
+    recordings = [_gathered(drive, swathe) for drive in drives]
+    for drive, recording in zip(drives, recordings, strict=True):
+        _record(recording, out / drive.name, suffix, objects, workers)
+    kinds = _kinds(drives) if objects else {}
+    described = [_described(drive, len(r)) for drive, r in zip(drives, recordings, strict=True)]
+    _write_facts(out, asdict(order) | {"sessions": described}, kinds)
+    print(f"{len(drives)} sessions of {drives[0].world.name} are in {out}")
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What is to be simulated, as ``scene.json`` records it."""
+
+    scene: str
+    size_m: float | None
+    seed: int
+    sensor: str
+    thin: int
+    platform: str | None
+    skew: bool
+    length_m: float
+    spacing_m: float | None
+    swathe_m: float | None
+
+
+def _choice(table: dict[str, Any], name: str, what: str) -> Any:
+    if name not in table:
+        raise ConfigError(f"{what} must be one of {', '.join(table)}, not {name!r}")
+    return table[name]
+
+
+def _plan(
+    sessions: int, season: str | None, foliage: float | None, replaced: float, scaffolding: float
+) -> list[Conditions]:
+    """The conditions of each session: summer for the first, what is asked for after it."""
+    from ..simulation import Conditions
+
+    if season is not None and foliage is not None:
+        raise ConfigError("give --season or --foliage, not both")
+    plan = [Conditions()]
+    for k in range(1, sessions):
+        name = season or _CHANGING[k % len(_CHANGING)]
+        leaves = _choice(SEASONS, name, "--season") if foliage is None else foliage
+        plan.append(Conditions(leaves, replaced, scaffolding))
+    return plan
+
+
+def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
+    from ..simulation import PLATFORMS, SCENES, SENSORS, LineLidar, simulate_sessions
+    from .console import busy
+
+    make = _choice(SCENES, order.scene, "the scene")
+    lidar = _choice(SENSORS, order.sensor, "--sensor")().thinned(order.thin)
+    carrier = None
+    if order.platform is not None:
+        carrier = _choice(PLATFORMS, order.platform, "--platform")()
+    spacing = order.spacing_m
+    if spacing is None:
+        spacing = 0.2 if isinstance(lidar, LineLidar) else 2.0
+    with busy(f"Building {order.scene} {order.seed}"):
+        size = {} if order.size_m is None else {"size_m": order.size_m}
+        drives = simulate_sessions(
+            make(order.seed, **size),
+            lidar,
+            plan,
+            length_m=order.length_m,
+            spacing_m=spacing,
+            seed=order.seed,
+            platform=carrier,
+            skew=order.skew,
+        )
+    return [drive.with_odometry() for drive in drives]
+
+
+def _gathered(drive: SimulatedSequence, swathe: float | None) -> Sequence:
+    from ..datasets import swathes
+
+    return drive if swathe is None else swathes(drive, swathe)
+
+
+def _record(
+    recording: Sequence, folder: Path, suffix: str | None, objects: bool, workers: int
+) -> None:
+    from ..simulation import record
+    from .console import progress
+
+    with progress(folder.name) as update:
+        record(recording, folder, suffix=suffix, objects=objects, workers=workers, progress=update)
+
+
+def _described(drive: SimulatedSequence, scans: int) -> dict[str, Any]:
+    return {
+        "name": drive.name,
+        "session": drive.session,
+        "scans": scans,
+        "conditions": asdict(drive.conditions),
+    }
+
+
+def _kinds(drives: list[SimulatedSequence]) -> dict[str, str]:
+    """What every object id of the sessions stands for."""
+    from ..simulation.worlds import GROUND_ID
+
+    found = {GROUND_ID: "ground"}
+    for drive in drives:
+        world, k = drive.world, drive.session
+        for group in (*world.standing(k, drive.conditions), world.changing(k)):
+            found |= group.kinds
+    return {str(number): kind for number, kind in sorted(found.items())}
+
+
+def _write_suite(
+    name: str, scale: str, seed: int, out: Path, suffix: str | None, workers: int
+) -> None:
+    from ..simulation.suites import SUITES
+
+    sets = _choice(SUITES, name, "--suite")
+    for test in sets:
+        test.session_length_m(scale)  # refuses an unknown scale before the work
+    for test in sets:
+        recordings = test.sessions(scale, seed=seed)
+        for session, recording in recordings.items():
+            _record(recording, out / test.name / session, suffix, False, workers)
+        facts = {
+            "suite": name,
+            "set": test.name,
+            "kind": test.kind,
+            "scene": test.scene,
+            "size_m": test.size_m[scale],
+            "sensor": test.sensor,
+            "platform": test.platform,
+            "scale": scale,
+            "seed": seed,
+            "session_length_m": test.session_length_m(scale),
+            "published": {"length_m": test.length_m, "clouds": test.clouds},
+            "share_of_length": test.session_length_m(scale) * len(test.tests) / test.length_m,
+            "conditions": [asdict(condition) for condition in test.tests],
+            "clouds": {session: len(recording) for session, recording in recordings.items()},
+        }
+        _write_facts(out / test.name, facts, {})
+    print(f"{len(sets)} test sets are in {out}")
+
+
+def _write_facts(folder: Path, facts: dict[str, Any], kinds: dict[str, str]) -> None:
+    import json
+
+    from .._native import __version__
+    from ..files import replacing
+
+    for name, content in (("scene.json", facts | {"version": __version__}), ("kinds.json", kinds)):
+        if content:
+            with replacing(folder / name) as file:
+                file.write(json.dumps(content, indent=1).encode() + b"\n")
