@@ -179,11 +179,14 @@ class _Run:
         return nullcontext()
 
     def _mine(self) -> NDArray[np.int64]:
-        """The objects whose descriptors are nearest to those of each object, (objects, 16)."""
-        first = np.array([group[0] for group in self.batches.groups])
-        vectors = self._describe(self.model, self.training.subset(first))
+        """Some objects, each with those whose descriptors are nearest to its own, (n, 17)."""
+        groups = self.batches.groups
+        rng = np.random.default_rng([self.config.seed, self.step, 1])
+        some = rng.permutation(len(groups))[: self.config.mine_objects]
+        views = np.array([groups[g][0] for g in some])
+        vectors = self._describe(self.model, self.training.subset(views))
         indices, _ = _native.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
-        return indices[:, 1:]
+        return np.column_stack([some, some[indices[:, 1:]]])
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
         return self.task.describe(self._on_cpu(model), dataset)
