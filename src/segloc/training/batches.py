@@ -113,11 +113,11 @@ class Batches:
         return Batch(inputs, labels, *relations(self._dataset, indices, config.different_m))
 
     def between(self, first: int, last: int) -> Iterator[Batch]:
-        """Batches of the steps from ``first`` to before ``last``, made ahead in another thread.
+        """Batches of the steps from ``first`` to before ``last``, made ahead in other threads.
 
         ``mistakable`` must not be changed until they are used up.
         """
-        with ThreadPoolExecutor(1) as pool:
+        with ThreadPoolExecutor(self._task.config.threads) as pool:
             waiting: deque[Future[Batch]] = deque()
             try:
                 for step in range(first, last):
