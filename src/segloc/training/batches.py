@@ -33,11 +33,14 @@ def draw_batch(
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     """Some views of some objects: random ones, and others that are easily taken for them."""
-    order = rng.choice(len(groups), size=min(len(groups), config.classes), replace=False)
     hard = round(config.hard_share * config.classes) if len(mistakable) else 0
-    chosen = list(order[: config.classes - hard])
-    if hard:
-        rivals = mistakable[rng.choice(chosen, size=4 * hard)]
+    count = config.classes - hard
+    if not hard:
+        chosen = list(rng.choice(len(groups), size=min(len(groups), count), replace=False))
+    else:
+        rows = rng.choice(len(mistakable), size=min(len(mistakable), count), replace=False)
+        chosen = list(mistakable[rows, 0])
+        rivals = mistakable[rng.choice(rows, size=4 * hard), 1:]
         picked = rivals[np.arange(len(rivals)), rng.integers(rivals.shape[1], size=len(rivals))]
         chosen += list(dict.fromkeys(picked[~np.isin(picked, chosen)]))[:hard]
     return np.concatenate([_views(groups[g], sessions, config, rng) for g in chosen])
@@ -85,8 +88,8 @@ class Batches:
     ----------
     groups : list of (n,) int64
         Segments of each object with at least two.
-    mistakable : (objects, m) int64
-        Objects that are easily taken for each; may be empty.
+    mistakable : (n, m) int64
+        Some objects, and after each those that are easily taken for it; may be empty.
     """
 
     def __init__(self, dataset: SegmentDataset, task: Task, rank: int = 0) -> None:
@@ -110,11 +113,11 @@ class Batches:
         return Batch(inputs, labels, *relations(self._dataset, indices, config.different_m))
 
     def between(self, first: int, last: int) -> Iterator[Batch]:
-        """Batches of the steps from ``first`` to before ``last``, made ahead in another thread.
+        """Batches of the steps from ``first`` to before ``last``, made ahead in other threads.
 
         ``mistakable`` must not be changed until they are used up.
         """
-        with ThreadPoolExecutor(1) as pool:
+        with ThreadPoolExecutor(self._task.config.threads) as pool:
             waiting: deque[Future[Batch]] = deque()
             try:
                 for step in range(first, last):

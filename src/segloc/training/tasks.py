@@ -52,7 +52,7 @@ class Task(ABC):
     """One kind of network: how it reads segments, what it minimises, how it is written.
 
     Everything here depends on the configuration and the arguments alone. ``inputs`` is called from
-    a thread beside the one that trains.
+    threads beside the one that trains.
 
     Parameters
     ----------

@@ -115,7 +115,6 @@ class _Run:
             )
         torch.manual_seed(self.config.seed)
         self.model = task.network(objects).to(group.device)
-        self.parallel: nn.Module = group.shared(self.model)
         self.optimizer = torch.optim.Adam(
             self.model.parameters(),
             lr=self.config.learning_rate,
@@ -164,9 +163,10 @@ class _Run:
             group["lr"] = config.learning_rate * _schedule(self.step, config)
         self.model.train()
         with self._precision():
-            loss = self.task.loss(self.parallel, batch.to(self.group.device))
+            loss = self.task.loss(self.model, batch.to(self.group.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        self.group.average_gradients(self.model)
         nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.step += 1
@@ -179,11 +179,14 @@ class _Run:
         return nullcontext()
 
     def _mine(self) -> NDArray[np.int64]:
-        """The objects whose descriptors are nearest to those of each object, (objects, 16)."""
-        first = np.array([group[0] for group in self.batches.groups])
-        vectors = self._describe(self.model, self.training.subset(first))
+        """Some objects, each with those whose descriptors are nearest to its own, (n, 17)."""
+        groups = self.batches.groups
+        rng = np.random.default_rng([self.config.seed, self.step, 1])
+        some = rng.permutation(len(groups))[: self.config.mine_objects]
+        views = np.array([groups[g][0] for g in some])
+        vectors = self._describe(self.model, self.training.subset(views))
         indices, _ = _native.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
-        return indices[:, 1:]
+        return np.column_stack([some, some[indices[:, 1:]]])
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
         return self.task.describe(self._on_cpu(model), dataset)
@@ -192,6 +195,7 @@ class _Run:
         return model if self.group.device.type == "cpu" else copy.deepcopy(model).cpu()
 
     def _validate(self) -> Scores:
+        self.group.average_buffers(self.model)
         vectors = self._describe(self.model, self.validation)
         scores = score(vectors, self.validation, threads=self.config.threads)
         if scores.recall + scores.auc > self.best.recall + self.best.auc:
