@@ -20,8 +20,8 @@ from segloc.simulation import SCENES, SENSORS, Conditions, LineLidar, SimulatedS
 from segloc.simulation.drives import simulate_sessions
 from segloc.types import Float32
 
-WORLDS = {"town": 3, "park": 1, "meadow": 2, "forest": 1, "industrial": 4}
-CLOUD_M = 60.0
+WORLDS = {"town": 3, "park": 5, "meadow": 2, "forest": 1, "industrial": 4}
+CLOUD_M = 75.0
 SCAN_M = 35.0
 
 
@@ -43,7 +43,7 @@ def draw_world(ax: Any, name: str, seed: int) -> None:
     points, ids = surroundings(drive)
     height = points[:, 2] - world.terrain.height(points[:, 0], points[:, 1])
     middle = drive.truth[:, :2, 3].mean(axis=0)
-    near = np.abs(points[:, :2] - middle).max(axis=1) < CLOUD_M * 1.3
+    near = np.abs(points[:, :2] - middle).max(axis=1) < CLOUD_M
     seen = near & (ids >= 0)
     ground = seen & (height < 0.25)
     ax.scatter(*points[ground][::12, :2].T, s=0.15, c="#d9d4c7", lw=0)
@@ -51,13 +51,13 @@ def draw_world(ax: Any, name: str, seed: int) -> None:
     order = np.argsort(height[things])
     ax.scatter(
         *points[things][order][::3, :2].T,
-        s=0.3,
+        s=0.5,
         c=np.clip(height[things][order][::3], 0, 9),
         cmap="viridis",
         lw=0,
     )
     ax.plot(*drive.truth[:, :2, 3].T, color="#d62728", lw=1)
-    finish(ax, f"{name}: {len(world.static.kinds)} objects")
+    finish(ax, f"{name}, {len(world.static.kinds)} objects", middle, CLOUD_M)
 
 
 def draw_scan(ax: Any, name: str) -> None:
@@ -80,11 +80,13 @@ def draw_scan(ax: Any, name: str) -> None:
         lw=0,
     )
     what = "swathe of 30 m" if isinstance(lidar, LineLidar) else "scan"
-    finish(ax, f"{name}: a {what}, {len(points):,} points")
+    finish(ax, f"{name}, a {what}, {len(points):,} points", np.zeros(2), SCAN_M)
 
 
-def finish(ax: Any, title: str) -> None:
+def finish(ax: Any, title: str, middle: np.ndarray, reach: float) -> None:
     ax.set_aspect("equal")
+    ax.set_xlim(middle[0] - reach, middle[0] + reach)
+    ax.set_ylim(middle[1] - reach, middle[1] + reach)
     ax.set_xticks([])
     ax.set_yticks([])
     ax.set_title(title, fontsize=9)
