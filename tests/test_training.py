@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,7 @@ pytest.importorskip("segloc.training.train")
 from segloc.datasets.base import Selection  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 from segloc.training.augment import AugmentConfig, augment  # noqa: E402
+from segloc.training.batches import draw_batch, groups_of  # noqa: E402
 from segloc.training.config import TrainConfig  # noqa: E402
 from segloc.training.dataset import SegmentDataset  # noqa: E402
 from segloc.training.extract import ExtractConfig, extract_session  # noqa: E402
@@ -28,7 +32,7 @@ from segloc.training.pointset import prepared_points  # noqa: E402
 from segloc.training.sampling import reorder  # noqa: E402
 from segloc.training.shapes import shapes_dataset  # noqa: E402
 from segloc.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
-from segloc.training.train import train  # noqa: E402
+from segloc.training.train import _agrees, train  # noqa: E402
 
 torch.set_num_threads(1)
 
@@ -242,3 +246,67 @@ def test_labels_do_not_chain() -> None:
     extents[::2] *= 3
     labels = label_objects(centroids, extents, LabelConfig())
     assert len(np.intersect1d(labels[::2], labels[1::2])) == 0
+
+
+def test_an_older_checkpoint_goes_on_where_new_settings_have_their_defaults() -> None:
+    saved = QUICK.model_dump(mode="json", exclude={"across", "steps"})
+    assert _agrees(json.dumps(saved), QUICK)
+    assert not _agrees(json.dumps({**saved, "classes": 13}), QUICK)
+    assert not _agrees(json.dumps({**saved, "forgotten": 1}), QUICK)
+
+
+def test_views_of_a_batch_come_from_different_sessions(shapes: SegmentDataset) -> None:
+    always = TrainConfig(across=1.0, classes=12, views=2)
+    groups = groups_of(shapes)
+    rng = np.random.default_rng(0)
+    sessions = shapes.sessions // 2  # of three views two share a session
+    for _ in range(5):
+        chosen = draw_batch(groups, sessions, np.empty((0, 0), np.int64), always, rng)
+        pairs = chosen.reshape(-1, 2)
+        assert (shapes.labels[pairs[:, 0]] == shapes.labels[pairs[:, 1]]).all()
+        assert (sessions[pairs[:, 0]] != sessions[pairs[:, 1]]).all()
+
+
+def test_validation_gets_places_that_were_visited_twice() -> None:
+    rng = np.random.default_rng(0)
+    n = 400
+    labels = np.arange(n) // 2
+    places = np.where(labels < 150, 0, 1)  # place 1 was visited once
+
+    def dataset(places: np.ndarray, sessions: np.ndarray) -> SegmentDataset:
+        return SegmentDataset(
+            points=np.zeros((n, 3), np.float32),
+            offsets=np.arange(n + 1),
+            labels=labels,
+            sessions=sessions,
+            places=places,
+            centroids=np.repeat(rng.uniform(0, 500, (n // 2, 3)), 2, axis=0),
+            heights=np.zeros(n, np.float32),
+        )
+
+    once = dataset(places, np.where(places == 0, np.arange(n) % 2, 2))
+    training, held = once.split(0.2, 0)
+    assert set(held.places) == {0} and len(np.unique(held.sessions)) == 2
+    assert not set(training.labels) & set(held.labels)
+    assert len(training) + len(held) == n
+    many = dataset(labels % 8, labels % 8 * 2 + np.arange(n) % 2)
+    training, held = many.split(0.25, 0)
+    assert len(np.unique(held.places)) == 2
+    assert not set(training.places) & set(held.places)
+
+
+def test_two_processes_train_one_network(shapes: SegmentDataset, tmp_path: Path) -> None:
+    shapes.save(tmp_path / "shapes.safetensors")
+    (tmp_path / "small.yaml").write_text("classes: 8\nvalidate_every: 2\nvalidation_limit: 60\n")
+    command = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2", "--no-python"]
+    segloc = [str(Path(sys.executable).parent / "segloc"), "train", "dsm", "shapes.safetensors"]
+    options = ["--out", "net.safetensors", "--steps", "3", "--config", "small.yaml"]
+    done = subprocess.run(
+        [sys.executable, "-m", *command, *segloc, *options],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert load_weights(tmp_path / "net.safetensors").card["figures"]["steps"] in (2, 3)

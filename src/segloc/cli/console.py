@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -43,6 +44,11 @@ def busy(label: str) -> Iterator[None]:
 def note(text: str) -> None:
     """A remark on stderr."""
     Console(stderr=True).print(f"segloc: note: {text}", markup=False, highlight=False)
+
+
+def say(text: str) -> None:
+    """A line of progress on stderr, as it is."""
+    print(text, file=sys.stderr, flush=True)
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

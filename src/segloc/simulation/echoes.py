@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..types import Float32, Int64
-from .worlds import Hits
+from .scene import Hits
 
 _JUMP_M = 0.1  # a smaller step in range between two rays is no edge
 _PULSE_M = 1.0  # echoes nearer to each other than this come back as one

@@ -14,7 +14,8 @@ from ..errors import ConfigError
 from ..types import Float32, Float64, Pose
 from .echoes import mix_echoes
 from .mesh import GLASS
-from .worlds import Hits, Int32, Scene
+from .objects import Int32
+from .scene import Hits, Scene
 
 _DIRTY, _MIRRORED = 0.25, 0.02  # shares of the panes
 _THROUGH_TWICE, _MIRRORED_TWICE = 0.7, 0.03  # of the light, there and back

@@ -15,8 +15,8 @@ from ..datasets.base import Recording
 from ..errors import ConfigError, DatasetError
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
+from .objects import Int32
 from .traversal import SimulatedSequence
-from .worlds import Int32
 
 _CHUNK = 8
 

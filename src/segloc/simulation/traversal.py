@@ -10,11 +10,12 @@ from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
 from ..types import Float64, Int64, Scan
 from .motion import Motion
+from .objects import Int32
 from .odometry import OdometryNoise
 from .platforms import Platform, car
 from .ranging import Lidar, PosesAt, Returns
 from .route import Route
-from .worlds import Conditions, Int32, World
+from .worlds import Conditions, World
 
 
 @dataclass

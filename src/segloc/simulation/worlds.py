@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..errors import ConfigError, MissingDependency
+from ..errors import ConfigError
 from ..types import Float32, Float64
 from .changes import BUILT, REPLACEABLE, Extent, Footing, replace_some, road_works, scaffold
-from .mesh import LEAF, SOLID, Mesh, UInt8, join
+from .mesh import Mesh
+from .objects import GROUND_ID, SESSION_IDS, Objects
 from .roads import RoadNetwork
+from .scene import Hits, Scene
 from .street import person
 from .terrain import Terrain
 from .vehicles import bicycle, vehicle
 
-Int32: TypeAlias = NDArray[np.int32]
-
-GROUND_ID = 0
-SESSION_IDS = 1_000_000
-"""Objects that stay have ids below this; those of session k start at ``(k + 1) * SESSION_IDS``."""
+__all__ = ["GROUND_ID", "SESSION_IDS", "Conditions", "Hits", "Objects", "Scene", "Spots", "World"]
 
 _ROAD_WORKS = 0.012  # at how many of the places to park they dig
 
@@ -59,64 +56,6 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class Objects:
-    """Triangles of many objects.
-
-    Attributes
-    ----------
-    triangles : (T, 3, 3) float32
-        World frame, metres.
-    reflectance : (T,) float32
-    material : (T,) uint8
-    object_ids : (T,) int32
-    lots : (T,) float32
-        A number in [0, 1) that each triangle keeps: which leaf falls when, which pane is dirty.
-    kinds : dict
-        What each object id is: "house", "tree", "car", ...
-    """
-
-    triangles: Float32
-    reflectance: Float32
-    material: UInt8
-    object_ids: Int32
-    lots: Float32
-    kinds: dict[int, str]
-
-    @staticmethod
-    def of(items: list[tuple[str, Mesh]], first_id: int) -> Objects:
-        """Number (kind, mesh) items upwards from ``first_id``."""
-        sizes = [len(mesh) for _, mesh in items]
-        ids = first_id + np.repeat(np.arange(len(items)), sizes)
-        surface = join(mesh for _, mesh in items)
-        return Objects(
-            surface.triangles.astype(np.float32),
-            surface.reflectance,
-            surface.material,
-            ids.astype(np.int32),
-            _lots(first_id, len(ids)),
-            {first_id + k: kind for k, (kind, _) in enumerate(items)},
-        )
-
-    def only(self, mask: NDArray[np.bool_]) -> Objects:
-        """The triangles of a (T,) mask, and the kinds of the objects that are left."""
-        ids = self.object_ids[mask]
-        return Objects(
-            self.triangles[mask],
-            self.reflectance[mask],
-            self.material[mask],
-            ids,
-            self.lots[mask],
-            {int(k): self.kinds[int(k)] for k in np.unique(ids)},
-        )
-
-    def with_foliage(self, share: float) -> Objects:
-        """The objects with that share of their leaves."""
-        if share == 1:
-            return self
-        return self.only((self.material != LEAF) | (self.lots < share))
-
-
-@dataclass(frozen=True)
 class Spots:
     """Places where things come and go between sessions.
 
@@ -138,108 +77,6 @@ class Spots:
     def none() -> Spots:
         """No place for anything: a world that never changes."""
         return Spots(np.zeros((0, 5)), np.zeros((0, 2)), np.zeros((0, 3)))
-
-
-@dataclass(frozen=True)
-class Hits:
-    """What rays met, one entry a ray.
-
-    Attributes
-    ----------
-    ranges : (R,) float32
-        Metres; infinite where nothing was met.
-    object_ids : (R,) int32
-        -1 where nothing was met.
-    material : (R,) uint8
-        Of the surface; ``SOLID`` where nothing was met.
-    lots : (R,) float32
-        A number in [0, 1) that belongs to the triangle.
-    normals : (R, 3) float32
-        Unit normals, on either side of the surface.
-    cosines : (R,) float32
-        Of the angle between ray and surface normal, in [0, 1].
-    reflectance : (R,) float32
-    """
-
-    ranges: Float32
-    object_ids: Int32
-    material: UInt8
-    lots: Float32
-    normals: Float32
-    cosines: Float32
-    reflectance: Float32
-
-
-class Scene:
-    """A world as it stands in one session, ready for rays.
-
-    Parameters
-    ----------
-    terrain : Terrain
-    ground_reflectance : (T,) float32
-        Of each triangle of the terrain's mesh.
-    groups : list of Objects
-
-    Raises
-    ------
-    MissingDependency
-        If embreex is not installed.
-    """
-
-    def __init__(
-        self, terrain: Terrain, ground_reflectance: Float32, groups: list[Objects]
-    ) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise MissingDependency("embreex", "sim", "simulation") from error
-        self._embree = EmbreeScene()
-        vertices, faces = terrain.mesh()
-        filled = [group for group in groups if len(group.triangles)]
-        self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
-        self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
-        ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
-        earth, blank = np.full(len(faces), SOLID, dtype=np.uint8), np.full(1, SOLID, dtype=np.uint8)
-        same = np.zeros(len(faces), dtype=np.float32)
-        # The last entry, number -1, is what rays that met nothing met.
-        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
-        self._material = np.concatenate([earth, *(group.material for group in filled), blank])
-        self._lots = np.concatenate([same, *(group.lots for group in filled), dark])
-        shine = [group.reflectance for group in filled]
-        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
-        sizes = [len(faces), *(len(group.triangles) for group in filled)]
-        self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-        self.kinds: dict[int, str] = {GROUND_ID: "ground"}
-        for group in filled:
-            self.kinds.update(group.kinds)
-
-    def cast(self, origins: Float32, directions: Float32, max_range: float) -> Hits:
-        """First hits of rays from (R, 3) origins along (R, 3) unit directions."""
-        found = self._embree.run(
-            np.ascontiguousarray(origins, dtype=np.float32),
-            np.ascontiguousarray(directions, dtype=np.float32),
-            dists=np.full(len(origins), max_range, dtype=np.float32),
-            output=True,
-        )
-        ranges, normals, missed = found["tfar"], found["Ng"], found["primID"] < 0
-        triangles = self._first[found["geomID"]] + found["primID"]
-        triangles[missed] = -1
-        ranges[missed] = np.inf
-        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
-        normals /= np.maximum(length, np.float32(1e-12))[:, None]
-        normals[missed] = 0.0
-        slant = np.minimum(np.abs(np.einsum("ij,ij->i", normals, directions)), np.float32(1.0))
-        return Hits(
-            ranges,
-            self._ids[triangles],
-            self._material[triangles],
-            self._lots[triangles],
-            normals,
-            slant,
-            self._reflectance[triangles],
-        )
 
 
 @dataclass
@@ -371,13 +208,3 @@ class World:
             return self.recipe
         state = (self.name, self.seed, self.terrain, self.ground_reflectance)
         return World, (*state, self.roads, self.static, self.spots)
-
-
-def _lots(first: int, count: int) -> Float32:
-    """A number in [0, 1) for each of ``count`` numbers from ``first``: without a pattern."""
-    mixed = np.arange(count, dtype=np.uint64) + np.uint64(first)
-    mixed *= np.uint64(0x9E3779B97F4A7C15)
-    mixed ^= mixed >> np.uint64(29)
-    mixed *= np.uint64(0xBF58476D1CE4E5B9)
-    mixed ^= mixed >> np.uint64(32)
-    return np.asarray((mixed >> np.uint64(40)).astype(np.float32) * np.float32(2.0**-24))

@@ -27,22 +27,37 @@ def groups_of(dataset: SegmentDataset) -> list[NDArray[np.int64]]:
 
 def draw_batch(
     groups: list[NDArray[np.int64]],
+    sessions: NDArray[np.int64],
     mistakable: NDArray[np.int64],
     config: TrainConfig,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     """Some views of some objects: random ones, and others that are easily taken for them."""
-    order = rng.choice(len(groups), size=min(len(groups), config.classes), replace=False)
     hard = round(config.hard_share * config.classes) if len(mistakable) else 0
-    chosen = list(order[: config.classes - hard])
-    if hard:
-        rivals = mistakable[rng.choice(chosen, size=4 * hard)]
+    count = config.classes - hard
+    if not hard:
+        chosen = list(rng.choice(len(groups), size=min(len(groups), count), replace=False))
+    else:
+        rows = rng.choice(len(mistakable), size=min(len(mistakable), count), replace=False)
+        chosen = list(mistakable[rows, 0])
+        rivals = mistakable[rng.choice(rows, size=4 * hard), 1:]
         picked = rivals[np.arange(len(rivals)), rng.integers(rivals.shape[1], size=len(rivals))]
         chosen += list(dict.fromkeys(picked[~np.isin(picked, chosen)]))[:hard]
-    views = [
-        rng.choice(groups[g], size=min(config.views, len(groups[g])), replace=False) for g in chosen
-    ]
-    return np.concatenate(views)
+    return np.concatenate([_views(groups[g], sessions, config, rng) for g in chosen])
+
+
+def _views(
+    group: NDArray[np.int64],
+    sessions: NDArray[np.int64],
+    config: TrainConfig,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    """Some views of an object; mostly of different sessions, as far as there are several."""
+    order = rng.permutation(group)
+    if rng.random() < config.across:
+        _, first = np.unique(sessions[order], return_index=True)
+        order = np.concatenate([order[np.sort(first)], np.delete(order, first)])
+    return order[: config.views]
 
 
 def relations(
@@ -73,8 +88,8 @@ class Batches:
     ----------
     groups : list of (n,) int64
         Segments of each object with at least two.
-    mistakable : (objects, m) int64
-        Objects that are easily taken for each; may be empty.
+    mistakable : (n, m) int64
+        Some objects, and after each those that are easily taken for it; may be empty.
     """
 
     def __init__(self, dataset: SegmentDataset, task: Task, rank: int = 0) -> None:
@@ -92,17 +107,17 @@ class Batches:
         config = self._task.config
         seed = [config.seed, step, self._rank] if self._rank else [config.seed, step]
         rng = np.random.default_rng(seed)
-        indices = draw_batch(self.groups, self.mistakable, config, rng)
+        indices = draw_batch(self.groups, self._dataset.sessions, self.mistakable, config, rng)
         inputs = self._task.inputs(self._dataset, indices, rng)
         labels = torch.from_numpy(self._numbers[self._dataset.labels[indices]])
         return Batch(inputs, labels, *relations(self._dataset, indices, config.different_m))
 
     def between(self, first: int, last: int) -> Iterator[Batch]:
-        """Batches of the steps from ``first`` to before ``last``, made ahead in another thread.
+        """Batches of the steps from ``first`` to before ``last``, made ahead in other threads.
 
         ``mistakable`` must not be changed until they are used up.
         """
-        with ThreadPoolExecutor(1) as pool:
+        with ThreadPoolExecutor(self._task.config.threads) as pool:
             waiting: deque[Future[Batch]] = deque()
             try:
                 for step in range(first, last):

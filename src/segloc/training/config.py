@@ -28,11 +28,15 @@ class TrainConfig(BaseModel):
     steps: int = Field(3000, ge=1)
     classes: int = Field(32, ge=2, description="objects a batch")
     views: int = Field(2, ge=2, description="segments of each object a batch")
+    across: float = Field(
+        0.8, ge=0, le=1, description="chance that these are of different sessions if possible"
+    )
     different_m: float = Field(
         FAR_M, gt=0, description="segments of one world differ beyond this distance"
     )
     hard_share: float = Field(0.5, ge=0, le=1, description="objects chosen to be mistakable")
     mine_every: int = Field(500, ge=1, description="steps between searches for such objects")
+    mine_objects: int = Field(12_000, ge=100, description="objects among which it searches")
     learning_rate: float = Field(2e-3, gt=0)
     warmup: int = Field(100, ge=0, description="steps until the full learning rate")
     weight_decay: float = Field(1e-5, ge=0)

@@ -19,6 +19,7 @@ FAR_M = 20.0
 """Segments of one town count as different objects only beyond this distance, as in SegMap."""
 
 _UNKNOWN = np.empty(0)
+_SQUARE_M = 100.0
 
 
 @dataclass(frozen=True)
@@ -112,13 +113,32 @@ class SegmentDataset:
         return result
 
     def split(self, share: float, seed: int) -> tuple[SegmentDataset, SegmentDataset]:
-        """Training and validation sets; whole worlds go to one side where there are several."""
-        groups = self.places if len(np.unique(self.places)) > 2 else self.labels
-        names = np.unique(groups)
+        """Training and validation sets.
+
+        Whole worlds go to one side where at least three were visited twice; validation gets worlds
+        of that kind. Otherwise objects are parted by the square of 100 m that they lie in.
+        """
+        groups, names = self._split_groups()
         rng = np.random.default_rng(seed)
         held = rng.permutation(names)[: max(1, round(share * len(names)))]
         inside = np.isin(groups, held)
         return self.subset(np.flatnonzero(~inside)), self.subset(np.flatnonzero(inside))
+
+    def _split_groups(self) -> tuple[Int64, Int64]:
+        """A group for each segment, and the groups that validation may get."""
+        pairs = np.unique(np.column_stack([self.places, self.sessions]), axis=0)
+        worlds, sessions = np.unique(pairs[:, 0], return_counts=True)
+        again = worlds[sessions > 1]
+        if len(again) > 2:
+            return self.places, again
+        _, first, number = np.unique(self.labels, return_index=True, return_inverse=True)
+        squares = np.floor(self.centroids[first, :2] / _SQUARE_M)
+        keys = np.column_stack([self.places[first], squares])
+        _, square = np.unique(keys, axis=0, return_inverse=True)
+        groups = square.reshape(-1)[number.reshape(-1)].astype(np.int64)
+        across = np.unique(groups[np.isin(self.places, again)]) if len(again) else groups
+        names = np.unique(across)
+        return (groups, names) if len(names) > 1 else (self.labels, np.unique(self.labels))
 
     def save(self, path: Path) -> None:
         """Write a safetensors file."""

@@ -45,17 +45,27 @@ def score(
 
 
 def nearest_is_right(
-    vectors: Float32, dataset: SegmentDataset, threads: int = 1
+    vectors: Float32,
+    dataset: SegmentDataset,
+    threads: int = 1,
+    distractors: Float32 | None = None,
 ) -> NDArray[np.float32]:
     """(P,) 1 where the nearest descriptor of another session is of the same object.
 
-    0 where it is not, NaN where no other session shows the object.
+    0 where it is not, NaN where no other session shows the object. ``distractors`` (M, dim) make
+    the pool as large as a map's.
     """
-    ranks = np.array(_ranks(vectors, dataset, 1, threads))
+    ranks = np.array(_ranks(vectors, dataset, 1, threads, distractors))
     return np.where(ranks < 0, np.nan, ranks == 0).astype(np.float32)
 
 
-def _ranks(vectors: Float32, dataset: SegmentDataset, k: int, threads: int) -> list[int]:
+def _ranks(
+    vectors: Float32,
+    dataset: SegmentDataset,
+    k: int,
+    threads: int,
+    distractors: Float32 | None = None,
+) -> list[int]:
     """Rank of the first right one among the k nearest of other sessions.
 
     k where there is none among them, -1 where no other session shows the object.
@@ -67,13 +77,14 @@ def _ranks(vectors: Float32, dataset: SegmentDataset, k: int, threads: int) -> l
         queries = queries[np.isin(dataset.labels[queries], dataset.labels[others])]
         if len(queries) == 0:
             continue
+        pool, labels = vectors[others], dataset.labels[others]
+        if distractors is not None:
+            pool = np.concatenate([pool, distractors])
+            labels = np.concatenate([labels, np.full(len(distractors), -1)])
         indices, _ = _native.knn(
-            np.ascontiguousarray(vectors[queries]),
-            np.ascontiguousarray(vectors[others]),
-            k,
-            threads,
+            np.ascontiguousarray(vectors[queries]), np.ascontiguousarray(pool), k, threads
         )
-        hit = dataset.labels[others][indices] == dataset.labels[queries][:, None]
+        hit = labels[indices] == dataset.labels[queries][:, None]
         ranks[queries] = np.where(hit.any(axis=1), hit.argmax(axis=1), k)
     return [int(r) for r in ranks]
 

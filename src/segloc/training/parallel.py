@@ -6,8 +6,7 @@ import os
 
 import torch
 import torch.distributed as dist
-from torch import nn
-from torch.nn.parallel import DistributedDataParallel
+from torch import Tensor, nn
 
 from ..errors import ConfigError
 
@@ -50,12 +49,27 @@ class Group:
         if self._size > 1:
             dist.destroy_process_group()
 
-    def shared(self, model: nn.Module) -> nn.Module:
-        """The model with its gradients averaged over the processes."""
-        if self._size == 1:
-            return model
-        devices = [self.device] if self.device.type == "cuda" else None
-        return DistributedDataParallel(model, device_ids=devices, find_unused_parameters=True)
+    def average_gradients(self, model: nn.Module) -> None:
+        """Give all processes the mean of their gradients, in one exchange.
+
+        The networks are small, and a task may call any part of one, which a wrapper about
+        its ``forward`` would not see.
+        """
+        if self._size > 1:
+            parameters = list(model.parameters())
+            self._average([torch.zeros_like(p) if p.grad is None else p.grad for p in parameters])
+
+    def average_buffers(self, model: nn.Module) -> None:
+        """Give all processes the mean of their running statistics."""
+        if self._size > 1:
+            self._average([b for b in model.buffers() if b.is_floating_point()])
+
+    def _average(self, tensors: list[Tensor]) -> None:
+        flat = torch.cat([tensor.flatten() for tensor in tensors])
+        dist.all_reduce(flat)
+        parts = (flat / self._size).split([tensor.numel() for tensor in tensors])
+        for tensor, mean in zip(tensors, parts, strict=True):
+            tensor.copy_(mean.view_as(tensor))
 
     def agreed(self, wanted: bool) -> bool:
         """What the leading process wants, so that all stop at the same step."""

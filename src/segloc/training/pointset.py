@@ -46,11 +46,11 @@ class PointSetTask(Task):
         return points, *(torch.from_numpy(index) for index in neighbors)
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        assert isinstance(network, DescriptorNetwork)
         x = network(*batch.inputs).float()
         loss = LOSSES[self.config.loss](x, batch.same, batch.different)
         if self.config.pair_weight > 0:
-            head = getattr(network, "module", network).pair_logits
-            pairs = head(x[:, None], x[None, :])
+            pairs = network.pair_logits(x[:, None], x[None, :])
             loss = loss + self.config.pair_weight * pair_match(pairs, batch.same, batch.different)
         return loss
 
@@ -66,9 +66,9 @@ class PointSetTask(Task):
             parts.append(native.describe(prepared, self.config.threads)[0])
         return np.concatenate(parts)
 
-    def finish(self, network: nn.Module, training: SegmentDataset) -> None:
+    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
         assert isinstance(network, DescriptorNetwork)
-        fit_quality(self, network, training)
+        fit_quality(self, network, training, held)
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, DescriptorNetwork)

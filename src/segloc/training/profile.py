@@ -31,7 +31,7 @@ from .config import TrainConfig
 from .dataset import SegmentDataset
 from .losses import LOSSES
 from .metrics import nearest_is_right
-from .quality import fit_head
+from .quality import fit_logistic
 from .tasks import Batch, Inputs, Task
 
 DIM = 24
@@ -87,18 +87,24 @@ class ProfileTask(Task):
         x = network(*batch.inputs).float()
         return LOSSES[self.config.loss](x, batch.same, batch.different)
 
-    def finish(self, network: nn.Module, training: SegmentDataset) -> None:
-        """Fit the quality to how often the nearest descriptor is right."""
+    def finish(
+        self, network: nn.Module, training: SegmentDataset, held: SegmentDataset
+    ) -> None:
+        """Fit the quality to how often the nearest descriptor is right, on held-out places."""
         assert isinstance(network, ProfileNetwork)
-        config = self.config
-        part = limited(training, config.quality_limit, config.seed)
-        right = nearest_is_right(self.describe(network, part), part, config.threads)
+        limit, seed = self.config.quality_limit, self.config.seed
+        held = limited(held, limit, seed)
+        others = self.describe(network, limited(training, limit, seed))
+        vectors = self.describe(network, held)
+        right = nearest_is_right(vectors, held, self.config.threads, others)
+        known = np.flatnonzero(~np.isnan(right))
         rows = []
         with torch.inference_mode():
-            for first in range(0, len(part), _AT_ONCE):
-                indices = np.arange(first, min(first + _AT_ONCE, len(part)))
-                rows.append(network.features(*self.inputs(part, indices)))
-        fit_head(network.quality_head, torch.cat(rows).clone(), right)
+            for first in range(0, len(known), _AT_ONCE):
+                rows.append(
+                    network.features(*self.inputs(held, known[first : first + _AT_ONCE])).numpy()
+                )
+        fit_logistic(network.quality_head, np.concatenate(rows), right[known])
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, ProfileNetwork)

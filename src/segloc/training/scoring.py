@@ -60,7 +60,7 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
     except (OSError, SafetensorError) as error:
         raise WeightsError(f"{name}: {error}") from error
     if kind == "segloc network":
-        return PointSetDescriptor(path.stem, path, threads=threads)
+        return PointSetDescriptor(path.stem, path, True, threads)
     if kind == "segloc profile network":
         return ProfileDescriptor(path, threads)
     if kind == "segloc voxel network":
@@ -114,7 +114,7 @@ def score_descriptor(
     rng = np.random.default_rng(seed)
     padding = np.concatenate([np.empty((0, vectors.shape[1]), np.float32), *others])
     padding = padding[rng.permutation(len(padding))]
-    wanted = list(pools) or sorted({len(dataset), len(dataset) + len(padding)})
+    wanted = list(pools) or sorted({0, len(padding) and len(dataset) + len(padding)})
     sums = [np.zeros(len(KS)) for _ in wanted]
     sizes = [0] * len(wanted)
     asked = 0

@@ -52,7 +52,7 @@ class Task(ABC):
     """One kind of network: how it reads segments, what it minimises, how it is written.
 
     Everything here depends on the configuration and the arguments alone. ``inputs`` is called from
-    a thread beside the one that trains.
+    threads beside the one that trains.
 
     Parameters
     ----------
@@ -105,8 +105,13 @@ class Task(ABC):
         network.train(was_training)
         return np.concatenate(parts)
 
-    def finish(self, network: nn.Module, training: SegmentDataset) -> None:  # noqa: B027
-        """Whatever is fitted to the finished descriptors, before the export."""
+    def finish(  # noqa: B027
+        self, network: nn.Module, training: SegmentDataset, held: SegmentDataset
+    ) -> None:
+        """Fit what is fitted to the finished descriptors, before the export.
+
+        ``held`` holds the segments that the network was not trained on.
+        """
 
 
 Factory = Callable[[TrainConfig], Task]

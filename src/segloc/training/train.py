@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from torch import Tensor, nn
 
 from .. import _native
@@ -68,15 +69,15 @@ def train(
     """
     torch.set_num_threads(config.threads)
     task = task or create_task(config)
-    training, validation = dataset.split(config.validation_share, config.seed)
-    validation = limited(validation, config.validation_limit, config.seed)
+    training, held = dataset.split(config.validation_share, config.seed)
+    validation = limited(held, config.validation_limit, config.seed)
     with Group(config.device) as group:
         run = _Run(task, training, validation, group, out.with_suffix(".checkpoint"))
         run.resume(progress)
         run.loop(progress if group.leads else _silent)
         if group.leads:
             model = run.best_model()
-            task.finish(model, training)
+            task.finish(model, training, held)
             figures = {
                 "steps": run.best_step,
                 "training segments": len(training),
@@ -114,7 +115,6 @@ class _Run:
             )
         torch.manual_seed(self.config.seed)
         self.model = task.network(objects).to(group.device)
-        self.parallel: nn.Module = group.shared(self.model)
         self.optimizer = torch.optim.Adam(
             self.model.parameters(),
             lr=self.config.learning_rate,
@@ -143,7 +143,7 @@ class _Run:
                 )
                 losses = []
                 waited = (self.step - self.best_step) / config.validate_every
-                if expired or waited >= config.patience:
+                if self.group.agreed(expired or waited >= config.patience):
                     return
 
     def _upcoming(self) -> Iterator[Batch]:
@@ -163,9 +163,10 @@ class _Run:
             group["lr"] = config.learning_rate * _schedule(self.step, config)
         self.model.train()
         with self._precision():
-            loss = self.task.loss(self.parallel, batch.to(self.group.device))
+            loss = self.task.loss(self.model, batch.to(self.group.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        self.group.average_gradients(self.model)
         nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.step += 1
@@ -178,11 +179,14 @@ class _Run:
         return nullcontext()
 
     def _mine(self) -> NDArray[np.int64]:
-        """The objects whose descriptors are nearest to those of each object, (objects, 16)."""
-        first = np.array([group[0] for group in self.batches.groups])
-        vectors = self._describe(self.model, self.training.subset(first))
+        """Some objects, each with those whose descriptors are nearest to its own, (n, 17)."""
+        groups = self.batches.groups
+        rng = np.random.default_rng([self.config.seed, self.step, 1])
+        some = rng.permutation(len(groups))[: self.config.mine_objects]
+        views = np.array([groups[g][0] for g in some])
+        vectors = self._describe(self.model, self.training.subset(views))
         indices, _ = _native.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
-        return indices[:, 1:]
+        return np.column_stack([some, some[indices[:, 1:]]])
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
         return self.task.describe(self._on_cpu(model), dataset)
@@ -191,6 +195,7 @@ class _Run:
         return model if self.group.device.type == "cpu" else copy.deepcopy(model).cpu()
 
     def _validate(self) -> Scores:
+        self.group.average_buffers(self.model)
         vectors = self._describe(self.model, self.validation)
         scores = score(vectors, self.validation, threads=self.config.threads)
         if scores.recall + scores.auc > self.best.recall + self.best.auc:
@@ -228,7 +233,7 @@ class _Run:
         if not self.checkpoint.exists():
             return
         state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
-        if state["config"] != self.config.model_dump_json(exclude=_MAY_CHANGE):
+        if not _agrees(state["config"], self.config):
             raise DatasetError(f"{self.checkpoint}: belongs to a run with another configuration")
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -237,6 +242,15 @@ class _Run:
         self.best_state = state["best_state"]
         self.batches.mistakable = state["mistakable"].cpu().numpy()
         progress(f"going on from step {self.step}")
+
+
+def _agrees(saved: str, config: TrainConfig) -> bool:
+    """Whether a run with the saved configuration may go on; unknown values have their defaults."""
+    try:
+        before = TrainConfig.model_validate_json(saved)
+    except ValidationError:
+        return False
+    return before.model_dump(exclude=_MAY_CHANGE) == config.model_dump(exclude=_MAY_CHANGE)
 
 
 def _text(scores: Scores) -> str:

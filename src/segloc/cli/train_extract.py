@@ -1,0 +1,177 @@
+"""``segloc train extract``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .console import say
+from .options import ConfigFile
+
+if TYPE_CHECKING:
+    from ..training.extract import ExtractConfig
+    from ..training.labels import LabelCounts
+    from ..training.shards import Session
+    from ..training.worlds import WorldSpec
+
+Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
+Lengths = Annotated[
+    list[float] | None,
+    typer.Option("--length", metavar="METRES", help="Way a local cloud spans; 0: single scans."),
+]
+
+
+def extract(
+    out: Out,
+    sequences: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[SEQUENCE]...", help="Recordings of one place, one a session."),
+    ] = None,
+    poses: Annotated[
+        list[Path] | None, typer.Option(help="TUM or KITTI: one for all, or one a sequence.")
+    ] = None,
+    select: Annotated[
+        list[str] | None,
+        typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
+    ] = None,
+    place: Annotated[str, typer.Option(help="A name for the place.")] = "place",
+    sensor: Annotated[str, typer.Option(help="A name for the sensor.")] = "unknown",
+    register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
+    simulate: Annotated[
+        str | None, typer.Option(metavar="SCENE:N,...", help="Draw worlds instead of recordings.")
+    ] = None,
+    sensors: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Simulated sensors to choose from.")
+    ] = None,
+    thin: Annotated[int, typer.Option(min=1, help="Simulate every so many firings only.")] = 1,
+    drive: Annotated[float, typer.Option(help="Metres of a simulated drive.")] = 500.0,
+    length: Lengths = None,
+    every: Annotated[float, typer.Option(help="Metres between local clouds.")] = 10.0,
+    centroids_only: Annotated[
+        bool, typer.Option(help="Label by centroids alone, as the paper does.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = 2,
+    config: ConfigFile = None,
+) -> None:
+    """Cut recordings or simulated worlds into labelled segments.
+
+    The sequences of one call are sessions of one place and share a frame; calls add up. What is
+    finished stays: a call that was cut off goes on when it is given again.
+    """
+    from ..errors import ConfigError
+    from ..training.extract import ExtractConfig
+    from ..training.labels import LabelConfig
+    from ..training.shards import finish
+    from .console import note
+
+    if bool(sequences) == (simulate is not None):
+        raise ConfigError("name recordings, or worlds to --simulate, and not both")
+    lengths = tuple(length) if length else ExtractConfig().lengths_m
+    settings = ExtractConfig(
+        lengths_m=lengths,
+        every_m=every,
+        seed=seed,
+        label=LabelConfig(rule="centroids" if centroids_only else "extents"),
+    )
+    if simulate is not None:
+        from ..training.worlds import draw_worlds
+
+        chosen = tuple(sensors.split(",")) if sensors else ()
+        done = _simulate(
+            out,
+            draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin),
+            settings,
+            workers,
+            config,
+        )
+    else:
+        named = _Recordings(sequences or [], poses or [], select or [], place, sensor)
+        done = named.collect(out, settings, register, config)
+    if not done:
+        note("nothing was extracted")
+        return
+    _show(finish(out, done, settings.label), str(out))
+
+
+def _simulate(
+    out: Path,
+    worlds: list[WorldSpec],
+    settings: ExtractConfig,
+    workers: int,
+    config: Path | None,
+) -> list[Session]:
+    from ..training.collect import collect_worlds
+    from .options import load_config
+
+    segmentation = load_config(config, None, 1).segmentation
+    return collect_worlds(out, worlds, settings, segmentation, workers=workers, progress=say)
+
+
+class _Recordings:
+    """The recordings that a command line names."""
+
+    def __init__(
+        self, sequences: list[Path], poses: list[Path], select: list[str], place: str, sensor: str
+    ) -> None:
+        from ..errors import ConfigError
+
+        if "--" in place or "/" in place or not place:
+            raise ConfigError(f"{place!r} cannot be the name of a place")
+        count = len(sequences)
+        self.rows = list(
+            zip(
+                sequences,
+                _each(poses, count, "--poses"),
+                _each(select, count, "--select"),
+                strict=True,
+            )
+        )
+        self.place, self.sensor = place, sensor
+
+    def collect(
+        self, out: Path, settings: ExtractConfig, register: bool, config: Path | None
+    ) -> list[Session]:
+        from ..datasets import open_sequence
+        from ..training.collect import Posed, collect_recordings
+        from ..training.shards import Session
+        from .options import load_config
+
+        items = [
+            Posed(
+                Session(self.place, f"{k:02d}-{path.resolve().name}", self.sensor),
+                open_sequence(path, poses, select),
+            )
+            for k, (path, poses, select) in enumerate(self.rows)
+        ]
+        segmentation = load_config(config, None, 1).segmentation
+        return collect_recordings(
+            out, items, settings, segmentation, register=register, progress=say
+        )
+
+
+def _each(values: list, count: int, option: str) -> list:  # type: ignore[type-arg]
+    from ..errors import ConfigError
+
+    if len(values) not in (0, 1, count):
+        raise ConfigError(f"{option} is given {len(values)} times for {count} sequences")
+    return list(values) if len(values) == count else (values or [None]) * count
+
+
+def _show(counts: LabelCounts, title: str) -> None:
+    from .console import number, table
+
+    rows = [
+        ("segments", f"{counts.segments:,}"),
+        ("objects", f"{counts.objects:,}"),
+        ("objects with several views", f"{counts.seen_again:,}"),
+        ("views of each of those", number(counts.views)),
+        ("matching pairs", f"{counts.matching:,}"),
+        ("matching pairs across sessions", f"{counts.matching_across:,}"),
+        ("pairs that differ", f"{counts.different:,}"),
+    ]
+    if counts.agreeing == counts.agreeing:
+        rows.append(("of the pairs across, truly one object", f"{100 * counts.agreeing:.1f} %"))
+    table(title, ("", ""), rows)
