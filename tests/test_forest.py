@@ -185,6 +185,12 @@ def test_pruning_keeps_the_likely_matches_in_falling_order() -> None:
     assert Matcher(site, config).prune(query, candidates) is candidates
 
 
+def test_presets_stand_beside_the_methods() -> None:
+    assert Config.preset("nsm").matching.neighbours == 200
+    assert Config.load(None, "segmatch-esf") == Config.preset("segmatch-esf")
+    assert Config.preset("dsm").matching.neighbours == Config().matching.neighbours == 25
+
+
 @pytest.mark.parametrize("method", ["segmatch-eigen", "segmatch-esf", "nsm"])
 def test_localizes_and_times_the_stage(method: str, plaza: Plaza) -> None:
     walk = PlazaSequence(plaza, steps=8)
