@@ -87,9 +87,7 @@ class ProfileTask(Task):
         x = network(*batch.inputs).float()
         return LOSSES[self.config.loss](x, batch.same, batch.different)
 
-    def finish(
-        self, network: nn.Module, training: SegmentDataset, held: SegmentDataset
-    ) -> None:
+    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
         """Fit the quality to how often the nearest descriptor is right, on held-out places."""
         assert isinstance(network, ProfileNetwork)
         limit, seed = self.config.quality_limit, self.config.seed
