@@ -94,7 +94,9 @@ def main() -> None:
     parser.add_argument("--export", type=Path, metavar="NPZ", help="write the clouds, no timing")
     options = parser.parse_args()
     if options.export:
-        export(options.folder, kitti_scene(options.folder, "geo", options.queries), options.export)
+        export(
+            options.folder, kitti_scene(options.folder, "profile", options.queries), options.export
+        )
         return
     print(machine())
     for method in options.methods.split(","):

@@ -85,7 +85,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--towns", type=int, default=8)
     parser.add_argument("--first-seed", type=int, default=3000)
-    parser.add_argument("--method", default="geo")
+    parser.add_argument("--method", default="profile")
     parser.add_argument("--out", type=Path, default=Path("calibration.npz"))
     args = parser.parse_args()
     parts = []

@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("maps", nargs="*", type=Path)
     parser.add_argument("--towns", type=int, default=2)
     parser.add_argument("--first-seed", type=int, default=4000)
-    parser.add_argument("--method", default="geo")
+    parser.add_argument("--method", default="profile")
     args = parser.parse_args()
 
     config = Config.preset(args.method)

@@ -202,7 +202,7 @@ def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_pa
     assert run("config") == 0
     text = capsys.readouterr().out
     (tmp_path / "config.yaml").write_text(text)
-    assert yaml.safe_load(text)["method"] == "geo"
+    assert yaml.safe_load(text)["method"] == "profile"
     localize_toy(toy, tmp_path / "out", "--config", tmp_path / "config.yaml")
     capsys.readouterr()
     assert run("--version") == 0

@@ -10,7 +10,7 @@ import segloc
 from segloc import Localizer, Scan, SegmentMap
 from segloc.descriptors import create
 
-methods = ("geo", "dsm", "dsm-fq")
+methods = ("profile", "geo", "dsm", "dsm-fq", "segmatch-esf", "nsm")
 for name in methods:
     create(name)
 site = SegmentMap.empty("dsm", create("dsm").fingerprint, create("dsm").dim)

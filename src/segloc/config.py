@@ -17,13 +17,15 @@ from .pose import PoseConfig
 from .segmentation import SegmentationConfig
 from .verification import VerificationConfig
 
+DEFAULT_METHOD = "profile"
+
 
 class Config(BaseModel):
     """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: str = Field("geo", description="how segments are described; see descriptors/")
+    method: str = Field(DEFAULT_METHOD, description="how segments are described; see descriptors/")
     threads: int = Field(0, ge=0, description="0: all cores; results do not depend on it")
     seed: int = Field(0, ge=0, description="of the estimators that draw samples")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
@@ -59,7 +61,7 @@ class Config(BaseModel):
             method than the caller; names file and key.
         """
         values = {} if path is None else _read_yaml(Path(path))
-        preset = cls.preset(method or str(values.get("method", "geo")))
+        preset = cls.preset(method or str(values.get("method", DEFAULT_METHOD)))
         if values.get("method", preset.method) != preset.method:
             raise ConfigError(f"{path}: method: {values['method']!r}, where {method!r} is needed")
         try:

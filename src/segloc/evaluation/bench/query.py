@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import geometry
-from ...config import Config
+from ...config import DEFAULT_METHOD, Config
 from ...errors import SeglocError
 from ...localizer import Localizer
 from ...map import SegmentMap
@@ -155,7 +155,7 @@ def kiss_pose(kiss: Any, scene: Scene) -> Pose:
     return geometry.rigid(np.array(solution.rotation), np.array(solution.translation))
 
 
-def simulated_scene(threads: int, method: str = "geo", queries: int = 5) -> Scene:
+def simulated_scene(threads: int, method: str = DEFAULT_METHOD, queries: int = 5) -> Scene:
     """A street of a simulated town and a later drive along it; a plaza without the simulator."""
     config = Config.preset(method).model_copy(update={"threads": threads})
     if optional("embreex") is None:
