@@ -33,7 +33,12 @@ def inverse(T: Pose) -> Pose:
 
 def transform(T: Pose, points: NDArray[Any]) -> NDArray[np.float64]:
     """Take (N, 3) points through T; computed in float64."""
-    moved: NDArray[np.float64] = points[:, :3] @ T[:3, :3].T + T[:3, 3]
+    # Column by column: on so thin a matrix several times faster than a matrix product, whose
+    # threads would cost more than they save.
+    x, y, z = (np.asarray(points[:, k], dtype=np.float64) for k in range(3))
+    moved = np.empty((len(points), 3))
+    for k in range(3):
+        moved[:, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
     return moved
 
 
