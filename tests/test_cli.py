@@ -184,7 +184,7 @@ def test_a_blind_scan_among_others_is_not_an_error(toy: Toy, tmp_path: Path) -> 
 def test_map_info_and_merge(toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     second, both = tmp_path / "second.segmap", tmp_path / "both.segmap"
     arguments = ["--poses", "poses.tum", "--select", ":20", "--every", 10, "--out", second]
-    assert run("map", "build", toy.run_2, "--method", "geo", *arguments) == 0
+    assert run("map", "build", toy.run_2, "--method", "profile", *arguments) == 0
     assert run("map", "merge", toy.map, second, toy.map, "--out", both) == 0
     sizes = {}
     for path in (toy.map, second, both):
@@ -193,7 +193,7 @@ def test_map_info_and_merge(toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixt
         sizes[path] = json.loads(capsys.readouterr().out)
     assert sizes[both]["segments"] == sizes[toy.map]["segments"] + sizes[second]["segments"]
     assert sizes[both]["sessions"] == 2
-    assert yaml.safe_load(sizes[second]["metadata"]["config"])["method"] == "geo"
+    assert yaml.safe_load(sizes[second]["metadata"]["config"])["method"] == "profile"
     assert run("map", "info", both) == 0
     assert str(sizes[both]["segments"]) in capsys.readouterr().out
 
