@@ -25,11 +25,17 @@ def row(folder: Path) -> str:
         summary["queries"],
         f"{summary['with_place_correct']} of {summary['with_place']}",
         summary["false"],
-        f"{metres['median']:.2f} / {metres['p95']:.2f}",
-        f"{degrees['median']:.2f} / {degrees['p95']:.2f}",
+        _spread(metres),
+        _spread(degrees),
         f"{summary['ms']['total']:.0f}",
     ]
     return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def _spread(values: dict[str, float | None]) -> str:
+    if values["median"] is None:
+        return "-"
+    return f"{values['median']:.2f} / {values['p95']:.2f}"
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ Bools = NDArray[np.bool_]
 PLACE_RADIUS_M = 3.0
 """A query has a place in a map when the map's trajectory passes this close to it."""
 
-PATH_BREAK_M = 25.0
+PATH_BREAK_M = 35.0
 """Poses of a map's trajectory that are farther apart are not joined."""
 
 STAGES = (
