@@ -85,7 +85,7 @@ _EXPLAINED = {
     "dsm": "DSM, 16 numbers from 160 down to 4 points.",
     "esm": "ESM, DSM's predecessor with more points.",
     "segmap": "SegMap's network over a grid of voxels, 64 numbers.",
-    "profile": "Profile, segloc's own: metric shape profiles, 24 numbers.",
+    "profile": "Profile, segloc's own: metric shape profiles, 32 numbers.",
 }
 
 

@@ -34,13 +34,13 @@ from .metrics import nearest_is_right
 from .quality import fit_logistic
 from .tasks import Batch, Inputs, Task
 
-DIM = 24
-WIDTHS = (256, 256)
+DIM = 32
+WIDTHS = (384, 256)
 _AT_ONCE = 4096
 
 
 class ProfileNetwork(nn.Module):
-    """Profiles (B, 175) to descriptors (B, 24).
+    """Profiles (B, 175) to descriptors (B, 32).
 
     Numbers are standardised by a batch norm and cut, then pass two dense layers with ELU and batch
     norm. ``quality_head`` reads what the second makes of them.
@@ -63,7 +63,7 @@ class ProfileNetwork(nn.Module):
         return x
 
     def forward(self, profile: Tensor) -> Tensor:
-        """Descriptors (B, 24)."""
+        """Descriptors (B, 32)."""
         result: Tensor = self.output(self.features(profile))
         return result
 
