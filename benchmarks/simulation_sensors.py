@@ -36,7 +36,6 @@ FEATURES = (
     "curvature",
 )
 SIMULATED = (("town", 0), ("town", 1), ("town", 2), ("park", 0))
-MOUNT_M = 1.73
 
 
 @dataclass(frozen=True)
