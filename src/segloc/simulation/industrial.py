@@ -191,12 +191,12 @@ def _fence_along(site: Site, front: Frontage) -> None:
         return
     line = site.ground_line(points)
     if rng.random() < 0.75:
-        site.items.append(("mesh fence", _mesh_fence(rng, line)))
+        site.items.append(("mesh fence", mesh_fence(rng, line)))
     else:
         site.items.append(("shrubs", shrubs(rng, line)))
 
 
-def _mesh_fence(rng: np.random.Generator, line: Float64) -> Mesh:
+def mesh_fence(rng: np.random.Generator, line: Float64) -> Mesh:
     """Posts and rails with wire mesh, over a (n, 3) ground line; most rays pass."""
     high = float(rng.uniform(1.7, 2.6))
     parts = [tubes(line - above(0.2), line + above(high), [0.04, 0.04], 0.3, sides=6)]
