@@ -36,7 +36,6 @@ FEATURES = (
     "curvature",
 )
 SIMULATED = (("town", 0), ("town", 1), ("town", 2), ("park", 0))
-MOUNT_M = 1.73
 
 
 @dataclass(frozen=True)
@@ -95,8 +94,10 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
     figure, axes = pyplot.subplots(
         len(sides), len(FEATURES), figsize=(13, 1.9 * len(sides)), squeeze=False
     )
+    for ax, name in zip(axes[0], FEATURES, strict=True):
+        ax.set_title(name, fontsize=9)
     for row, (sensor, (real, simulated)) in zip(axes, sides.items(), strict=True):
-        for k, (ax, name) in enumerate(zip(row, FEATURES, strict=True)):
+        for k, ax in enumerate(row):
             both = np.concatenate([real.features[:, k], simulated.features[:, k]])
             bins = np.linspace(*np.percentile(both, [0.5, 99.5]), 24)
             for side, colour, label in (
@@ -107,8 +108,6 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
                 ax.hist(side.features[:, k], bins, color=colour, label=label, **style)
             ax.set_yticks([])
             ax.tick_params(labelsize=7)
-            if row is axes[0]:
-                ax.set_title(name, fontsize=9)
         row[0].set_ylabel(sensor, fontsize=9)
     axes[0][-1].legend(fontsize=7, frameon=False)
     figure.tight_layout()

@@ -34,7 +34,7 @@ def test_sessions_are_recorded_with_poses_and_objects(
     out = tmp_path / "runs"
     options = [*TINY, "--objects", "--sessions", "3", "--season", "winter", "--replaced", "0.3"]
     assert segloc(monkeypatch, "simulate", "town", "--out", out, *options) == 0
-    assert "3 sessions of town-0" in capsys.readouterr().out
+    assert "sessions of town-0: 3, in" in capsys.readouterr().out
     facts = json.loads((out / "scene.json").read_text())
     assert (facts["scene"], facts["sensor"], facts["seed"]) == ("town", "hdl64e", 0)
     assert facts["version"]
@@ -52,8 +52,8 @@ def test_sessions_are_recorded_with_poses_and_objects(
         assert ids.shape == (len(sequence.scan(7).points),)
         assert {str(number) for number in np.unique(ids) if number >= 0} <= kinds.keys()
     assert {"ground", "house", "car"} <= set(kinds.values())
-    trees = {int(number) for number, kind in kinds.items() if kind == "house"}
-    assert trees & set(np.unique(ids).tolist())
+    houses = {int(number) for number, kind in kinds.items() if kind == "house"}
+    assert houses & set(np.unique(ids).tolist())
 
 
 def test_a_push_broom_sensor_is_gathered_to_swathes(
@@ -101,7 +101,12 @@ def test_a_suite_is_a_folder_a_set(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (["town", "--size", "3"], "size_m must be in"),
         (["town", "--size", "150", "--length", "-4"], "length_m must be positive"),
         (["town", "--size", "150", "--spacing", "0"], "spacing_m must be positive"),
+        (["town", "--sessions", "1", "--season", "monsoon"], "--season must be one of"),
+        (["town", "--sessions", "1", "--foliage", "7"], "foliage must be in 0..1, not 7.0"),
         (["town", "--objects", "--swathe", "30"], "--objects goes with single scans"),
+        (["town", "--skew", "--swathe", "30"], "--skew goes with single scans"),
+        (["--suite", "six", "--sensor", "vlp16"], "--sensor cannot be chosen with --suite"),
+        (["--suite", "six", "--objects"], "--objects cannot be chosen with --suite"),
         (["--suite", "seven"], "--suite must be one of six"),
         (["--suite", "six", "--scale", "huge"], "scale must be one of small, full"),
     ],

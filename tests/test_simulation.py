@@ -29,8 +29,9 @@ from segloc.simulation import (
     vlp16,
 )
 from segloc.simulation.mesh import boxes, glass, quads
+from segloc.simulation.objects import SESSION_IDS, Objects
 from segloc.simulation.terrain import Terrain
-from segloc.simulation.worlds import SESSION_IDS, Objects, World
+from segloc.simulation.worlds import World
 
 SIZE = 150.0
 BOX_ID = 7

@@ -27,11 +27,12 @@ from segloc.simulation.character import draw_character
 from segloc.simulation.drives import mapped_way, way_back
 from segloc.simulation.industrial import mesh_fence
 from segloc.simulation.mesh import LEAF
+from segloc.simulation.objects import SESSION_IDS, Objects
 from segloc.simulation.roads import street_network
 from segloc.simulation.suites import SIX, SUMMER
 from segloc.simulation.terrain import Terrain
 from segloc.simulation.vehicles import vehicle
-from segloc.simulation.worlds import SESSION_IDS, Objects, World
+from segloc.simulation.worlds import World
 
 SIZE = 150.0
 LATER = Conditions(foliage=0.3, replaced=0.4, scaffolding=0.5)

@@ -28,10 +28,11 @@ from segloc.simulation import (
     simulate_session,
 )
 from segloc.simulation.mesh import LEAF, SOLID, Mesh, triangles
+from segloc.simulation.objects import Objects
+from segloc.simulation.scene import Hits
 from segloc.simulation.species import EVERGREEN, SPECIES
 from segloc.simulation.terrain import Terrain
 from segloc.simulation.trees import grow
-from segloc.simulation.worlds import Hits, Objects
 
 SIZES = {"park": 160.0, "meadow": 140.0, "forest": 120.0}
 MAKERS: dict[str, Callable[..., World]] = {"park": park, "meadow": meadow, "forest": forest}

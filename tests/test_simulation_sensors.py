@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
 
 from segloc.datasets import FolderSequence, parse_select, swathes
-from segloc.errors import ConfigError, DatasetError, InvalidScan
+from segloc.errors import ConfigError, DatasetError, InvalidScan, MissingDependency
 from segloc.geometry import travelled
 from segloc.io import read_scan, read_trajectory, write_scan
 from segloc.simulation import (
@@ -43,8 +43,8 @@ from segloc.simulation import (
     vlp16,
 )
 from segloc.simulation.mesh import boxes
+from segloc.simulation.objects import Objects
 from segloc.simulation.terrain import Terrain
-from segloc.simulation.worlds import Objects
 from segloc.types import Scan
 
 FRONT, BACK = 1, 2
@@ -357,6 +357,30 @@ def test_swathes_are_refused_where_there_is_no_way(small: World, route: Route) -
         swathes(drive, 30.0).scan(2)
 
 
+class OnePointScans:
+    """A recording along x; every scan is the point that the sensor stands on."""
+
+    name = "points"
+
+    def __init__(self, way: np.ndarray) -> None:
+        self.indices = np.arange(len(way))
+        self.poses = np.tile(np.eye(4), (len(way), 1, 1))
+        self.poses[:, 0, 3] = way
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def scan(self, i: int) -> Scan:
+        return Scan(np.zeros((1, 3), dtype=np.float32))
+
+
+def test_swathes_leave_out_stretches_without_scans() -> None:
+    way = np.array([0.0, 1, 2, 3, 40, 41, 42, 43, 50])
+    rows = swathes(OnePointScans(way), 10.0)
+    assert list(zip(rows.first, rows.anchor, rows.last, strict=True)) == [(0, 3, 4), (4, 7, 8)]
+    np.testing.assert_array_equal(rows.scan(1).points[:, 0], way[4:8] - 43.0)
+
+
 # --- recordings -----------------------------------------------------------------------------------
 
 
@@ -390,6 +414,27 @@ def test_swathes_are_recorded_like_any_sequence(small: World, route: Route, tmp_
     np.testing.assert_array_equal(read.scan(0).points, rows.scan(0).points)
     assert read.poses is not None
     np.testing.assert_allclose(read.poses, rows.poses, atol=1e-7)
+
+
+def test_what_cannot_be_recorded_is_refused_in_one_line(
+    small: World, route: Route, tmp_path: Path
+) -> None:
+    drive = simulate_session(small, 0, replace(route, length_m=40.0), lms151(20), 5)
+    with pytest.raises(ConfigError, match="only simulated scans know the objects"):
+        record(swathes(drive), tmp_path / "out", objects=True)
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(DatasetError, match="file: cannot be made: file exists"):
+        record(drive, tmp_path / "file")
+    with pytest.raises(DatasetError, match="cannot write this format"):
+        record(drive, tmp_path / "out", suffix=".doc", workers=1)
+
+
+def test_what_is_missing_is_told_across_processes() -> None:
+    error = MissingDependency("laspy", "io", "writing .laz files")
+    again = pickle.loads(pickle.dumps(error))
+    assert isinstance(again, MissingDependency)
+    assert str(again) == str(error)
 
 
 def test_seconds_as_stamps_need_one_pose_a_scan(tmp_path: Path) -> None:

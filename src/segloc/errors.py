@@ -36,3 +36,7 @@ class MissingDependency(SeglocError, ImportError):
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(f"{purpose} needs {package}: pip install 'segloc[{extra}]'")
+        self._needed = (package, extra, purpose)
+
+    def __reduce__(self) -> tuple[type[MissingDependency], tuple[str, str, str]]:
+        return type(self), self._needed  # else it could not come back from another process

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -14,13 +15,18 @@ if TYPE_CHECKING:
     from ..datasets import Sequence
     from ..simulation import Conditions, SimulatedSequence
 
-FORMATS = dict.fromkeys(("npy", "npz", "laz", "bin", "pcd", "ply"))
+FORMATS = ("npy", "npz", "laz", "bin", "pcd", "ply")
 SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
-_CHANGING = ("summer", "autumn", "winter", "spring")  # of later sessions, where none is named
+"""Share of leaves; where none is named, later sessions go through them in turn."""
+
+_OF_SUITES = {"suite", "scale", "out", "seed", "file_format", "workers"}
 _REPLACED, _SCAFFOLDING = 0.15, 0.03
+
+T = TypeVar("T")
 
 
 def simulate(
+    context: typer.Context,
     scene: Annotated[
         str | None,
         typer.Argument(metavar="SCENE", help="town, park, meadow, forest or industrial."),
@@ -38,7 +44,9 @@ def simulate(
         str | None, typer.Option(metavar="NAME", help="car, wheeled, legged or handheld.")
     ] = None,
     skew: Annotated[bool, typer.Option(help="Let the sensor move while it scans.")] = False,
-    sessions: Annotated[int, typer.Option(min=1, help="Session 0 is the one to map.")] = 2,
+    sessions: Annotated[
+        int, typer.Option(min=1, max=1001, help="Session 0 is the one to map.")
+    ] = 2,
     length: Annotated[float, typer.Option(metavar="METRES", help="Of each session.")] = 300.0,
     spacing: Annotated[
         float | None,
@@ -63,7 +71,10 @@ def simulate(
         typer.Option(metavar="METRES", help="Gather the sweeps of a push-broom LiDAR."),
     ] = None,
     file_format: Annotated[
-        str | None, typer.Option("--format", metavar="SUFFIX", help="Of scans: npy, npz or laz.")
+        str | None,
+        typer.Option(
+            "--format", metavar="SUFFIX", help="Of scans: npy, npz, laz, bin, pcd or ply."
+        ),
     ] = None,
     objects: Annotated[
         bool, typer.Option("--objects", help="Also write which object each point lies on.")
@@ -80,16 +91,18 @@ def simulate(
 
     check_folder(out)
     if file_format is not None:
-        _choice(FORMATS, file_format, "--format")
+        _check(FORMATS, file_format, "--format")
     suffix = f".{file_format}" if file_format else None
     if (scene is None) == (suite is None):
         raise ConfigError("name either a scene or, with --suite, a suite of test sets")
-    if objects and (suite is not None or swathe is not None):
-        raise ConfigError("--objects goes with single scans, not with --swathe or --suite")
     if suite is not None:
+        _refuse_what_suites_fix(context)
         _write_suite(suite, scale, seed, out, suffix, workers)
         return
     assert scene is not None
+    for wanted, name in ((objects, "--objects"), (skew, "--skew")):
+        if wanted and swathe is not None:
+            raise ConfigError(f"{name} goes with single scans, not with --swathe")
     order = _Order(scene, size, seed, sensor, thin, platform, skew, length, spacing, swathe)
     plan = _plan(sessions, season, foliage, replaced, scaffolding)
     drives = _drives(order, plan)
@@ -99,7 +112,7 @@ def simulate(
     kinds = _kinds(drives) if objects else {}
     described = [_described(drive, len(r)) for drive, r in zip(drives, recordings, strict=True)]
     _write_facts(out, asdict(order) | {"sessions": described}, kinds)
-    print(f"{len(drives)} sessions of {drives[0].world.name} are in {out}")
+    print(f"sessions of {drives[0].world.name}: {len(drives)}, in {out}")
 
 
 @dataclass(frozen=True)
@@ -118,10 +131,21 @@ class _Order:
     swathe_m: float | None
 
 
-def _choice(table: dict[str, Any], name: str, what: str) -> Any:
-    if name not in table:
-        raise ConfigError(f"{what} must be one of {', '.join(table)}, not {name!r}")
+def _check(names: Iterable[str], name: str, what: str) -> None:
+    if name not in names:
+        raise ConfigError(f"{what} must be one of {', '.join(names)}, not {name!r}")
+
+
+def _choice(table: dict[str, T], name: str, what: str) -> T:
+    _check(table, name, what)
     return table[name]
+
+
+def _refuse_what_suites_fix(context: typer.Context) -> None:
+    for parameter in context.command.params:
+        source = context.get_parameter_source(str(parameter.name))
+        if parameter.name not in _OF_SUITES and source is not None and source.name == "COMMANDLINE":
+            raise ConfigError(f"{parameter.opts[0]} cannot be chosen with --suite")
 
 
 def _plan(
@@ -132,12 +156,10 @@ def _plan(
 
     if season is not None and foliage is not None:
         raise ConfigError("give --season or --foliage, not both")
-    plan = [Conditions()]
-    for k in range(1, sessions):
-        name = season or _CHANGING[k % len(_CHANGING)]
-        leaves = _choice(SEASONS, name, "--season") if foliage is None else foliage
-        plan.append(Conditions(leaves, replaced, scaffolding))
-    return plan
+    names = list(SEASONS) if season is None else [season]
+    leaves = [_choice(SEASONS, name, "--season") if foliage is None else foliage for name in names]
+    later = [Conditions(share, replaced, scaffolding) for share in leaves]
+    return [Conditions(), *(later[k % len(later)] for k in range(1, sessions))]
 
 
 def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:

@@ -77,7 +77,8 @@ def swathes(recording: Recording, length_m: float = 30.0) -> Swathes:
 
     A push-broom LiDAR sees one plane; the way makes the third dimension. 30 m are those of
     "Real-time LIDAR localization in natural and urban environments", Data Organization. Swathes
-    follow each other without overlap; what is left over at the end is left out.
+    follow each other without overlap; what is left over at the end is left out, and so are
+    stretches without scans. Scans are taken to be de-skewed: all points in the frame of the pose.
 
     Raises
     ------
@@ -99,14 +100,18 @@ def swathes(recording: Recording, length_m: float = 30.0) -> Swathes:
             f"{recording.name}: a way of {reach:.1f} m is shorter than one swathe of {length_m:g} m"
         )
     bounds = np.searchsorted(way, length_m * np.arange(count + 1))
-    anchor = np.searchsorted(way, length_m * (np.arange(count) + 0.5))
+    first, last = bounds[:-1], bounds[1:]
+    filled = first < last  # no scan lies in a stretch that the recording leaps over
+    first, last = first[filled], last[filled]
+    middle = length_m * (np.flatnonzero(filled) + 0.5)
+    anchor = np.minimum(np.searchsorted(way, middle), last - 1)
     truth = np.asarray(getattr(recording, "truth", poses))
     return Swathes(
         recording,
         recording.indices[anchor],
         poses[anchor],
         truth[anchor],
-        bounds[:-1],
+        first,
         anchor,
-        bounds[1:],
+        last,
     )

@@ -16,11 +16,12 @@ from .ranging import Lidar, Rays, Returns
 from .record import process_pool, record
 from .rosette import RosetteLidar, solid_state
 from .route import Route
+from .scene import Scene
 from .scenes import SCENES
 from .sensors import SENSORS
 from .town import town
 from .traversal import SimulatedSequence, simulate_session
-from .worlds import Conditions, Scene, World
+from .worlds import Conditions, World
 
 __all__ = [
     "PLATFORMS",

@@ -14,10 +14,7 @@ _TILE, _FLAT = 0.35, 0.25
 
 @dataclass(frozen=True)
 class Building:
-    """A building with its front (towards -y) at y = -depth / 2, centred on the origin.
-
-    ``base`` is the height of its ground floor above the lowest ground that it may stand on.
-    """
+    """A building with its front (towards -y) at y = -depth / 2, centred on the origin."""
 
     mesh: Mesh
     width: float

@@ -121,18 +121,18 @@ class Footing:
 
 @dataclass(frozen=True)
 class Extent:
-    """Where an object is: middle and height of each, from its triangles."""
+    """Where an object is: the middle of its plan, (2,), its height, and its triangles."""
 
     middle: Float64
     height: float
-    corners: Float32
+    triangles: Float32
 
     @staticmethod
-    def of(corners: Float32) -> Extent:
+    def of(triangles: Float32) -> Extent:
         """Of the (T, 3, 3) triangles of one object."""
-        points = corners.reshape(-1, 3)
+        points = triangles.reshape(-1, 3)
         low, high = points.min(axis=0), points.max(axis=0)
-        return Extent(((low + high) / 2)[:2].astype(np.float64), float(high[2] - low[2]), corners)
+        return Extent(((low + high) / 2)[:2].astype(np.float64), float(high[2] - low[2]), triangles)
 
 
 def replace_some(
@@ -197,7 +197,7 @@ def _street_side(extent: Extent, clearance: Clearance) -> tuple[Float64, Float64
 
     Both ends, (2,), and the unit vector away from the building.
     """
-    points = extent.corners.reshape(-1, 3)[:, :2].astype(np.float64)
+    points = extent.triangles.reshape(-1, 3)[:, :2].astype(np.float64)
     hull = points[ConvexHull(points).vertices]
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))

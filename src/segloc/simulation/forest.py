@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..types import Float64
-from .land import Ground, Land, check_world, lay_out, scattered
+from .land import Ground, Land, lay_out, scattered
+from .layout import check_world
 from .roads import street_network
 from .street import bench, name_sign
 from .trees import grow

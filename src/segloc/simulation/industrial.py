@@ -9,12 +9,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ..errors import ConfigError
 from ..types import Float64
 from .buildings import Building, shed
 from .containers import barriers, container_stack, drums, pallets, rubble
-from .layout import Frontage, Occupancy, Site, lay_kerb, paved_ground
+from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
 from .mesh import Mesh, above, boxes, join, quads, tubes
+from .objects import Objects
 from .plant import gantry, light_mast, lying_tank, pipe_rack, silos, stair_tower, upright_tank
 from .planting import town_tree
 from .roads import street_network
@@ -22,7 +22,7 @@ from .street import cabinet, lamp, name_sign, skip_container, traffic_sign
 from .vegetation import bush, shrubs
 from .vehicles import vehicle
 from .works import hall, training_house
-from .worlds import Objects, World
+from .worlds import World
 
 _MARGIN, _BLOCK = 34.0, 62.0
 
@@ -63,10 +63,7 @@ def industrial(seed: int, *, size_m: float = 330.0) -> World:
     ConfigError
         If ``size_m`` is not in 130..2000 or the seed is negative.
     """
-    if not 130 <= size_m <= 2000:
-        raise ConfigError(f"size_m must be in 130..2000, not {size_m}")
-    if seed < 0:
-        raise ConfigError(f"seed must not be negative, not {seed}")
+    check_world(seed, size_m, 130.0, 2000.0)
     rng = np.random.default_rng([seed, 15_485_863])
     roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=(3.6, 5.6))
     paved = float(rng.uniform(4.0, 14.0))
@@ -182,18 +179,17 @@ def _fill_blocks(site: Site, size_m: float, shares: Float64) -> None:
 
 
 def _fence_along(site: Site, front: Frontage) -> None:
-    """A mesh fence, a hedge of shrubs or barriers on part of a frontage."""
+    """A mesh fence or shrubs on part of a frontage."""
     rng, length = site.rng, front.street.length
     if rng.random() < 0.45:
         return
     begin = rng.uniform(3, 0.6 * length)
     s = np.arange(begin, min(length - 3, begin + rng.uniform(10, 50)), 2.5)
     points, _ = front.at(s, front.pavement + rng.uniform(0.2, 0.5))
-    free = [bool(site.clear_line(point[None], 0.6)) for point in points]
-    count = len(free) if all(free) else free.index(False)
-    if count < 3:
+    points = site.clear_start(points, 0.6)
+    if len(points) < 3:
         return
-    line = site.ground_line(points[:count])
+    line = site.ground_line(points)
     if rng.random() < 0.75:
         site.items.append(("mesh fence", mesh_fence(rng, line)))
     else:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ..errors import ConfigError
 from ..types import Float32, Float64
 from .layout import Occupancy, Site
 from .mesh import Mesh
+from .objects import Objects
 from .roads import RoadNetwork
 from .terrain import Terrain, relief, roughness
-from .worlds import Objects, World
+from .worlds import World
 
 _STEP = 0.5
 _VERGE = 1.0  # kept clear beside paths, metres
@@ -72,12 +72,7 @@ class Land(Site):
         low = (z - self.terrain.height(x, y) < _HEADROOM).reshape(-1, 3).any(axis=1)
         keep = np.ones(len(mesh), dtype=bool)
         keep[over[low]] = False
-        return replace(
-            mesh,
-            triangles=corner[keep],
-            reflectance=mesh.reflectance[keep],
-            material=mesh.material[keep],
-        )
+        return mesh.only(keep)
 
     def line(self, points: Float64) -> Float64:
         """The longest stretch of a (n, 2) line that is free and off the paths; maybe empty."""
@@ -166,20 +161,6 @@ def lay_out(rng: np.random.Generator, roads: RoadNetwork, size_m: float, ground:
         room=np.minimum(clear, corner).astype(np.float32),
         ground_reflectance=np.repeat(shine, 2),
     )
-
-
-def check_world(seed: int, size_m: float, smallest: float, largest: float) -> None:
-    """Refuse a seed or a size that no world can be made of.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in ``smallest`` to ``largest`` metres or the seed is negative.
-    """
-    if not smallest <= size_m <= largest:
-        raise ConfigError(f"size_m must be in {smallest:.0f}..{largest:.0f}, not {size_m}")
-    if seed < 0:
-        raise ConfigError(f"seed must not be negative, not {seed}")
 
 
 def scattered(rng: np.random.Generator, size_m: float, spacing: float, loose: float) -> Float64:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..errors import ConfigError
 from ..types import Float32, Float64
 from .mesh import Mesh, loft, rectangle
 from .roads import RoadNetwork, Street
@@ -13,17 +14,17 @@ from .terrain import Terrain, relief, roughness
 from .worlds import Spots
 
 _KERB = 0.12
-_STEP = 0.5
+_STEP = 0.5  # of the terrain's grid, metres
+_CELL = 0.25  # of the grid of taken ground, metres
 _HEADROOM = 3.8  # below which branches are cut over streets, metres
 
 
 class Occupancy:
-    """Which ground is taken, on a grid of quarter metres."""
+    """Which ground of a square with a corner at the origin is taken, on a fine grid."""
 
-    def __init__(self, size_m: float, step: float = 0.25) -> None:
-        self._step = step
+    def __init__(self, size_m: float) -> None:
         self.size_m = size_m
-        side = int(np.ceil(size_m / step)) + 1
+        side = int(np.ceil(size_m / _CELL)) + 1
         self._taken = np.zeros((side, side), dtype=bool)
 
     def claim(
@@ -42,7 +43,7 @@ class Occupancy:
         """Whether a rectangle and ``margin`` around it are free and lie inside the grid."""
         wide = (size[0] + 2 * margin, size[1] + 2 * margin)
         corners = rectangle(center, wide, yaw)
-        if corners.min() < 0 or corners.max() > (len(self._taken) - 1) * self._step:
+        if corners.min() < 0 or corners.max() > (len(self._taken) - 1) * _CELL:
             return False
         rows, inside = self._cells(center, wide, yaw)
         return not bool((self._taken[rows] & inside).any())
@@ -51,12 +52,12 @@ class Occupancy:
         self, center: Float64, size: tuple[float, float], yaw: float
     ) -> tuple[tuple[slice, slice], np.ndarray]:
         corners = rectangle(center, size, yaw)
-        low = np.floor(corners.min(axis=0) / self._step).astype(int)
-        high = np.ceil(corners.max(axis=0) / self._step).astype(int) + 1
-        x = np.arange(low[0], high[0]) * self._step - center[0]
-        y = np.arange(low[1], high[1])[:, None] * self._step - center[1]
+        low = np.floor(corners.min(axis=0) / _CELL).astype(int)
+        high = np.ceil(corners.max(axis=0) / _CELL).astype(int) + 1
+        x = np.arange(low[0], high[0]) * _CELL - center[0]
+        y = np.arange(low[1], high[1])[:, None] * _CELL - center[1]
         c, s = np.cos(yaw), np.sin(yaw)
-        half = self._step / 2
+        half = _CELL / 2
         inside = (np.abs(c * x + s * y) <= size[0] / 2 + half) & (
             np.abs(c * y - s * x) <= size[1] / 2 + half
         )
@@ -160,11 +161,31 @@ class Site:
         """(n, 3) points on the terrain under (n, 2) points."""
         return np.column_stack([points, self.terrain.height(points[:, 0], points[:, 1])])
 
+    def clear_start(self, points: Float64, clearance: float) -> Float64:
+        """The points of a (n, 2) line before the first on a road or on what is built already."""
+        taken = (not self.clear_line(point[None], clearance) for point in points)
+        count = next((k for k, blocked in enumerate(taken) if blocked), len(points))
+        return points[:count]
+
     def clear_line(self, points: Float64, clearance: float) -> bool:
         """Whether a (n, 2) line stays off the roads and off what is built already."""
         if (self.roads.clearance(points) < clearance).any():
             return False
         return all(self.ground.free(point, (0.3, 0.3), 0.0) for point in points)
+
+
+def check_world(seed: int, size_m: float, smallest: float, largest: float) -> None:
+    """Refuse a seed or a size that no world can be made of.
+
+    Raises
+    ------
+    ConfigError
+        If ``size_m`` is not in ``smallest`` to ``largest`` metres or the seed is negative.
+    """
+    if not smallest <= size_m <= largest:
+        raise ConfigError(f"size_m must be in {smallest:.0f}..{largest:.0f}, not {size_m}")
+    if seed < 0:
+        raise ConfigError(f"seed must not be negative, not {seed}")
 
 
 def paved_ground(

@@ -57,9 +57,7 @@ class SpinningLidar(Lidar):
         return Rays(directions.reshape(-1, 3), times)
 
     def thinned(self, factor: int) -> SpinningLidar:
-        if factor < 1:
-            raise ConfigError(f"factor must be at least 1, not {factor}")
-        return replace(self, azimuth_steps=max(1, round(self.azimuth_steps / factor)))
+        return replace(self, azimuth_steps=self._fewer(self.azimuth_steps, factor, 1))
 
 
 def hdl64e(azimuth_steps: int = 2083) -> SpinningLidar:

@@ -56,9 +56,7 @@ class LineLidar(Lidar):
         return Rays(turn.apply(plane).astype(np.float32), times)
 
     def thinned(self, factor: int) -> LineLidar:
-        if factor < 1:
-            raise ConfigError(f"factor must be at least 1, not {factor}")
-        return replace(self, steps=max(2, round(self.steps / factor)))
+        return replace(self, steps=self._fewer(self.steps, factor, 2))
 
 
 def lms151(steps: int = 541) -> LineLidar:

@@ -168,10 +168,9 @@ def _divider(site: Site, front: Frontage, s: float, depth: float) -> None:
     )
     reach = np.linspace(0.6, depth, max(2, int(depth / 1.5)))
     points, _ = front.at(np.full(len(reach), s + 0.1), front.pavement + reach)
-    free = [bool(site.clear_line(point[None], 1.0)) for point in points]
-    count = len(free) if all(free) else free.index(False)
-    if kind != "none" and count >= 2:
-        _edge(site, kind, points[:count])
+    points = site.clear_start(points, 1.0)
+    if kind != "none" and len(points) >= 2:
+        _edge(site, kind, points)
 
 
 def _beside(site: Site, lot: Lot) -> None:

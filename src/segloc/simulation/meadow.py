@@ -8,7 +8,8 @@ import numpy as np
 
 from ..types import Float64
 from .fixtures import bale, gate, picnic_table, post_row, trough
-from .land import Ground, Land, check_world, lay_out, scattered
+from .land import Ground, Land, lay_out, scattered
+from .layout import check_world
 from .roads import street_network
 from .street import bench, name_sign
 from .trees import grow

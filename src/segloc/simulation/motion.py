@@ -46,11 +46,6 @@ class Motion:
         if not (np.diff(self.stamps) > 0).all():
             raise ConfigError("the stamps of a motion must rise")
 
-    @property
-    def duration(self) -> float:
-        """Seconds from the first knot to the last."""
-        return float(self.stamps[-1] - self.stamps[0])
-
     @cached_property
     def _slerp(self) -> Slerp:
         return Slerp(self.stamps, Rotation.from_matrix(self.poses[:, :3, :3]))

@@ -19,8 +19,8 @@ from .fixtures import (
     statue,
     swings,
 )
-from .land import Ground, Land, check_world, lay_out, scattered
-from .layout import Frontage
+from .land import Ground, Land, lay_out, scattered
+from .layout import Frontage, check_world
 from .lots import build_along, dress
 from .mesh import Mesh
 from .roads import RoadNetwork, Street, street_network

@@ -9,15 +9,16 @@ from .buildings import Building
 from .mesh import Mesh, above, boxes, ellipsoid, join, quads, tubes
 
 _STEEL, _CONCRETE, _CLAD = 0.3, 0.45, 0.55
+_RAIL = 1.1  # height of handrails, metres
 
 
-def handrail(corners: Float64, high: float = 1.1) -> Mesh:
+def handrail(corners: Float64) -> Mesh:
     """Posts and two rails along a (n, 3) line."""
     a, b = corners[:-1], corners[1:]
-    posts = tubes(corners, corners + above(high), [0.025, 0.025], _STEEL, sides=4)
+    posts = tubes(corners, corners + above(_RAIL), [0.025, 0.025], _STEEL, sides=4)
     rails = [
         tubes(a + above(z), b + above(z), [0.022, 0.022], _STEEL, sides=4)
-        for z in (0.5 * high, high)
+        for z in (0.5 * _RAIL, _RAIL)
     ]
     return join([posts, *rails])
 

@@ -42,12 +42,12 @@ def ivy(rng: np.random.Generator, width: float, depth: float, height: float) -> 
     return join(parts)
 
 
-def plant(site: Site, at: Float64, tallest: float, size: float = 1.0) -> bool:
+def _plant(site: Site, at: Float64, tallest: float) -> bool:
     """A tree or bush at random on a spot, if it is free."""
     rng = site.rng
     if tallest > 3 and rng.random() < 0.5:
         return site.stand("tree", town_tree(rng, 2.5, tallest), at, float(rng.uniform(0, 6)), 0.8)
-    return site.stand("bush", bush(rng), at, float(rng.uniform(0, 6)), size)
+    return site.stand("bush", bush(rng), at, float(rng.uniform(0, 6)), 1.0)
 
 
 def thicket(site: Site, corners: Float64) -> None:
@@ -58,7 +58,7 @@ def thicket(site: Site, corners: Float64) -> None:
     for u, v in rng.random((int(area / rng.uniform(5, 14)), 2)):
         at = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
         if site.roads.clearance(at) > 2.0:
-            plant(site, at, 12.0)
+            _plant(site, at, 12.0)
     if rng.random() < 0.5:
         t = np.linspace(0.05, 0.95, max(3, int(np.linalg.norm(b - a) / 1.5)))[:, None]
         line = (1 - t) * a + t * b

@@ -19,6 +19,7 @@ from .terrain import Terrain
 
 _KNOT_S = 0.025  # fine enough for steps of three hertz
 _KNOT_M = 0.25
+_WANDER_S = 0.8  # over which a body's slow tilts are alike
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +62,9 @@ class Gait:
         return T
 
 
-def _slow(rng: np.random.Generator, stamps: Float64, seconds: float = 0.8) -> Float64:
+def _slow(rng: np.random.Generator, stamps: Float64) -> Float64:
     """Smooth random curves (N, 3) of unit standard deviation."""
-    width = seconds / (stamps[1] - stamps[0])
+    width = _WANDER_S / (stamps[1] - stamps[0])
     curves = gaussian_filter1d(rng.normal(size=(len(stamps), 3)), width, axis=0, mode="reflect")
     return np.asarray(curves * np.sqrt(2 * np.sqrt(np.pi) * width), dtype=np.float64)
 

@@ -157,6 +157,12 @@ class Lidar(ABC):
             If the factor is below 1.
         """
 
+    @staticmethod
+    def _fewer(firings: int, factor: int, least: int) -> int:
+        if factor < 1:
+            raise ConfigError(f"factor must be at least 1, not {factor}")
+        return max(least, round(firings / factor))
+
     def ideal(self: Self) -> Self:
         """The same rays without noise, lost or mixed returns, or glass."""
         return replace(

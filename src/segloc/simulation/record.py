@@ -13,9 +13,9 @@ import numpy as np
 
 from ..datasets.base import Recording
 from ..errors import ConfigError, DatasetError
+from ..files import replacing
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
-from .objects import Int32
 from .traversal import SimulatedSequence
 
 _CHUNK = 8
@@ -61,14 +61,18 @@ def record(
     ConfigError
         If ``workers`` is below 1, or ``objects`` are asked for that the sequence does not know.
     DatasetError
-        If the sequence has no poses, or a format is unknown or has no room for times.
+        If the sequence has no poses, a folder cannot be made, or a format is unknown or has no room
+        for times.
     SeglocError
         If a file cannot be written.
     """
     if workers < 1:
         raise ConfigError(f"workers must be at least 1, not {workers}")
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
+    if objects and not isinstance(sequence, SimulatedSequence):
+        raise ConfigError(f"{sequence.name}: only simulated scans know the objects of their points")
+    target = _made(Path(folder))
+    if objects:
+        _made(target / "objects")
     _write_poses(sequence, target)
     ending = suffix or (".npz" if getattr(sequence, "skew", False) else ".npy")
     chunks = [range(k, min(k + _CHUNK, len(sequence))) for k in range(0, len(sequence), _CHUNK)]
@@ -88,14 +92,26 @@ def record(
         futures = [
             pool.submit(_write_scans, sequence, target, ending, objects, chunk) for chunk in chunks
         ]
-        for future in as_completed(futures):
-            advance(future.result())
+        try:
+            for future in as_completed(futures):
+                advance(future.result())
+        finally:
+            for future in futures:
+                future.cancel()  # after a fault the rest would be cast in vain
     return target
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
     """A pool of fresh processes: forked ones would inherit the ray caster's stopped threads."""
     return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"{folder}: cannot be made: {str(error.strerror).lower()}") from error
+    return folder
 
 
 def _write_poses(sequence: Recording, folder: Path) -> None:
@@ -114,18 +130,11 @@ def _write_poses(sequence: Recording, folder: Path) -> None:
 def _write_scans(
     sequence: Recording, folder: Path, suffix: str, objects: bool, indices: range
 ) -> int:
-    if objects:
-        (folder / "objects").mkdir(exist_ok=True)
     for i in indices:
         scan = sequence.scan(i)
         name = f"{sequence.indices[i]:06d}"
         write_scan(folder / f"{name}{suffix}", scan.points, scan.times)
-        if objects:
-            np.save(folder / "objects" / f"{name}.npy", _object_ids(sequence, i))
+        if objects and isinstance(sequence, SimulatedSequence):
+            with replacing(folder / "objects" / f"{name}.npy") as file:
+                np.save(file, sequence.object_ids(i))
     return len(indices)
-
-
-def _object_ids(sequence: Recording, i: int) -> Int32:
-    if not isinstance(sequence, SimulatedSequence):
-        raise ConfigError(f"{sequence.name}: only simulated scans know the objects of their points")
-    return sequence.object_ids(i)

@@ -69,9 +69,7 @@ class RosetteLidar(Lidar):
         return Rays(directions.reshape(-1, 3).astype(np.float32), times)
 
     def thinned(self, factor: int) -> RosetteLidar:
-        if factor < 1:
-            raise ConfigError(f"factor must be at least 1, not {factor}")
-        return replace(self, firings=max(1, round(self.firings / factor)))
+        return replace(self, firings=self._fewer(self.firings, factor, 1))
 
 
 def solid_state(firings: int = 4000) -> RosetteLidar:

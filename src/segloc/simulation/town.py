@@ -6,22 +6,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..errors import ConfigError
 from .buildings import shed
 from .character import BUILDINGS, Character, draw_character
-from .layout import Frontage, Occupancy, Site, lay_kerb, paved_ground
+from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
 from .lots import build_along, dress
+from .objects import Objects
 from .planting import town_tree
 from .roads import Street, street_network
-from .street import (
-    FURNITURE,
-    lamp,
-    traffic_light,
-    traffic_sign,
-    utility_pole,
-)
+from .street import FURNITURE, lamp, traffic_light, traffic_sign, utility_pole
 from .vegetation import bush
-from .worlds import Objects, World
+from .worlds import World
 
 _MARGIN = 38.0
 _BLOCK = 68.0
@@ -37,10 +31,7 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
     ConfigError
         If ``size_m`` is not in 130..2000 or the seed is negative.
     """
-    if not 130 <= size_m <= 2000:
-        raise ConfigError(f"size_m must be in 130..2000, not {size_m}")
-    if seed < 0:
-        raise ConfigError(f"seed must not be negative, not {seed}")
+    check_world(seed, size_m, 130.0, 2000.0)
     rng = np.random.default_rng([seed, 104729])
     character = draw_character(rng)
     roads = street_network(

@@ -102,13 +102,14 @@ class SimulatedSequence:
     def _cast(self, i: int) -> Returns:
         if not 0 <= i < len(self):
             raise DatasetError(f"{self.name}: no scan at position {i}, there are {len(self)}")
-        if self._last is None or self._last[0] != i:
+        last = self._last
+        if last is None or last[0] != i:
             number = int(self.indices[i])
             rng = np.random.default_rng([self.seed, self.session, number])
             scene = self.world.session(self.session, self.conditions)
             pose = self._poses_from(i) if self.skew else self.truth[i]
-            self._last = (i, self.sensor.take(scene, pose, rng, number))
-        return self._last[1]
+            last = self._last = (i, self.sensor.take(scene, pose, rng, number))
+        return last[1]
 
     def _poses_from(self, i: int) -> PosesAt:
         if self.motion is None or self.stamps is None:

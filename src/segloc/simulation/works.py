@@ -62,29 +62,41 @@ def _clad_wall(
         x = np.linspace(a, b, n)
         y = np.where(np.arange(n) % 4 > 1, fold, 0.0)
         parts.append(_sheet(x, y, low, top, paint))
-    for a, b, top in doors:
-        raised = top * rng.choice([0.0, 0.0, 0.35, 0.9])
-        slats = np.arange(raised, top + 0.01, 0.16)
-        y = 0.25 + 0.02 * (np.arange(len(slats)) % 2)
-        line = np.column_stack([np.zeros(len(slats)), y, slats])
-        parts.append(loft([line + [a, 0, 0], line + [b, 0, 0]], 0.5, closed=False))
-        jambs = [[[x, 0, -0.2], [x, 0.3, -0.2], [x, 0.3, top], [x, 0, top]] for x in (a, b)]
-        parts.append(quads(jambs, paint))
-        posts = np.array([[x + s * 0.35, -0.6, -0.2] for x, s in ((a, -1), (b, 1))])
-        parts.append(tubes(posts, posts + above(1.2), [0.09, 0.09], 0.6))
-        if rng.random() < 0.3:
-            parts.append(boxes([(a + b) / 2, -0.6, top + 0.2], [b - a + 0.6, 1.2, 0.1], _STEEL))
+    parts += [_roller_door(rng, a, b, top, paint) for a, b, top in doors]
     if high > 5.6 and rng.random() < 0.6:
-        low, n = high - rng.uniform(0.8, 1.4), int(long / 1.6)
-        x = (np.arange(n) + 0.5) * long / n
-        pane = np.array([[-0.6, 0], [0.6, 0], [0.6, 0.6], [-0.6, 0.6]])
-        corner = np.zeros((n, 4, 3))
-        corner[..., 0] = x[:, None] + pane[:, 0]
-        corner[..., 1], corner[..., 2] = -0.02, low + pane[:, 1]
-        parts.append(glass(quads(corner, 0.0)))
+        parts.append(_window_strip(long, high - rng.uniform(0.8, 1.4)))
     pipes = np.arange(0.3, long, rng.uniform(6, 12))[:, None] * [1, 0, 0] + [0, -0.1, -0.3]
     parts.append(tubes(pipes, pipes + above(high + 0.3), [0.06, 0.06], _STEEL, sides=6))
     return join(parts)
+
+
+def _roller_door(rng: np.random.Generator, a: float, b: float, top: float, paint: float) -> Mesh:
+    """A door from x = a to b, closed or raised, with jambs, bollards and sometimes a canopy."""
+    raised = top * rng.choice([0.0, 0.0, 0.35, 0.9])
+    slats = np.arange(raised, top + 0.01, 0.16)
+    y = 0.25 + 0.02 * (np.arange(len(slats)) % 2)
+    line = np.column_stack([np.zeros(len(slats)), y, slats])
+    jambs = [[[x, 0, -0.2], [x, 0.3, -0.2], [x, 0.3, top], [x, 0, top]] for x in (a, b)]
+    posts = np.array([[x + s * 0.35, -0.6, -0.2] for x, s in ((a, -1), (b, 1))])
+    parts = [
+        loft([line + [a, 0, 0], line + [b, 0, 0]], 0.5, closed=False),
+        quads(jambs, paint),
+        tubes(posts, posts + above(1.2), [0.09, 0.09], 0.6),
+    ]
+    if rng.random() < 0.3:
+        parts.append(boxes([(a + b) / 2, -0.6, top + 0.2], [b - a + 0.6, 1.2, 0.1], _STEEL))
+    return join(parts)
+
+
+def _window_strip(long: float, low: float) -> Mesh:
+    """Panes side by side under the eaves."""
+    n = int(long / 1.6)
+    x = (np.arange(n) + 0.5) * long / n
+    pane = np.array([[-0.6, 0], [0.6, 0], [0.6, 0.6], [-0.6, 0.6]])
+    corner = np.zeros((n, 4, 3))
+    corner[..., 0] = x[:, None] + pane[:, 0]
+    corner[..., 1], corner[..., 2] = -0.02, low + pane[:, 1]
+    return glass(quads(corner, 0.0))
 
 
 def _sheet(x: Float64, y: Float64, low: float, top: float, paint: float) -> Mesh:

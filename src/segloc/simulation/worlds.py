@@ -12,14 +12,12 @@ from ..errors import ConfigError
 from ..types import Float32, Float64
 from .changes import BUILT, REPLACEABLE, Extent, Footing, replace_some, road_works, scaffold
 from .mesh import Mesh
-from .objects import GROUND_ID, SESSION_IDS, Objects
+from .objects import SESSION_IDS, Objects
 from .roads import RoadNetwork
-from .scene import Hits, Scene
+from .scene import Scene
 from .street import person
 from .terrain import Terrain
 from .vehicles import bicycle, vehicle
-
-__all__ = ["GROUND_ID", "SESSION_IDS", "Conditions", "Hits", "Objects", "Scene", "Spots", "World"]
 
 _ROAD_WORKS = 0.012  # at how many of the places to park they dig
 
@@ -124,12 +122,13 @@ class World:
             raise ConfigError(f"session must be in 0..1000, not {k}")
         conditions = conditions or Conditions()
         key = (k, conditions)
-        if key not in self._scenes:
+        scene = self._scenes.get(key)
+        if scene is None:
             self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
             groups = [*self.standing(k, conditions), self.changing(k)]
             leafy = [group.with_foliage(conditions.foliage) for group in groups]
-            self._scenes[key] = Scene(self.terrain, self.ground_reflectance, leafy)
-        return self._scenes[key]
+            scene = self._scenes[key] = Scene(self.terrain, self.ground_reflectance, leafy)
+        return scene
 
     def standing(self, k: int, conditions: Conditions) -> list[Objects]:
         """What stays, less what is gone in session k; and what is put up instead."""
