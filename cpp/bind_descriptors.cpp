@@ -1,4 +1,5 @@
 // Hand-made descriptors, and the forests over pairs of them.
+#include "bind_tensors.h"
 #include "bindings.h"
 #include "esf.h"
 #include "forest.h"
@@ -6,16 +7,8 @@
 #include "moments.h"
 #include "voxel_network.h"
 
-#include <nanobind/stl/map.h>
-
 namespace segloc::bindings {
 namespace {
-
-void check_segments(const In2<float>& points, const In1<int64_t>& offsets) {
-  require(points.shape(1) == 3, "points must have shape (M, 3)");
-  check_offsets(offsets, points.shape(0));
-  require(points.shape(0) < (std::size_t{1} << 31), "too many points");
-}
 
 nb::tuple moments(In2<float> points, In1<int64_t> offsets, int threads) {
   check_segments(points, offsets);
@@ -141,17 +134,9 @@ nb::tuple shapes(In2<float> points, In1<int64_t> offsets, int threads) {
                         to_numpy(std::move(result.scales), {P, 3}));
 }
 
-using Array = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
-
-void construct_network(VoxelNetwork* self, const std::map<std::string, Array>& tensors,
+void construct_network(VoxelNetwork* self, const TensorArrays& tensors,
                        const std::string& isa) {
-  Tensors views;
-  for (const auto& [name, array] : tensors) {
-    TensorView view{array.data(), {}};
-    for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
-    views.emplace(name, std::move(view));
-  }
-  new (self) VoxelNetwork(views, parse_isa(isa));
+  new (self) VoxelNetwork(views_of(tensors), parse_isa(isa));
 }
 
 Out<float> describe(const VoxelNetwork& network, In1<int32_t> voxels, In1<int64_t> offsets,

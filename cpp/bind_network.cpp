@@ -1,5 +1,4 @@
-#include <map>
-
+#include "bind_tensors.h"
 #include "bindings.h"
 #include "fps.h"
 #include "knn.h"
@@ -7,13 +6,8 @@
 #include "network.h"
 #include "prepare.h"
 
-#include <nanobind/stl/map.h>
-
 namespace segloc::bindings {
 namespace {
-
-// Prepared segments, which are centred, may be a little larger than the points they came from.
-constexpr float kLargestPrepared = 1e16f;
 
 Out<int32_t> fps(In3<float> points, std::size_t samples, int threads, const std::string& isa) {
   const std::size_t clouds = points.shape(0), n = points.shape(1);
@@ -39,8 +33,7 @@ Alignment parse_alignment(const std::string& name) {
 
 Out<float> prepare(In2<float> points, In1<int64_t> offsets, std::size_t count,
                    const std::string& alignment, int threads, const std::string& isa) {
-  require(points.shape(1) == 3, "points must have shape (M, 3)");
-  check_offsets(offsets, points.shape(0));
+  check_segments(points, offsets);
   require(count > 0 && count <= kThinnedPoints,
           "count must be from 1 to " + std::to_string(kThinnedPoints));
   const Alignment how = parse_alignment(alignment);
@@ -98,21 +91,14 @@ nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int thread
                         to_numpy(std::move(distances), {Q, columns}));
 }
 
-using Array = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 using LayerRow = std::tuple<int, int, int, int>;
 
 void construct(Network* self, const std::vector<LayerRow>& layers,
-               const std::map<std::string, Array>& tensors, std::size_t points,
+               const TensorArrays& tensors, std::size_t points,
                const std::string& isa) {
   std::vector<LayerSpec> specs;
   for (const auto& [n, k, d, c] : layers) specs.push_back({n, k, d, c});
-  Tensors views;
-  for (const auto& [name, array] : tensors) {
-    TensorView view{array.data(), {}};
-    for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
-    views.emplace(name, std::move(view));
-  }
-  new (self) Network(specs, points, views, parse_isa(isa));
+  new (self) Network(specs, points, views_of(tensors), parse_isa(isa));
 }
 
 void check_prepared(const Network& network, const In3<float>& prepared) {

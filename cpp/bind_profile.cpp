@@ -1,17 +1,13 @@
-#include <map>
-
+// The shape profiles and the perceptron that reads them.
+#include "bind_tensors.h"
 #include "bindings.h"
-#include "finite.h"
 #include "perceptron.h"
 #include "profile.h"
-
-#include <nanobind/stl/map.h>
 
 namespace segloc::bindings {
 namespace {
 
 constexpr std::size_t kFewest = 32;
-constexpr float kLargest = 1e15f;
 
 Out<float> profiles(In3<float> prepared, In1<float> heights, int threads) {
   const std::size_t P = prepared.shape(0), N = prepared.shape(1);
@@ -21,26 +17,17 @@ Out<float> profiles(In3<float> prepared, In1<float> heights, int threads) {
   std::vector<float> output(P * profile_size());
   {
     nb::gil_scoped_release release;
-    require(all_below(prepared.data(), prepared.size(), kLargest) &&
-                all_below(heights.data(), P, kLargest),
-            "prepared or heights have values that are not finite or beyond 1e15");
+    require_usable(prepared.data(), prepared.size(), "prepared", kLargestPrepared);
+    require_usable(heights.data(), P, "heights");
     shape_profiles(prepared.data(), heights.data(), P, N, threads, output.data());
   }
   return to_numpy(std::move(output), {P, profile_size()});
 }
 
-using Array = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
-
-void construct(Perceptron* self, const std::map<std::string, Array>& tensors, float limit,
+void construct(Perceptron* self, const TensorArrays& tensors, float limit,
                const std::string& isa) {
-  Tensors views;
-  for (const auto& [name, array] : tensors) {
-    TensorView view{array.data(), {}};
-    for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
-    views.emplace(name, std::move(view));
-  }
   require(limit > 0, "limit must be positive");
-  new (self) Perceptron(views, limit, parse_isa(isa));
+  new (self) Perceptron(views_of(tensors), limit, parse_isa(isa));
 }
 
 Out<float> run(const Perceptron& perceptron, In2<float> input, int threads) {
@@ -50,7 +37,7 @@ Out<float> run(const Perceptron& perceptron, In2<float> input, int threads) {
   std::vector<float> output(rows * perceptron.outputs());
   {
     nb::gil_scoped_release release;
-    require(all_below(input.data(), input.size(), kLargest), "input has values that are not finite");
+    require_usable(input.data(), input.size(), "input");
     perceptron.run(input.data(), rows, threads, output.data());
   }
   return to_numpy(std::move(output), {rows, perceptron.outputs()});

@@ -38,6 +38,8 @@ inline void require(bool condition, const std::string& message) {
 
 // Squares of larger values would overflow.
 constexpr float kLargest = 1e15f;
+// Prepared segments, which are centred, may be a little larger than the points they came from.
+constexpr float kLargestPrepared = 1e16f;
 
 inline void require_usable(const float* values, std::size_t count, const char* name,
                            float limit = kLargest) {
@@ -52,6 +54,12 @@ inline void check_offsets(const In1<int64_t>& offsets, std::size_t points) {
   }
   require(offsets.data()[offsets.size() - 1] == static_cast<int64_t>(points),
           "offsets must end with the number of points");
+}
+
+inline void check_segments(const In2<float>& points, const In1<int64_t>& offsets) {
+  require(points.shape(1) == 3, "points must have shape (M, 3)");
+  require(points.shape(0) < (std::size_t{1} << 31), "too many points");
+  check_offsets(offsets, points.shape(0));
 }
 
 // Hands a vector's memory to NumPy without copying it.

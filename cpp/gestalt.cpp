@@ -46,17 +46,11 @@ std::size_t bin_of(double x, double y, double radius) {
   return static_cast<std::size_t>(ring) * kGestaltSectors + sector;
 }
 
-void describe(const float* points, std::size_t n, double radius, std::vector<float>& centred,
-              float* output) {
-  const Vec3 mean = mean_of(points, n);
-  centred.resize(3 * n);
-  for (std::size_t i = 0; i < 3 * n; ++i) centred[i] = static_cast<float>(points[i] - mean[i % 3]);
-  const Mat3 covariance = covariance_of(centred.data(), n);
-  const Frame frame = key_frame(centred, n, covariance);
+using Bins = std::array<Bin, kGestaltBins>;
 
-  std::array<Bin, kGestaltBins> bins;
-  const double largest = std::max(double{1e-30}, largest_magnitude(centred.data(), 3 * n));
-  const double scale = fixed_point_scale(largest, n, 2);
+Bins filled_bins(const std::vector<float>& centred, std::size_t n, const Frame& frame,
+                 double radius, double scale) {
+  Bins bins;
   for (std::size_t i = 0; i < n; ++i) {
     const double x = frame.cosine * centred[3 * i] + frame.sine * centred[3 * i + 1];
     const double y = frame.cosine * centred[3 * i + 1] - frame.sine * centred[3 * i];
@@ -67,6 +61,11 @@ void describe(const float* points, std::size_t n, double radius, std::vector<flo
     bin.sum += height;
     bin.sum2 += height * height;
   }
+  return bins;
+}
+
+// Means and variances; an empty bin takes those of the next ring inwards.
+void write_bins(const Bins& bins, double scale, float* output) {
   for (std::size_t b = 0; b < kGestaltBins; ++b) {
     const auto count = static_cast<double>(bins[b].count);
     if (bins[b].count > 0) {
@@ -79,11 +78,25 @@ void describe(const float* points, std::size_t n, double radius, std::vector<flo
       output[kGestaltBins + b] = output[kGestaltBins + b - kGestaltSectors];
     }
   }
+}
+
+void write_shape(const Mat3& covariance, float* output) {
   const Vec3 values = principal_axes(covariance).values;
   const double sum = values[0] + values[1] + values[2];
   if (sum <= 0) return;
-  output[2 * kGestaltBins] = static_cast<float>(2 * (values[1] - values[2]) / sum);
-  output[2 * kGestaltBins + 1] = static_cast<float>((values[0] - values[1]) / sum);
+  output[0] = static_cast<float>(2 * (values[1] - values[2]) / sum);
+  output[1] = static_cast<float>((values[0] - values[1]) / sum);
+}
+
+void describe(const float* points, std::size_t n, double radius, std::vector<float>& centred,
+              float* output) {
+  centre_points(points, n, centred);
+  const Mat3 covariance = covariance_of(centred.data(), n);
+  const double largest = std::max(double{1e-30}, largest_magnitude(centred.data(), 3 * n));
+  const double scale = fixed_point_scale(largest, n, 2);
+  const Frame frame = key_frame(centred, n, covariance);
+  write_bins(filled_bins(centred, n, frame, radius, scale), scale, output);
+  write_shape(covariance, output + 2 * kGestaltBins);
 }
 
 }  // namespace

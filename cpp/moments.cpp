@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
 #include "parallel.h"
 
@@ -34,6 +33,13 @@ Vec3 mean_of(const float* p, std::size_t n) {
     result[d] = static_cast<double>(sum[d]) / scale / static_cast<double>(n);
   }
   return result;
+}
+
+Vec3 centre_points(const float* p, std::size_t n, std::vector<float>& centred) {
+  const Vec3 mean = mean_of(p, n);
+  centred.resize(3 * n);
+  for (std::size_t i = 0; i < 3 * n; ++i) centred[i] = static_cast<float>(p[i] - mean[i % 3]);
+  return mean;
 }
 
 Mat3 covariance_of(const float* p, std::size_t n) {
@@ -107,9 +113,7 @@ void segment_moments(const float* points, const int64_t* offsets, std::size_t se
       const auto n = static_cast<std::size_t>(offsets[s + 1] - offsets[s]);
       Vec3 mean = {0, 0, 0}, values = {0, 0, 0};
       if (n > 0) {
-        mean = mean_of(p, n);
-        centred.resize(3 * n);
-        for (std::size_t i = 0; i < 3 * n; ++i) centred[i] = static_cast<float>(p[i] - mean[i % 3]);
+        mean = centre_points(p, n, centred);
         values = principal_axes(covariance_of(centred.data(), n)).values;
       }
       for (std::size_t d = 0; d < 3; ++d) {

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 namespace segloc {
 
@@ -25,6 +26,9 @@ double largest_magnitude(const float* values, std::size_t count);
 
 // Of n > 0 points (n, 3).
 Vec3 mean_of(const float* points, std::size_t n);
+
+// Fills `centred` with n > 0 points about their mean, which is returned.
+Vec3 centre_points(const float* points, std::size_t n, std::vector<float>& centred);
 
 // Of n > 0 points (n, 3) that are centred on their mean.
 Mat3 covariance_of(const float* centred, std::size_t n);

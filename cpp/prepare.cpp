@@ -39,11 +39,7 @@ class Preparer {
       std::fill(output, output + 3 * count_, 0.0f);
       return;
     }
-    const Vec3 centre = mean_of(points, n);
-    cloud_.resize(std::max(cloud_.size(), 3 * n));
-    for (std::size_t i = 0; i < 3 * n; ++i) {
-      cloud_[i] = static_cast<float>(points[i] - centre[i % 3]);
-    }
+    centre_points(points, n, cloud_);
     if (alignment_ == Alignment::pca2d) align_2d(cloud_, n);
     if (alignment_ == Alignment::pca3d) align_3d(cloud_, n);
     sample(points, n, output);

@@ -224,9 +224,9 @@ void VoxelNetwork::second(Scratch& scratch) const {
   }
 }
 
-// -> the third layer, (8, 8, 4, c). Sums start at `start`, `stride` floats apart.
-void VoxelNetwork::third(Scratch& scratch, const float* start_from, std::size_t stride,
-                         float* result, bool rectify) const {
+// -> the third layer, (8, 8, 4, c). Sums start from `sums`, `stride` floats apart.
+void VoxelNetwork::third(Scratch& scratch, const float* sums, std::size_t stride,
+                         float* features, bool rectify) const {
   constexpr std::size_t kRows = 2 * kZ2;  // two columns at a time fill the registers
   std::array<const float*, kRows> input, start;
   std::array<float*, kRows> output;
@@ -243,8 +243,8 @@ void VoxelNetwork::third(Scratch& scratch, const float* start_from, std::size_t 
         const std::size_t column = y + r / kZ2, z = r % kZ2;
         const std::size_t at = (x * kY2 + column) * kZ2 + z;
         input[r] = scratch.delta2.data() + (padded_column(x, column, kY2, kZ2) + z) * b_;
-        start[r] = start_from + at * stride;
-        output[r] = result + at * c_;
+        start[r] = sums + at * stride;
+        output[r] = features + at * c_;
       }
       kernels_.conv({kRows, input.data(), start.data(), output.data(), pieces.count,
                      pieces.offset.data(), pieces.weight_row.data(), 3 * b_,

@@ -47,7 +47,7 @@ class VoxelNetwork {
   void precompute();
   void first(const int32_t* voxels, std::size_t count, Scratch& scratch) const;
   void second(Scratch& scratch) const;
-  void third(Scratch& scratch, const float* start, std::size_t stride, float* output,
+  void third(Scratch& scratch, const float* sums, std::size_t stride, float* features,
              bool rectify) const;
   void dense(const Layer& layer, const float* input, std::size_t stride, std::size_t rows,
              int threads, float* output) const;

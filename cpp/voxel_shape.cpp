@@ -26,9 +26,7 @@ std::array<double, 3> grid_extent(const std::vector<float>& p, std::size_t n) {
 
 void add_voxels(const float* points, std::size_t n, std::vector<float>& centred, float* scales,
                 std::vector<int32_t>& voxels) {
-  const Vec3 mean = mean_of(points, n);
-  centred.resize(3 * n);
-  for (std::size_t i = 0; i < 3 * n; ++i) centred[i] = static_cast<float>(points[i] - mean[i % 3]);
+  centre_points(points, n, centred);
   align_2d(centred, n);
   const std::array<double, 3> extent = grid_extent(centred, n);
   for (std::size_t d = 0; d < 3; ++d) scales[d] = static_cast<float>(extent[d]);

@@ -1,11 +1,16 @@
 // The little that these tests need of a framework.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <random>
+#include <stdexcept>
 #include <vector>
+
+#include "kernels.h"
 
 #define CHECK(condition)                                                            \
   do {                                                                              \
@@ -34,6 +39,23 @@ inline std::vector<float> random_floats(std::size_t n, float low, float high, un
   return values;
 }
 
+// The instruction sets that this machine has.
+inline std::vector<segloc::Isa> instruction_sets() {
+  std::vector<segloc::Isa> found;
+  for (const char* name : {"portable", "avx2", "avx512"}) {
+    try {
+      found.push_back(segloc::parse_isa(name));
+    } catch (const std::invalid_argument&) {
+    }
+  }
+  return found;
+}
+
+inline bool all_finite(const std::vector<float>& values) {
+  return std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); });
+}
+
 void descriptor_tests();
 void geometry_tests();
 void network_tests();
+void training_tests();

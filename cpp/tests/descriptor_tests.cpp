@@ -1,7 +1,6 @@
 // Hand-made descriptors, forests and the voxel network, on odd segments and every instruction set.
 #include <cmath>
 #include <map>
-#include <stdexcept>
 #include <string>
 
 #include "check.h"
@@ -9,6 +8,8 @@
 #include "forest.h"
 #include "gestalt.h"
 #include "moments.h"
+#include "perceptron.h"
+#include "profile.h"
 #include "voxel_network.h"
 
 namespace segloc {
@@ -16,10 +17,6 @@ namespace {
 
 const std::vector<int64_t> kOffsets = {0, 0, 1, 3, 40, 400, 1000};
 constexpr std::size_t kSegments = 6;
-
-void all_finite(const std::vector<float>& values) {
-  for (const float v : values) CHECK(std::isfinite(v));
-}
 
 void hand_made() {
   for (const float size : {0.0f, 3.0f, 1e14f}) {
@@ -29,9 +26,9 @@ void hand_made() {
     for (const double v : values) CHECK(v >= 0 && std::isfinite(v));
     std::vector<float> shape(kSegments * kEsfSize, NAN), rings(kSegments * kGestaltSize, NAN);
     esf(points.data(), kOffsets.data(), kSegments, 500, 3, 2, shape.data());
-    all_finite(shape);
+    CHECK(all_finite(shape));
     gestalt(points.data(), kOffsets.data(), kSegments, 2.0, 2, rings.data());
-    all_finite(rings);
+    CHECK(all_finite(rings));
   }
 }
 
@@ -85,9 +82,54 @@ void voxel_network(Isa isa) {
   std::vector<float> vectors(kSegments * network.dim(), NAN);
   network.describe(shapes.voxels.data(), shapes.offsets.data(), shapes.scales.data(), kSegments, 2,
                    vectors.data());
-  all_finite(vectors);
+  CHECK(all_finite(vectors));
   tensors.erase("fc2.bias");
   CHECK_THROWS(VoxelNetwork(tensors, isa));
+}
+
+void profiles() {
+  constexpr std::size_t kClouds = 37;  // neither a whole number of batches nor of tasks
+  for (const std::size_t count : {32, 100, 256}) {
+    for (const float size : {0.0f, 3.0f, 1e15f}) {
+      const auto points = random_floats(3 * count * kClouds, -size, size, 5);
+      const auto heights = random_floats(kClouds, -1, 9, 6);
+      std::vector<float> one(kClouds * profile_size(), NAN), two(one);
+      shape_profiles(points.data(), heights.data(), kClouds, count, 1, one.data());
+      shape_profiles(points.data(), heights.data(), kClouds, count, 3, two.data());
+      CHECK(one == two && all_finite(one));
+    }
+  }
+}
+
+void perceptron(Isa isa) {
+  std::map<std::string, std::vector<float>> values;
+  Tensors tensors;
+  const auto add = [&](const std::string& name, const std::vector<std::size_t>& shape) {
+    std::size_t size = 1;
+    for (const std::size_t n : shape) size *= n;
+    values[name] = random_floats(size, -0.3f, 0.3f, static_cast<unsigned>(values.size()));
+    tensors[name] = {values[name].data(), shape};
+  };
+  for (const char* name : {"input.mean", "input.scale"}) add(name, {19});
+  const std::vector<std::size_t> widths = {19, 33, 7};
+  for (std::size_t l = 0; l < 2; ++l) {
+    const std::string name = "hidden." + std::to_string(l);
+    add(name + ".weight", {widths[l], widths[l + 1]});
+    for (const char* part : {".bias", ".scale", ".shift"}) add(name + part, {widths[l + 1]});
+  }
+  add("output.weight", {7, 5});
+  add("output.bias", {5});
+  const Perceptron network(tensors, 6.0f, isa);
+  CHECK(network.inputs() == 19 && network.outputs() == 5);
+  const auto input = random_floats(70 * 19, -1e15f, 1e15f, 9);
+  std::vector<float> one(70 * 5, NAN), two(one), alone(5, NAN);
+  network.run(input.data(), 70, 1, one.data());
+  network.run(input.data(), 70, 3, two.data());
+  network.run(input.data() + 69 * 19, 1, 1, alone.data());
+  CHECK(one == two && all_finite(one));
+  CHECK(std::equal(alone.begin(), alone.end(), one.begin() + 69 * 5));
+  tensors.erase("hidden.0.weight");
+  CHECK_THROWS(Perceptron(tensors, 6.0f, isa));
 }
 
 }  // namespace
@@ -96,13 +138,9 @@ void voxel_network(Isa isa) {
 void descriptor_tests() {
   segloc::hand_made();
   segloc::forests();
-  for (const char* name : {"portable", "avx2", "avx512"}) {
-    segloc::Isa isa;
-    try {
-      isa = segloc::parse_isa(name);
-    } catch (const std::invalid_argument&) {
-      continue;
-    }
+  segloc::profiles();
+  for (const segloc::Isa isa : instruction_sets()) {
     segloc::voxel_network(isa);
+    segloc::perceptron(isa);
   }
 }

@@ -4,6 +4,7 @@ int main() {
   descriptor_tests();
   geometry_tests();
   network_tests();
-  std::puts("kernel tests: 3 passed, 0 failed");
+  training_tests();
+  std::puts("kernel tests: 4 passed, 0 failed");
   return 0;
 }

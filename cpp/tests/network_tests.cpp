@@ -1,6 +1,5 @@
 // Sampling, preparation, neighbours, the network and descriptor search, on every instruction set.
 #include <cmath>
-#include <stdexcept>
 #include <string>
 
 #include "check.h"
@@ -11,17 +10,6 @@
 
 namespace segloc {
 namespace {
-
-std::vector<Isa> available() {
-  std::vector<Isa> found;
-  for (const char* name : {"portable", "avx2", "avx512"}) {
-    try {
-      found.push_back(parse_isa(name));
-    } catch (const std::invalid_argument&) {
-    }
-  }
-  return found;
-}
 
 void sampling(Isa isa) {
   for (const std::size_t n : {1, 5, 63, 64, 65, 256, 300}) {
@@ -36,7 +24,7 @@ void sampling(Isa isa) {
   for (const Alignment alignment : {Alignment::none, Alignment::pca2d, Alignment::pca3d}) {
     std::vector<float> out(5 * 256 * 3, NAN);
     prepare_segments(points.data(), offsets.data(), 5, 256, alignment, isa, 2, out.data());
-    for (const float v : out) CHECK(std::isfinite(v));
+    CHECK(all_finite(out));
   }
 }
 
@@ -116,7 +104,7 @@ void inference(Isa isa) {
   network.describe(prepared.data(), 7, 1, one.data(), quality.data());
   network.describe(prepared.data(), 7, 3, two.data(), quality.data());
   CHECK(one == two);
-  for (const float v : one) CHECK(std::isfinite(v));
+  CHECK(all_finite(one));
   for (const float v : quality) CHECK(v >= 0.0f && v <= 1.0f);
   network.describe(prepared.data(), 0, 2, one.data(), quality.data());
   Tensors wrong = random.tensors();
@@ -128,7 +116,7 @@ void inference(Isa isa) {
 }  // namespace segloc
 
 void network_tests() {
-  for (const segloc::Isa isa : segloc::available()) {
+  for (const segloc::Isa isa : instruction_sets()) {
     segloc::sampling(isa);
     segloc::search(isa);
     segloc::inference(isa);

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -18,6 +19,8 @@ from .segmentation import SegmentationConfig
 from .verification import VerificationConfig
 
 DEFAULT_METHOD = "profile"
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class Config(BaseModel):
@@ -60,18 +63,12 @@ class Config(BaseModel):
             If the file is no YAML mapping, a key or value is wrong, or the file asks for another
             method than the caller; names file and key.
         """
-        values = {} if path is None else _read_yaml(Path(path))
+        values = {} if path is None else read_yaml(Path(path))
         preset = cls.preset(method or str(values.get("method", DEFAULT_METHOD)))
         if values.get("method", preset.method) != preset.method:
             raise ConfigError(f"{path}: method: {values['method']!r}, where {method!r} is needed")
-        try:
-            return cls.model_validate(
-                _merged(preset.model_dump(), {**values, "method": preset.method})
-            )
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise ConfigError(f"{path}: {where}: {first['msg']}") from error
+        merged = _merged(preset.model_dump(), {**values, "method": preset.method})
+        return validated(cls, merged, str(path))
 
     def to_yaml(self) -> str:
         """The whole configuration as YAML, with every default written out."""
@@ -79,7 +76,30 @@ class Config(BaseModel):
         return text
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Model:
+    """A section of configuration from its values, which come from ``where``.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value out of range; names ``where`` and the key.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"{where}: {key}: {first['msg']}") from error
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """What a YAML file maps names to; nothing if it is empty.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is no YAML mapping.
+    """
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:

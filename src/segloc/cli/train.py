@@ -29,7 +29,7 @@ def score(
     distractors: Annotated[
         list[Path] | None, typer.Option(help="Datasets of other worlds that fill the pool.")
     ] = None,
-    pool: Annotated[list[int] | None, typer.Option(help="Sizes of the pool.")] = None,
+    pool: Annotated[list[int] | None, typer.Option(min=1, help="Sizes of the pool.")] = None,
     threads: Annotated[int, typer.Option(min=1)] = 1,
     seed: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:

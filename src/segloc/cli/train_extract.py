@@ -61,21 +61,18 @@ def extract(
     The sequences of one call are sessions of one place and share a frame; calls add up. What is
     finished stays: a call that was cut off goes on when it is given again.
     """
+    from ..config import validated
     from ..errors import ConfigError
     from ..training.extract import ExtractConfig
-    from ..training.labels import LabelConfig
     from ..training.shards import finish
     from .console import note
 
     if bool(sequences) == (simulate is not None):
         raise ConfigError("name recordings, or worlds to --simulate, and not both")
     lengths = tuple(length) if length else ExtractConfig().lengths_m
-    settings = ExtractConfig(
-        lengths_m=lengths,
-        every_m=every,
-        seed=seed,
-        label=LabelConfig(rule="centroids" if centroids_only else "extents"),
-    )
+    rule = {"rule": "centroids" if centroids_only else "extents"}
+    values = {"lengths_m": lengths, "every_m": every, "seed": seed, "label": rule}
+    settings = validated(ExtractConfig, values, "extraction")
     if simulate is not None:
         from ..training.worlds import draw_worlds
 

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from ..errors import WeightsError
+from ..files import replacing
 
 _VERSION = "2"
 
@@ -48,7 +49,13 @@ def write_weights(
     settings: Mapping[str, str],
     card: Mapping[str, Any],
 ) -> None:
-    """Write a weights file of one kind of network."""
+    """Write a weights file of one kind of network.
+
+    Raises
+    ------
+    SeglocError
+        If it cannot be written.
+    """
     metadata = {
         "format": f"segloc {kind}",
         "version": _VERSION,
@@ -58,7 +65,8 @@ def write_weights(
     }
     contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(contiguous, path, metadata)
+    with replacing(path) as stream:
+        stream.write(save(contiguous, metadata))
 
 
 def read_weights(
@@ -87,6 +95,8 @@ def read_weights(
         settings, card = json.loads(metadata["settings"]), json.loads(metadata["card"])
     except (KeyError, ValueError) as error:
         raise WeightsError(f"{path}: the metadata is damaged ({error})") from error
+    if not isinstance(settings, dict) or not isinstance(card, dict):
+        raise WeightsError(f"{path}: the metadata is damaged")
     digest = _digest(tensors, settings)
     if digest != metadata.get("sha256"):
         raise WeightsError(f"{path}: the tensors do not match their hash")

@@ -13,16 +13,10 @@ from torch import Tensor
 
 from .config import TrainConfig
 from .dataset import SegmentDataset
+from .labels import groups_of
 from .tasks import Batch, Task
 
 _AHEAD = 3
-
-
-def groups_of(dataset: SegmentDataset) -> list[NDArray[np.int64]]:
-    """Indices of the segments of each object with at least two."""
-    order = np.argsort(dataset.labels, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(dataset.labels[order])) + 1)
-    return [group for group in groups if len(group) > 1]
 
 
 def draw_batch(
@@ -94,7 +88,7 @@ class Batches:
 
     def __init__(self, dataset: SegmentDataset, task: Task, rank: int = 0) -> None:
         self._dataset, self._task, self._rank = dataset, task, rank
-        self.groups = groups_of(dataset)
+        self.groups = [group for group in groups_of(dataset.labels) if len(group) > 1]
         if task.max_objects is not None and len(self.groups) > task.max_objects:
             self.groups = sorted(self.groups, key=len, reverse=True)[: task.max_objects]
         self.mistakable: NDArray[np.int64] = np.empty((0, 0), np.int64)
@@ -132,7 +126,7 @@ class Batches:
 
 
 def limited(dataset: SegmentDataset, limit: int, seed: int) -> SegmentDataset:
-    """At most ``limit`` segments: whole objects, so that matches stay together."""
+    """At most ``limit`` segments: whole objects (but the last), so that matches stay together."""
     if len(dataset) <= limit:
         return dataset
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
@@ -71,8 +72,11 @@ def collect_recordings(
     return before
 
 
-def _fingerprint(recording: Recording) -> list[int]:
-    return [len(recording), int(recording.indices[0]), int(recording.indices[-1])]
+def _fingerprint(recording: Recording) -> list[int | str]:
+    """Which scans there are, and where: with other poses a shard is made anew."""
+    poses = b"" if recording.poses is None else recording.poses.tobytes()
+    ends = [int(recording.indices[0]), int(recording.indices[-1])]
+    return [len(recording), *ends, hashlib.sha256(poses).hexdigest()[:16]]
 
 
 def _registration(folder: Path, before: Sequence[Session]) -> Registration:
@@ -108,8 +112,13 @@ def collect_worlds(
     tasks = [(spec, k) for spec in worlds for k in range(len(spec.drives))]
     with _pool(workers) if executor is None else nullcontext(executor) as pool:
         futures = [pool.submit(_world, folder, spec, k, config, segmentation) for spec, k in tasks]
-        for future in as_completed(futures):
-            done.append(_told_world(future.result(), progress))
+        try:
+            for future in as_completed(futures):
+                done.append(_told_world(future.result(), progress))
+        except BaseException:
+            for future in futures:
+                future.cancel()  # or the error would wait for all the other worlds
+            raise
     return done
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from ..errors import DatasetError
+from ..files import replacing
 from ..types import Float32, Float64, Int64, Segments
 
 FAR_M = 20.0
@@ -82,10 +83,8 @@ class SegmentDataset:
     def segments(self, indices: NDArray[np.integer] | None = None) -> Segments:
         """Some segments (all by default) as the descriptors take them."""
         chosen = np.arange(len(self)) if indices is None else indices
-        parts = [self.segment(int(i)) for i in chosen]
-        points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
-        offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-        if len(parts) == 0:
+        points, offsets = packed([self.segment(int(i)) for i in chosen])
+        if len(chosen) == 0:
             return Segments(points, offsets, np.empty((0, 3)), self.heights[chosen])
         centroids = np.add.reduceat(points, offsets[:-1], dtype=np.float64)
         centroids /= np.diff(offsets)[:, None]
@@ -93,14 +92,9 @@ class SegmentDataset:
 
     def subset(self, indices: NDArray[np.integer]) -> SegmentDataset:
         """The named segments as a dataset of their own."""
-        packed = self.segments(indices)
+        points, offsets = packed([self.segment(int(i)) for i in indices])
         chosen = {name: getattr(self, name)[indices] for name in _PER_SEGMENT}
-        return SegmentDataset(
-            points=packed.points,
-            offsets=packed.offsets,
-            sensor_names=self.sensor_names,
-            **chosen,
-        )
+        return SegmentDataset(points, offsets, sensor_names=self.sensor_names, **chosen)
 
     def different(
         self, a: NDArray[np.integer], b: NDArray[np.integer], far_m: float = FAR_M
@@ -141,12 +135,19 @@ class SegmentDataset:
         return (groups, names) if len(names) > 1 else (self.labels, np.unique(self.labels))
 
     def save(self, path: Path) -> None:
-        """Write a safetensors file."""
+        """Write a safetensors file.
+
+        Raises
+        ------
+        SeglocError
+            If it cannot be written.
+        """
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {name: getattr(self, name) for name in ("points", "offsets", *_PER_SEGMENT)}
         names = json.dumps(self.sensor_names)
         contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        save_file(contiguous, path, {"sensor_names": names})
+        with replacing(path) as stream:
+            stream.write(save(contiguous, {"sensor_names": names}))
 
     @staticmethod
     def load(path: Path) -> SegmentDataset:
@@ -163,17 +164,31 @@ class SegmentDataset:
                 names = json.loads((file.metadata() or {}).get("sensor_names", '["unknown"]'))
             dataset = SegmentDataset(**arrays, sensor_names=tuple(names))
         except (OSError, SafetensorError, TypeError, ValueError) as error:
-            raise DatasetError(f"{path}: {error}") from error
-        P, M = len(dataset), len(dataset.points)
+            raise DatasetError(f"{path}: not a dataset: {error}") from error
+        return dataset.checked(path)
+
+    def checked(self, path: Path) -> SegmentDataset:
+        """Itself, if its arrays fit together and there is something in them.
+
+        Raises
+        ------
+        DatasetError
+            If they do not; says that they are from ``path``.
+        """
+        P, M = len(self), len(self.points)
+        if P == 0:
+            raise DatasetError(f"{path}: the dataset is empty")
         shapes = {"points": (M, 3), "offsets": (P + 1,), "centroids": (P, 3)}
         for name in ("points", "offsets", *_PER_SEGMENT):
-            shape = shapes.get(name, (P,))
-            if getattr(dataset, name).shape != shape:
-                raise DatasetError(f"{path}: {name} does not have shape {shape}")
-        offsets = dataset.offsets
-        if offsets[0] != 0 or offsets[-1] != M or (np.diff(offsets) <= 0).any():
+            shape, kind = shapes.get(name, (P,)), "f" if name in _REAL else "i"
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype.kind != kind:
+                raise DatasetError(f"{path}: {name} does not have its shape {shape} and type")
+        if self.offsets[0] != 0 or self.offsets[-1] != M or (np.diff(self.offsets) <= 0).any():
             raise DatasetError(f"{path}: offsets do not fit the points")
-        return dataset
+        if self.sensors.min() < 0 or self.sensors.max() >= len(self.sensor_names):
+            raise DatasetError(f"{path}: a segment's sensor has no name")
+        return self
 
     @staticmethod
     def concatenate(parts: Sequence[SegmentDataset]) -> SegmentDataset:
@@ -213,6 +228,13 @@ class SegmentDataset:
         )
 
 
+def packed(parts: Sequence[Float32]) -> tuple[Float32, Int64]:
+    """Segments one after another, (M, 3), and their offsets, (P + 1,)."""
+    points = np.concatenate([np.empty((0, 3), np.float32), *parts])
+    return points, np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
+
+
+_REAL = ("points", "centroids", "heights", "lengths")
 _PER_SEGMENT = (
     "labels",
     "sessions",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,10 +17,12 @@ from ..errors import DatasetError
 from ..local_cloud import Accumulator, LocalCloudConfig, window
 from ..segmentation import Segmentation
 from ..types import Float32, Float64, Int64, LocalCloud, Pose, Scan
+from .dataset import packed
 from .labels import LabelConfig
 from .register import Registration
 
 Segment = Callable[[LocalCloud], Segmentation]
+Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 _IDENTITY_VOXEL_M = 0.3
 _IDENTITY_POINTS = 12
@@ -32,15 +34,17 @@ class ExtractConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    lengths_m: tuple[float, ...] = Field(
-        (40.0, 16.0, 0.0), description="way that local clouds span; 0 is a single scan"
+    lengths_m: tuple[Length, ...] = Field(
+        (40.0, 16.0, 0.0), min_length=1, description="way that clouds span; 0 is a single scan"
     )
     swathe_m: float = Field(30.0, gt=0, description="the same for push-broom sensors")
-    every_m: float = Field(10.0, gt=0, description="distance between local clouds")
+    every_m: float = Field(
+        10.0, gt=0, allow_inf_nan=False, description="distance between local clouds"
+    )
     local_cloud: LocalCloudConfig = LocalCloudConfig()
     label: LabelConfig = LabelConfig()
     max_points: int = Field(2048, ge=1, description="points kept of a segment, chosen at random")
-    seed: int = 0
+    seed: int = Field(0, ge=0)
 
 
 @dataclass(frozen=True)
@@ -155,8 +159,7 @@ class _Collected:
             objects = identity.majorities(self.samples)
         cloud = np.concatenate([np.empty((0, 3), np.float32), *self.structures])
         return Extract(
-            np.concatenate(self.parts),
-            np.cumsum([0, *(len(part) for part in self.parts)], dtype=np.int64),
+            *packed(self.parts),
             np.concatenate(self.centroids),
             np.concatenate(self.heights),
             np.stack(self.extents),

@@ -158,7 +158,7 @@ def _candidates(
         for group in np.unique(share)
         for session in sessions
     ]
-    limit = config.queries // len(maps) + 1
+    limit = config.queries // max(1, len(maps)) + 1
     for inside, there in maps:
         site = np.flatnonzero(inside & there)
         asking = inside & ~there if len(sessions) > 1 else inside

@@ -122,10 +122,15 @@ def count_labels(
     )
 
 
+def groups_of(labels: Int64) -> list[Int64]:
+    """Indices of the segments of each object, by rising label."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
 def pairs_of(labels: Int64, limit: int) -> tuple[Int64, Int64]:
     """Pairs of the same label, thinned evenly where there are many more than ``limit``."""
-    order = np.argsort(labels, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    groups = groups_of(labels)
     total = sum(len(g) * (len(g) - 1) // 2 for g in groups)
     step = max(1, total // limit)
     first: list[Int64] = [np.empty(0, np.int64)]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .. import _native
 from ..types import Float32
 from .dataset import SegmentDataset
+from .labels import groups_of
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ def score(
     vectors: Float32, dataset: SegmentDataset, *, k: int = 25, seed: int = 0, threads: int = 1
 ) -> Scores:
     """Score descriptors (P, dim) of all segments of a dataset."""
-    found = [r for r in _ranks(vectors, dataset, k, threads) if r >= 0]
-    ranks = np.array(found) if found else np.zeros(0)
+    ranks = _ranks(vectors, dataset, k, threads)
+    ranks = ranks[ranks >= 0]
     recall = float((ranks < k).mean()) if len(ranks) else 0.0
     first = float((ranks == 0).mean()) if len(ranks) else 0.0
     return Scores(_auc(vectors, dataset, np.random.default_rng(seed)), recall, first)
@@ -55,7 +56,7 @@ def nearest_is_right(
     0 where it is not, NaN where no other session shows the object. ``distractors`` (M, dim) make
     the pool as large as a map's.
     """
-    ranks = np.array(_ranks(vectors, dataset, 1, threads, distractors))
+    ranks = _ranks(vectors, dataset, 1, threads, distractors)
     return np.where(ranks < 0, np.nan, ranks == 0).astype(np.float32)
 
 
@@ -65,12 +66,12 @@ def _ranks(
     k: int,
     threads: int,
     distractors: Float32 | None = None,
-) -> list[int]:
-    """Rank of the first right one among the k nearest of other sessions.
+) -> NDArray[np.int64]:
+    """Rank of the first right one among the k nearest of other sessions, (P,).
 
     k where there is none among them, -1 where no other session shows the object.
     """
-    ranks = np.full(len(dataset), -1)
+    ranks = np.full(len(dataset), -1, np.int64)
     for session in np.unique(dataset.sessions):
         queries = np.flatnonzero(dataset.sessions == session)
         others = np.flatnonzero(dataset.sessions != session)
@@ -86,7 +87,7 @@ def _ranks(
         )
         hit = labels[indices] == dataset.labels[queries][:, None]
         ranks[queries] = np.where(hit.any(axis=1), hit.argmax(axis=1), k)
-    return [int(r) for r in ranks]
+    return ranks
 
 
 def _auc(vectors: Float32, dataset: SegmentDataset, rng: np.random.Generator) -> float:
@@ -109,8 +110,7 @@ def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[
     across = len(np.unique(dataset.sessions)) > 1
     first: list[NDArray[np.int64]] = []
     second: list[NDArray[np.int64]] = []
-    order = np.argsort(dataset.labels, kind="stable")
-    for group in np.split(order, np.flatnonzero(np.diff(dataset.labels[order])) + 1):
+    for group in groups_of(dataset.labels):
         i, j = np.triu_indices(len(group), 1)
         a, b = group[i], group[j]
         keep = dataset.sessions[a] != dataset.sessions[b] if across else np.ones(len(a), bool)

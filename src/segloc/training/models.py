@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from .. import _native
 from ..descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
+from ..types import Float32
 from .ops import column_maps, elu_norm, gather, xconv_apply
 
 LAYERS = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
@@ -124,6 +125,18 @@ class XConv(nn.Module):
         return result
 
 
+def neighbors_of(points: Float32, layers: Sequence[Layer], threads: int = 1) -> list[Tensor]:
+    """Dilated neighbours of every layer among points (B, S, 3): (B, N, K) int64 each."""
+    result, sources = [], points.shape[1]
+    for layer in layers:
+        index = _native.dilated_neighbors(
+            points, sources, layer.points, layer.neighbors, layer.dilation, threads
+        )
+        result.append(torch.from_numpy(index))
+        sources = layer.points
+    return result
+
+
 class DescriptorNetwork(nn.Module):
     """Prepared segments to descriptors.
 
@@ -162,22 +175,10 @@ class DescriptorNetwork(nn.Module):
     def _heads(self) -> tuple[nn.Linear, nn.Linear]:
         return self.pair_head, self.quality_head
 
-    def neighbors(self, points: Tensor, threads: int = 1) -> list[Tensor]:
-        """Dilated neighbours of every layer, (B, N, K) int64 each."""
-        array = points.detach().numpy()
-        result, sources = [], points.shape[1]
-        for layer in self.layers:
-            index = _native.dilated_neighbors(
-                array, sources, layer.points, layer.neighbors, layer.dilation, threads
-            )
-            result.append(torch.from_numpy(index))
-            sources = layer.points
-        return result
-
     def activations(self, points: Tensor, *neighbors: Tensor) -> list[Tensor]:
         """What each X-conv layer makes of prepared segments (B, 256, 3): (B, N, C) each."""
         features, result = None, []
-        found = neighbors or self.neighbors(points)
+        found = neighbors or neighbors_of(points.detach().numpy(), self.layers)
         for xconv, index in zip(self.xconvs, found, strict=True):
             features = xconv(points, features, index)
             points = points[:, : index.shape[1]]

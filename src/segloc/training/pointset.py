@@ -16,11 +16,11 @@ from ..descriptors.pointset import POINTS
 from ..types import Float32
 from .augment import augment
 from .config import TrainConfig
-from .dataset import SegmentDataset
+from .dataset import SegmentDataset, packed
 from .export import export, folded
 from .losses import LOSSES, pair_match
-from .models import LAYERS, DescriptorNetwork
-from .quality import fit_quality
+from .models import LAYERS, DescriptorNetwork, neighbors_of
+from .quality import fit_logistic, judged
 from .sampling import reorder
 from .tasks import Batch, Inputs, Task
 
@@ -41,9 +41,8 @@ class PointSetTask(Task):
         rng: np.random.Generator | None = None,
     ) -> Inputs:
         prepared = prepared_points(dataset, indices, self.config, rng)
-        points = torch.from_numpy(prepared)
-        neighbors = neighbors_of(prepared, self.config)
-        return points, *(torch.from_numpy(index) for index in neighbors)
+        layers = LAYERS[self.config.network]
+        return torch.from_numpy(prepared), *neighbors_of(prepared, layers, self.config.threads)
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         assert isinstance(network, DescriptorNetwork)
@@ -67,8 +66,10 @@ class PointSetTask(Task):
         return np.concatenate(parts)
 
     def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
+        """Fit the quality head to how often the nearest descriptor is right, on held-out places."""
         assert isinstance(network, DescriptorNetwork)
-        fit_quality(self, network, training, held)
+        found = judged(self, network, training, held)
+        fit_logistic(network.quality_head, found.vectors[found.known], found.right)
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, DescriptorNetwork)
@@ -90,21 +91,5 @@ def prepared_points(
     parts = [dataset.segment(int(i)) for i in indices]
     if rng is not None:
         parts = [augment(part, config.augmentation, rng) for part in parts]
-    offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-    prepared = _native.prepare_segments(
-        np.concatenate(parts), offsets, POINTS, config.alignment, config.threads
-    )
+    prepared = _native.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
     return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))
-
-
-def neighbors_of(prepared: Float32, config: TrainConfig) -> list[NDArray[np.int64]]:
-    """Dilated neighbours of every layer, (B, N, K) each."""
-    result, sources = [], prepared.shape[1]
-    for layer in LAYERS[config.network]:
-        result.append(
-            _native.dilated_neighbors(
-                prepared, sources, layer.points, layer.neighbors, layer.dilation, config.threads
-            )
-        )
-        sources = layer.points
-    return result

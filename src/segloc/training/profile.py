@@ -26,12 +26,10 @@ from ..descriptors.profile import (
 from ..descriptors.weightfile import write_weights
 from ..types import Float32
 from .augment import augment
-from .batches import limited
 from .config import TrainConfig
-from .dataset import SegmentDataset
+from .dataset import SegmentDataset, packed
 from .losses import LOSSES
-from .metrics import nearest_is_right
-from .quality import fit_logistic
+from .quality import fit_logistic, judged
 from .tasks import Batch, Inputs, Task
 
 DIM = 32
@@ -40,10 +38,11 @@ _AT_ONCE = 4096
 
 
 class ProfileNetwork(nn.Module):
-    """Profiles (B, 175) to descriptors (B, 32).
+    """Profiles (B, 175) to descriptors (B, DIM).
 
-    Numbers are standardised by a batch norm and cut, then pass two dense layers with ELU and batch
-    norm. ``quality_head`` reads what the second makes of them.
+    Numbers are standardised by a batch norm and cut, then pass dense layers of ``WIDTHS`` with ELU
+    and batch norm, and a linear one. ``quality_head`` reads what the last hidden layer makes of
+    them.
     """
 
     def __init__(self) -> None:
@@ -56,14 +55,14 @@ class ProfileNetwork(nn.Module):
         self.quality_head = nn.Linear(WIDTHS[-1], 1)
 
     def features(self, profile: Tensor) -> Tensor:
-        """What the last hidden layer makes of profiles, (B, 256)."""
+        """What the last hidden layer makes of profiles, (B, WIDTHS[-1])."""
         x = self.standardise(profile).clamp(-LIMIT, LIMIT)
         for layer, norm in zip(self.hidden, self.norms, strict=True):
             x = norm(functional.elu(layer(x)))
         return x
 
     def forward(self, profile: Tensor) -> Tensor:
-        """Descriptors (B, 32)."""
+        """Descriptors (B, DIM)."""
         result: Tensor = self.output(self.features(profile))
         return result
 
@@ -90,19 +89,13 @@ class ProfileTask(Task):
     def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
         """Fit the quality to how often the nearest descriptor is right, on held-out places."""
         assert isinstance(network, ProfileNetwork)
-        limit, seed = self.config.quality_limit, self.config.seed
-        held = limited(held, limit, seed)
-        others = self.describe(network, limited(training, limit, seed))
-        vectors = self.describe(network, held)
-        right = nearest_is_right(vectors, held, self.config.threads, others)
-        known = np.flatnonzero(~np.isnan(right))
-        rows = []
+        found = judged(self, network, training, held)
+        rows = [np.empty((0, WIDTHS[-1]), np.float32)]
         with torch.inference_mode():
-            for first in range(0, len(known), _AT_ONCE):
-                rows.append(
-                    network.features(*self.inputs(held, known[first : first + _AT_ONCE])).numpy()
-                )
-        fit_logistic(network.quality_head, np.concatenate(rows), right[known])
+            for first in range(0, len(found.known), _AT_ONCE):
+                some = found.known[first : first + _AT_ONCE]
+                rows.append(network.features(*self.inputs(found.dataset, some)).numpy())
+        fit_logistic(network.quality_head, np.concatenate(rows), found.right)
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, ProfileNetwork)
@@ -128,10 +121,7 @@ def prepared_segments(
         # What is cut off above or below moves the centroid.
         rise = [a[:, 2].mean() - b[:, 2].mean() for a, b in zip(changed, parts, strict=True)]
         parts, heights = changed, heights + np.array(rise, np.float32)
-    offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-    points = _native.prepare_segments(
-        np.concatenate(parts), offsets, POINTS, config.alignment, config.threads
-    )
+    points = _native.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
     return PreparedSegments(points, heights)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -12,30 +14,52 @@ from ..types import Float32
 from .batches import limited
 from .dataset import SegmentDataset
 from .metrics import nearest_is_right
-from .models import DescriptorNetwork
 from .tasks import Task
 
 
-def fit_quality(
-    task: Task, model: DescriptorNetwork, training: SegmentDataset, held: SegmentDataset
-) -> None:
-    """Fit the quality head to how often the nearest descriptor is right.
+@dataclass(frozen=True)
+class Judged:
+    """Segments that training did not see, and whether their nearest descriptor is right.
 
-    A logistic regression on the descriptors of up to ``quality_limit`` held-out segments: on the
-    training segments a network does better than it will do on a map. The nearest one is looked for
-    among the other sessions and as many training segments, a pool of the size of a map.
+    Attributes
+    ----------
+    dataset : SegmentDataset
+        P segments.
+    vectors : (P, dim) float32
+    known : (K,) int64
+        The segments that another session shows, too.
+    right : (K,) float32
+        1 where the nearest descriptor of another session is of the same object, 0 elsewhere.
+    """
+
+    dataset: SegmentDataset
+    vectors: Float32
+    known: NDArray[np.int64]
+    right: Float32
+
+
+def judged(
+    task: Task, network: nn.Module, training: SegmentDataset, held: SegmentDataset
+) -> Judged:
+    """How often the nearest descriptor is right, for up to ``quality_limit`` held-out segments.
+
+    On the training segments a network does better than it will do on a map. The nearest one is
+    looked for among the other sessions and as many training segments, a pool of the size of a map.
     """
     config = task.config
-    held = limited(held, config.quality_limit, config.seed)
-    vectors = task.describe(model, held)
-    others = task.describe(model, limited(training, config.quality_limit, config.seed))
-    right = nearest_is_right(vectors, held, config.threads, others)
-    known = ~np.isnan(right)
-    fit_logistic(model.quality_head, vectors[known], right[known])
+    dataset = limited(held, config.quality_limit, config.seed)
+    vectors = task.describe(network, dataset)
+    others = task.describe(network, limited(training, config.quality_limit, config.seed))
+    right = nearest_is_right(vectors, dataset, config.threads, others)
+    known = np.flatnonzero(~np.isnan(right))
+    return Judged(dataset, vectors, known, right[known])
 
 
 def fit_logistic(head: nn.Linear, vectors: Float32, right: NDArray[np.float32]) -> None:
-    """Fit a linear head to (P, dim) vectors of which (P,) are right, 1, or wrong, 0."""
+    """Fit a linear head to (P, dim) vectors of which (P,) are right, 1, or wrong, 0.
+
+    A logistic regression; without any vectors the head says one half.
+    """
     x, y = torch.from_numpy(vectors), torch.from_numpy(right)
     nn.init.zeros_(head.weight)
     nn.init.zeros_(head.bias)

@@ -17,7 +17,7 @@ from ..descriptors.segmap import VoxelShapes, prepare, save_weights
 from ..types import Float32, Segments
 from .augment import augment
 from .config import TrainConfig
-from .dataset import SegmentDataset
+from .dataset import SegmentDataset, packed
 from .tasks import Batch, Inputs, Task
 
 DIM = 64
@@ -133,11 +133,8 @@ def create(config: TrainConfig) -> SegMapTask:
 
 def voxelised(parts: list[Float32], threads: int) -> VoxelShapes:
     """Occupancy grids of some segments, as inference makes them."""
-    offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-    zeros = np.zeros(len(parts))
-    segments = Segments(
-        np.concatenate(parts), offsets, np.zeros((len(parts), 3)), zeros.astype(np.float32)
-    )
+    P = len(parts)
+    segments = Segments(*packed(parts), np.zeros((P, 3)), np.zeros(P, np.float32))
     return prepare(segments, threads)
 
 

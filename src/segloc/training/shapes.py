@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..types import Float32, Float64
-from .dataset import SegmentDataset
+from .dataset import SegmentDataset, packed
 
 _SPACING_M = 0.2
 
@@ -26,12 +26,10 @@ def shapes_dataset(objects: int, views: int, seed: int) -> SegmentDataset:
             parts.append(_view(points, normals, rng))
             labels.append(label)
             sessions.append(session)
-    offsets = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
     places = np.array(labels, np.int64)  # each object is a world of its own
     heights = np.array([part[:, 2].mean() for part in parts], np.float32)
     return SegmentDataset(
-        np.concatenate(parts),
-        offsets,
+        *packed(parts),
         places,
         np.array(sessions, np.int64),
         places,

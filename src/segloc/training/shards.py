@@ -90,7 +90,8 @@ def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> La
     LabelCounts
         Of the whole dataset. Pairs are counted within places.
     """
-    known = {session.file: session for session in (*_listed(folder), *sessions)}
+    before = _listed(folder) if (folder / INDEX).exists() else []
+    known = {session.file: session for session in (*before, *sessions)}
     everything = sorted(known.values(), key=lambda session: session.file)
     labels: dict[str, Int64] = {}
     counts: list[LabelCounts] = []
@@ -113,19 +114,27 @@ def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> La
 
 
 def _listed(folder: Path) -> list[Session]:
-    if not (folder / INDEX).exists():
-        return []
-    return [Session(**row) for row in _index(folder)["sessions"]]
-
-
-def _index(folder: Path) -> dict[str, Any]:
+    """The sessions that the index of a folder names."""
+    path = folder / INDEX
     try:
-        index: dict[str, Any] = json.loads((folder / INDEX).read_text("utf-8"))
+        index = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise DatasetError(f"{folder / INDEX}: {error}") from error
-    if index.get("version") != _VERSION or not isinstance(index.get("sessions"), list):
-        raise DatasetError(f"{folder / INDEX}: not an index of format version {_VERSION}")
-    return index
+        raise DatasetError(f"{path}: {error}") from error
+    if not isinstance(index, dict) or index.get("version") != _VERSION:
+        raise DatasetError(f"{path}: not an index of format version {_VERSION}")
+    names = {field.name for field in fields(Session)}
+    rows = index.get("sessions")
+    if not isinstance(rows, list) or not all(_is_row(row, names) for row in rows):
+        raise DatasetError(f"{path}: a session needs {', '.join(sorted(names))}")
+    return [Session(**row) for row in rows]
+
+
+def _is_row(row: Any, names: set[str]) -> bool:
+    return (
+        isinstance(row, dict)
+        and row.keys() == names
+        and all(isinstance(value, str) and "/" not in value for value in row.values())
+    )
 
 
 def _label_place(
@@ -172,7 +181,7 @@ def load_dataset(path: Path) -> SegmentDataset:
         return SegmentDataset.load(path)
     if not (path / INDEX).is_file():
         raise DatasetError(f"{path}: no dataset: there is no {INDEX} in it")
-    sessions = [Session(**row) for row in _index(path)["sessions"]]
+    sessions = _listed(path)
     if not sessions:
         raise DatasetError(f"{path}: the dataset is empty")
     labels = _labels(path)
@@ -217,7 +226,7 @@ def _session(
     own = labels.get(session.file)
     if own is None or len(own) != P:
         raise DatasetError(f"{path / session.file}: its labels are missing or do not fit")
-    return SegmentDataset(
+    dataset = SegmentDataset(
         labels=own,
         sessions=np.zeros(P, np.int64),
         places=np.zeros(P, np.int64),
@@ -225,3 +234,4 @@ def _session(
         sensor_names=sensor_names,
         **arrays,
     )
+    return dataset.checked(path / session.file)

@@ -80,7 +80,7 @@ class Task(ABC):
 
     @abstractmethod
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
-        """What is to be minimised on a batch; ``network`` is called once, with the inputs."""
+        """What is to be minimised on a batch, a scalar."""
 
     @abstractmethod
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:

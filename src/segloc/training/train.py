@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 
 from .. import _native
-from ..errors import DatasetError
+from ..errors import ConfigError, DatasetError
+from ..files import replacing
 from .batches import Batches, limited
 from .config import TrainConfig
 from .dataset import SegmentDataset
@@ -29,6 +31,7 @@ from .tasks import Batch, Task, create_task
 Progress = Callable[[str], None]
 _MAY_CHANGE = {"steps", "max_minutes", "threads", "device"}
 _RIVALS = 16
+_UNREADABLE = (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError)
 
 
 def train(
@@ -64,8 +67,10 @@ def train(
 
     Raises
     ------
+    ConfigError
+        If there is no such network or device, or if the loss is no number any more.
     DatasetError
-        If there are too few objects with two views.
+        If there are too few objects with two views, or if the state cannot be taken up.
     """
     torch.set_num_threads(config.threads)
     task = task or create_task(config)
@@ -138,6 +143,11 @@ class _Run:
             if self.step % config.validate_every == 0 or self.step == config.steps or expired:
                 scores = self._validate()
                 loss = float(torch.stack(losses).mean())
+                if not math.isfinite(loss):
+                    raise ConfigError(
+                        f"the loss is no number any more at step {self.step}; "
+                        "try a smaller learning_rate"
+                    )
                 progress(
                     f"step {self.step} loss {loss:.3f} {_text(scores)} {self.seconds / 60:.1f} min"
                 )
@@ -224,24 +234,34 @@ class _Run:
             "mistakable": torch.from_numpy(self.batches.mistakable),
         }
         self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
-        partial = self.checkpoint.with_suffix(".partial")
-        torch.save(state, partial)
-        partial.replace(self.checkpoint)
+        with replacing(self.checkpoint) as stream:
+            torch.save(state, stream)
 
     def resume(self, progress: Progress) -> None:
         """Take up the state of a run that was cut off, if there is one."""
         if not self.checkpoint.exists():
             return
-        state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
-        if not _agrees(state["config"], self.config):
-            raise DatasetError(f"{self.checkpoint}: belongs to a run with another configuration")
+        try:
+            state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
+            if not _agrees(state["config"], self.config):
+                raise DatasetError(
+                    f"{self.checkpoint}: belongs to a run with another configuration"
+                )
+            self._take_up(state)
+        except _UNREADABLE as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(":")
+            raise DatasetError(
+                f"{self.checkpoint}: not the state of this run ({reason}); remove it to start anew"
+            ) from error
+        progress(f"going on from step {self.step}")
+
+    def _take_up(self, state: dict[str, Any]) -> None:
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.seconds = state["step"], state["seconds"]
         self.best, self.best_step = Scores(**state["best"]), state["best_step"]
         self.best_state = state["best_state"]
         self.batches.mistakable = state["mistakable"].cpu().numpy()
-        progress(f"going on from step {self.step}")
 
 
 def _agrees(saved: str, config: TrainConfig) -> bool:

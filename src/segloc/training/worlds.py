@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -73,8 +74,11 @@ def draw_worlds(
     Raises
     ------
     ConfigError
-        If the text cannot be read or names a scene or a sensor that does not exist.
+        If the text cannot be read or names a scene or a sensor that does not exist, or if the
+        length is not positive.
     """
+    if not 0 < length_m < math.inf:
+        raise ConfigError(f"a drive must have a positive number of metres, not {length_m}")
     wanted = sensors or _USUAL_SENSORS
     for name in wanted:
         if name not in SENSORS:
