@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 
 from ..descriptors import available, create
 from ..descriptors.base import Descriptor
 from ..descriptors.pointset import PointSetDescriptor
 from ..descriptors.profile import ProfileDescriptor
 from ..descriptors.segmap import SegMapDescriptor
+from ..descriptors.weightfile import opened
 from ..errors import WeightsError
 from ..types import Float32
 from .dataset import SegmentDataset
@@ -50,15 +50,12 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
         If there is neither such a file nor such a name.
     """
     path = Path(name)
-    if not path.exists() and name in available():
-        return create(name, threads)
-    try:
-        with safe_open(path, framework="np") as file:
-            kind = (file.metadata() or {}).get("format", "")
-    except FileNotFoundError as error:
-        raise WeightsError(f"{name}: no such file, and no descriptor of that name") from error
-    except (OSError, SafetensorError) as error:
-        raise WeightsError(f"{name}: {error}") from error
+    if not path.exists():
+        if name in available():
+            return create(name, threads)
+        raise WeightsError(f"{name}: no such file, and no descriptor of that name")
+    with opened(path) as file:
+        kind = (file.metadata() or {}).get("format", "")
     if kind == "segloc network":
         return PointSetDescriptor(path.stem, path, True, threads)
     if kind == "segloc profile network":

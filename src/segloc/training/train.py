@@ -31,6 +31,7 @@ from .tasks import Batch, Task, create_task
 Progress = Callable[[str], None]
 _MAY_CHANGE = {"steps", "max_minutes", "threads", "device"}
 _RIVALS = 16
+_LARGEST = 1e15  # what the search for neighbours takes
 _UNREADABLE = (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError)
 
 
@@ -68,7 +69,7 @@ def train(
     Raises
     ------
     ConfigError
-        If there is no such network or device, or if the loss is no number any more.
+        If there is no such network or device, or if the training diverges.
     DatasetError
         If there are too few objects with two views, or if the state cannot be taken up.
     """
@@ -143,11 +144,6 @@ class _Run:
             if self.step % config.validate_every == 0 or self.step == config.steps or expired:
                 scores = self._validate()
                 loss = float(torch.stack(losses).mean())
-                if not math.isfinite(loss):
-                    raise ConfigError(
-                        f"the loss is no number any more at step {self.step}; "
-                        "try a smaller learning_rate"
-                    )
                 progress(
                     f"step {self.step} loss {loss:.3f} {_text(scores)} {self.seconds / 60:.1f} min"
                 )
@@ -199,7 +195,13 @@ class _Run:
         return np.column_stack([some, some[indices[:, 1:]]])
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
-        return self.task.describe(self._on_cpu(model), dataset)
+        vectors = self.task.describe(self._on_cpu(model), dataset)
+        if not (np.abs(vectors) < _LARGEST).all():
+            raise ConfigError(
+                f"descriptors are no usable numbers any more at step {self.step}; "
+                "try a smaller learning_rate"
+            )
+        return vectors
 
     def _on_cpu(self, model: nn.Module) -> nn.Module:
         return model if self.group.device.type == "cpu" else copy.deepcopy(model).cpu()
