@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The shipped weights from nothing: simulated worlds, a dataset of their segments, the networks.
+# Weights from nothing: simulated worlds, a dataset of their segments, the networks. The shipped
+# weights of `profile` were made so.
 #   benchmarks/train_weights.sh OUT
 # On two cores about half an hour for the dataset, and half an hour a network, side by side. What is
 # done stays: started again, it goes on where it was.
