@@ -105,8 +105,7 @@ VoxelNetwork::VoxelNetwork(const Tensors& tensors, Isa isa)
   precompute();
 }
 
-// What the layers give for an empty grid. Only the border of zeros makes it vary from place to
-// place.
+// What the layers give for an empty grid, which varies only because of the border of zeros.
 void VoxelNetwork::precompute() {
   Scratch scratch(*this);
   empty1_ = AlignedFloats(a_);
