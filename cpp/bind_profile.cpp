@@ -7,12 +7,11 @@
 namespace segloc::bindings {
 namespace {
 
-constexpr std::size_t kFewest = 32;
-
 Out<float> profiles(In3<float> prepared, In1<float> heights, int threads) {
   const std::size_t P = prepared.shape(0), N = prepared.shape(1);
   require(prepared.shape(2) == 3, "prepared must have shape (P, N, 3)");
-  require(N >= kFewest, "prepared segments need at least 32 points");
+  require(N >= kPairedPoints,
+          "prepared segments need at least " + std::to_string(kPairedPoints) + " points");
   require(heights.size() == P, "heights must have shape (P,)");
   std::vector<float> output(P * profile_size());
   {

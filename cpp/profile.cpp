@@ -16,8 +16,7 @@ namespace {
 constexpr std::size_t kMarks = 9;      // quantiles of heights, radii, extents and rises
 constexpr std::size_t kPairMarks = 17; // quantiles of distances between points
 constexpr std::size_t kSorted = 128;   // points that the quantiles look at
-constexpr std::size_t kPaired = 32;    // points whose mutual distances are taken
-constexpr std::size_t kPairs = kPaired * (kPaired - 1) / 2;
+constexpr std::size_t kPairs = kPairedPoints * (kPairedPoints - 1) / 2;
 constexpr std::size_t kLayers = 6;     // slices over the height, of 7 numbers each
 constexpr std::size_t kSections = 8;   // slices along the major axis, of 6 numbers each
 
@@ -241,7 +240,7 @@ class Batch {
   static std::array<Pair, kPairs> all_pairs() {
     std::array<Pair, kPairs> pairs;
     std::size_t next = 0;
-    for (uint8_t i = 0; i < kPaired; ++i) {
+    for (uint8_t i = 0; i < kPairedPoints; ++i) {
       for (uint8_t j = 0; j < i; ++j) pairs[next++] = {i, j};
     }
     return pairs;
