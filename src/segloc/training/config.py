@@ -50,4 +50,7 @@ class TrainConfig(BaseModel):
     max_minutes: float = Field(math.inf, gt=0)
     threads: int = Field(1, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
+        "auto", description="of the products; auto is bfloat16 on a GPU"
+    )
     seed: int = Field(0, ge=0)

@@ -21,7 +21,7 @@ from .dataset import SegmentDataset, packed
 from .tasks import Batch, Inputs, Task
 
 DIM = 64
-MAX_OBJECTS = 20_000
+MAX_OBJECTS = 6_000
 """Objects that the classifier knows: those with most views. More would make it outgrow the rest."""
 
 _RECONSTRUCTION = 200.0  # weight of that loss, and of occupied and empty voxels in it

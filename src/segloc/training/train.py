@@ -179,9 +179,12 @@ class _Run:
         return loss.detach()
 
     def _precision(self) -> AbstractContextManager[Any]:
-        """bfloat16 on a GPU: it has the range of single precision, so no loss is scaled."""
-        if self.group.device.type == "cuda":
-            return torch.autocast("cuda", dtype=torch.bfloat16)
+        """bfloat16 has the range of single precision, so no loss is scaled."""
+        kind = self.group.device.type
+        if self.config.precision == "bfloat16" or (
+            self.config.precision == "auto" and kind == "cuda"
+        ):
+            return torch.autocast(kind, dtype=torch.bfloat16)
         return nullcontext()
 
     def _mine(self) -> NDArray[np.int64]:
