@@ -1,16 +1,19 @@
-"""Fit the confidence of a pose on simulated towns, and show how reliable it is.
+"""Fit the confidence of a pose on simulated worlds, and show how reliable it is.
 
-Every town is mapped once; its second traversal gives queries with a true place, its neighbour's
-gives negatives. Each query is asked with accumulated scans and with a single one, all gates of
-verification open, so that the best candidate is always refined and shown. The logistic model of
-``segloc.verification.confidence`` is then fitted to (inliers, overlap) -> right or wrong.
+Every scene is built once for every sensor, mapped in one session and asked for in another, in
+autumn and with a tenth of the things replaced; the same queries, asked in the map of the world
+before, are negatives. Each query is asked with accumulated scans and with a single one, all gates
+of verification open, so that the best candidate is always refined and shown. The logistic model of
+``segloc.verification.confidence`` is then fitted to (inliers, overlap) -> right or wrong. The
+figure shows each world judged by the model that was fitted to all the others.
 
-    python benchmarks/calibrate_confidence.py --towns 8 --out calibration.npz
+    python benchmarks/calibrate_confidence.py --figure docs/images/reliability.svg
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,34 +23,72 @@ from scipy.optimize import minimize
 from segloc import Config, Localizer, build_map, geometry
 from segloc.evaluation.localization import query_positions
 from segloc.local_cloud import window
-from segloc.simulation import demo_sessions
+from segloc.simulation import (
+    SCENES,
+    SENSORS,
+    Conditions,
+    SimulatedSequence,
+    simulate_sessions,
+)
 
 EVERY_M = 8.0
+LENGTH_M = 160.0
+SIZE_M = {"town": 200.0, "industrial": 200.0, "park": 200.0, "meadow": 200.0, "forest": 150.0}
 OPEN_GATES = {"min_inliers": 2, "min_overlap": 0.0, "min_confidence": 0.0, "ambiguity": 1e9}
+LATER = Conditions(foliage=0.8, replaced=0.1)
+RIGHT_M = 1.0
+BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
-def collect(seed: int, method: str) -> np.ndarray:
-    """Rows (inliers, overlap, right) of all queries against one town's map."""
+def worlds(sensors: list[str], first_seed: int) -> Iterator[tuple[str, list[SimulatedSequence]]]:
+    """A name, and a session to map and one to ask, of every scene and sensor."""
+    seed = first_seed
+    for sensor in sensors:
+        for name, scene in SCENES.items():
+            world = scene(seed, size_m=SIZE_M[name])
+            lidar = SENSORS[sensor](900)
+            sessions = [Conditions(), LATER]
+            yield (
+                f"{name} {sensor}",
+                simulate_sessions(world, lidar, sessions, length_m=LENGTH_M, seed=seed),
+            )
+            seed += 1
+
+
+def ask(localizer: Localizer, drive: SimulatedSequence, known: bool) -> list[tuple[float, ...]]:
+    """Rows (inliers, overlap, right) of all queries of a drive."""
+    local = localizer.config.local_cloud
+    rows = []
+    for i in query_positions(drive.poses, EVERY_M, local.max_gap_m):
+        behind = window(drive.poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
+        for scans in ([drive.scan(k) for k in behind], drive.scan(i)):
+            result = localizer.localize(scans)
+            if result.T_map_sensor is None:
+                continue
+            delta = geometry.inverse(drive.poses[i]) @ result.T_map_sensor
+            right = known and np.linalg.norm(delta[:3, 3]) < RIGHT_M
+            rows.append((float(result.inliers), result.overlap, float(right)))
+    return rows
+
+
+def collect(sensors: list[str], first_seed: int, method: str, out: Path) -> np.ndarray:
+    """Rows (inliers, overlap, right, world) of all worlds; written to ``out`` after each."""
     config = Config.preset(method)
     gates = config.verification.model_copy(update=OPEN_GATES)
-    drives = demo_sessions(seed)
-    site = build_map(drives["map"], config)
-    localizer = Localizer(site, config.model_copy(update={"verification": gates}))
-    rows = []
-    for name in ("revisit", "elsewhere"):
-        drive = drives[name]
-        for i in query_positions(drive.poses, EVERY_M, config.local_cloud.max_gap_m):
-            behind = window(
-                drive.poses, i, config.local_cloud.window_m, centred=False, max_gap_m=10
-            )
-            for scans in ([drive.scan(k) for k in behind], drive.scan(i)):
-                result = localizer.localize(scans)
-                if result.T_map_sensor is None:
-                    continue
-                delta = geometry.inverse(drive.poses[i]) @ result.T_map_sensor
-                right = name == "revisit" and np.linalg.norm(delta[:3, 3]) < 1.0
-                rows.append((result.inliers, result.overlap, right))
-    return np.array(rows, float).reshape(-1, 3)
+    opened = config.model_copy(update={"verification": gates})
+    rows: list[tuple[float, ...]] = []
+    names: list[str] = []
+    before: Localizer | None = None
+    for k, (name, (mapped, asked)) in enumerate(worlds(sensors, first_seed)):
+        here = Localizer(build_map(mapped, config), opened)
+        found = ask(here, asked, True)
+        found += [] if before is None else ask(before, asked, False)
+        rows += [(*row, float(k)) for row in found]
+        names.append(name)
+        np.savez(out, rows=np.array(rows), names=np.array(names))
+        print(f"{name}: {len(found)} candidates, {sum(r[2] > 0 for r in found)} right", flush=True)
+        before = here
+    return np.array(rows)
 
 
 def fit(rows: np.ndarray) -> np.ndarray:
@@ -56,7 +97,7 @@ def fit(rows: np.ndarray) -> np.ndarray:
     Simulated right and wrong poses are nearly separable, which alone would make a fit as sure as
     its data are many; the penalty keeps it modest for the real world.
     """
-    features = np.column_stack([np.ones(len(rows)), np.log(rows[:, 0]), rows[:, 1]])
+    features = _features(rows)
     sign = np.where(rows[:, 2] > 0, 1.0, -1.0)
 
     def loss(w: np.ndarray) -> float:
@@ -65,36 +106,88 @@ def fit(rows: np.ndarray) -> np.ndarray:
     return np.asarray(minimize(loss, np.zeros(3), method="BFGS").x)
 
 
-def report(rows: np.ndarray, weights: np.ndarray) -> None:
+def _features(rows: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.ones(len(rows)), np.log(rows[:, 0]), rows[:, 1]])
+
+
+def probability(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """What a model says of candidates."""
+    p: np.ndarray = 1.0 / (1.0 + np.exp(-(_features(rows) @ weights)))
+    return p
+
+
+def held_out(rows: np.ndarray) -> np.ndarray:
+    """The probability of every candidate by the model fitted to all other worlds."""
+    p = np.empty(len(rows))
+    for world in np.unique(rows[:, 3]):
+        here = rows[:, 3] == world
+        p[here] = probability(rows[here], fit(rows[~here]))
+    return p
+
+
+def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
     """Reliability in bins of confidence, and the gap between right and wrong."""
-    score = weights[0] + weights[1] * np.log(rows[:, 0]) + weights[2] * rows[:, 1]
-    p, right = 1 / (1 + np.exp(-score)), rows[:, 2] > 0
+    right = rows[:, 2] > 0
     print(f"{len(rows)} candidates, {int(right.sum())} right; weights {np.round(weights, 2)}")
-    for low, high in pairwise((0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)):
+    print("| confidence, model of the other worlds | candidates | right |\n|---|---|---|")
+    for low, high in pairwise(BINS):
         chosen = (p >= low) & (p < high)
         if chosen.any():
-            share = right[chosen].mean()
-            print(f"  {low:.2f}-{high:.2f}: {chosen.sum():5d}  right {share:.3f}")
+            high = min(high, 1.0)
+            print(f"| {low:.2f} to {high:.2f} | {chosen.sum()} | {right[chosen].mean():.3f} |")
+    brier = float(((p - right) ** 2).mean())
+    print(
+        f"Brier score {brier:.4f}; confident (over 0.5) and wrong: {int((p[~right] > 0.5).sum())}"
+    )
     for name, part in (("right", rows[right]), ("wrong", rows[~right])):
         for column, label in ((0, "inliers"), (1, "overlap")):
             q = np.percentile(part[:, column], [0, 1, 50, 99, 100])
             print(f"  {name} {label}: " + " ".join(f"{v:.2f}" for v in q))
 
 
+def draw(rows: np.ndarray, p: np.ndarray, path: Path) -> None:
+    """The reliability diagram, and how many candidates each bin holds."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    right = rows[:, 2] > 0
+    figure = Figure(figsize=(5.2, 4.2), facecolor="white")
+    FigureCanvasSVG(figure)
+    axes, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
+    axes.plot([0, 1], [0, 1], color="#7d8aa0", lw=1, ls="--")
+    for low, high in pairwise(BINS):
+        chosen = (p >= low) & (p < high)
+        if chosen.any():
+            n, k = int(chosen.sum()), int(right[chosen].sum())
+            share, spread = k / n, 1.96 * np.sqrt((k + 1) * (n - k + 1) / (n + 2) ** 2 / (n + 3))
+            axes.errorbar(p[chosen].mean(), share, spread, fmt="o", color="#12a150", capsize=3)
+    axes.set_ylabel("share right")
+    axes.set_ylim(-0.05, 1.05)
+    below.hist([p[right], p[~right]], bins=20, color=["#12a150", "#e5243b"], log=True)
+    below.legend(["right", "wrong"], fontsize=8, frameon=False)
+    below.set_xlabel("confidence, by the model of the other worlds")
+    below.set_ylabel("candidates")
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Date": None})
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--towns", type=int, default=8)
+    parser.add_argument("--sensors", nargs="*", default=["hdl64e", "hdl32e", "vlp16"])
     parser.add_argument("--first-seed", type=int, default=3000)
     parser.add_argument("--method", default="profile")
     parser.add_argument("--out", type=Path, default=Path("calibration.npz"))
+    parser.add_argument("--rows", type=Path, help="rows of an earlier run")
+    parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
-    parts = []
-    for seed in range(args.first_seed, args.first_seed + args.towns):
-        parts.append(collect(seed, args.method))
-        print(f"town {seed}: {len(parts[-1])} candidates", flush=True)
-        rows = np.concatenate(parts)
-        np.savez(args.out, rows=rows, towns=np.repeat(np.arange(len(parts)), list(map(len, parts))))
-    report(rows, fit(rows))
+    if args.rows is None:
+        rows = collect(args.sensors, args.first_seed, args.method, args.out)
+    else:
+        rows = np.load(args.rows)["rows"]
+    p = held_out(rows)
+    report(rows, fit(rows), p)
+    if args.figure is not None:
+        draw(rows, p, args.figure)
 
 
 if __name__ == "__main__":

@@ -118,7 +118,7 @@ def run(data: Path, protocol: str, cities: list[SegmentMap], config: Config) -> 
         stages = ("matching", "pose", "verification", "total")
         ms = [statistics.median(r.times_ms[stage] for r in answers) for stage in stages]
         print(
-            f"| {protocol} | {len(city)} | {localizer.matcher.neighbours} | "
+            f"| {protocol} | {len(city)} | {localizer.matcher.attempts[0]} | "
             f"{int((e.with_place & e.correct).sum())} of {int(e.with_place.sum())} | "
             f"{int(e.false.sum())} | {wrong} | " + " | ".join(f"{v:.1f}" for v in ms) + " |",
             flush=True,

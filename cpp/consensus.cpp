@@ -18,7 +18,8 @@ constexpr double kTypical = 0.7;  // share of the tolerance that most matches ke
 constexpr double kSameYaw = 15.0 * kPi / 180.0;
 constexpr double kSameStart = 0.75 * kPi / 180.0;
 constexpr std::size_t kBlock = 256;
-constexpr double kShare = 0.4;  // of the most votes: emptier cells are not looked into
+constexpr double kShare = 0.4;  // of the most votes: emptier cells are not looked into,
+constexpr std::size_t kFewestCells = 64;  // except for the best so many
 
 double longest_edge(const double* query, std::size_t q) {
   double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
@@ -271,7 +272,8 @@ std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const 
 
   const Kernels& kernel_table = kernels(parse_isa("auto"));
   PoseVotes votes = vote_for_poses(f, {o.inlier_tolerance, o.max_votes, o.max_cells}, threads);
-  while (!votes.cells.empty() && votes.cells.back().votes < kShare * votes.cells.front().votes) {
+  while (votes.cells.size() > kFewestCells &&
+         votes.cells.back().votes < kShare * votes.cells.front().votes) {
     votes.cells.pop_back();
   }
   std::vector<Start> starts(votes.cells.size());

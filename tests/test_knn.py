@@ -83,3 +83,41 @@ def test_wrong_input() -> None:
         _native.knn(a, np.zeros((3, 15), np.float32), 1)
     with pytest.raises(ValueError, match="database has values"):
         _native.knn(a, np.full((3, 16), np.nan, np.float32), 1)
+
+
+def test_an_index_that_reads_every_list_is_exact() -> None:
+    rng = np.random.default_rng(3)
+    database = rng.normal(size=(5000, 12)).astype(np.float32)
+    queries = rng.normal(size=(60, 12)).astype(np.float32)
+    index = _native.DescriptorIndex(database, 40, 2)
+    assert (len(index), index.lists) == (5000, 40)
+    for threads in (1, 3):
+        indices, distances = index.search(queries, 25, 40, threads)
+        expected = _native.knn(queries, database, 25, 1)
+        np.testing.assert_array_equal(indices, expected[0])
+        np.testing.assert_array_equal(distances, expected[1])
+
+
+def test_few_lists_hold_most_neighbours_and_always_enough() -> None:
+    rng = np.random.default_rng(4)
+    centres = rng.normal(size=(200, 16)) * 2
+    database = (centres[rng.integers(0, 200, 20_000)] + rng.normal(size=(20_000, 16))).astype(
+        np.float32
+    )
+    queries = (database[:100] + rng.normal(0, 0.1, (100, 16))).astype(np.float32)
+    index = _native.DescriptorIndex(database, 100)
+    exact = _native.knn(queries, database, 25)[0]
+    found = index.search(queries, 25, 12)[0]
+    shared = [len(np.intersect1d(a, b)) for a, b in zip(found, exact, strict=True)]
+    assert np.mean(shared) > 0.95 * 25
+    np.testing.assert_array_equal(index.search(queries, 25, 12, 2)[0], found)
+    everything = index.search(queries[:2], 20_000, 1)[0]
+    np.testing.assert_array_equal(np.sort(everything, axis=1), np.tile(np.arange(20_000), (2, 1)))
+
+
+def test_an_index_refuses_wrong_input() -> None:
+    a = np.zeros((3, 16), np.float32)
+    with pytest.raises(ValueError, match="at least one list"):
+        _native.DescriptorIndex(a, 0)
+    with pytest.raises(ValueError, match="number of columns"):
+        _native.DescriptorIndex(a, 2).search(np.zeros((3, 15), np.float32), 1, 1)

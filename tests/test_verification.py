@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from segloc import Config, Localizer, build_map, geometry
+from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc._native import PointIndex
-from segloc.types import Hypothesis
+from segloc.matching import MatchingConfig
+from segloc.types import Descriptors, Hypothesis
 from segloc.verification import VerificationConfig, confidence
 
 
@@ -68,3 +69,53 @@ def test_each_gate_refuses_and_says_so(plaza: Plaza, gate: dict[str, float], rea
     result = Localizer(site, config.model_copy(update={"verification": gates})).localize(scan)
     assert not result.localized and result.reason.startswith(reason)
     assert result.T_map_sensor is None
+
+
+def twice(site: SegmentMap, by: float) -> SegmentMap:
+    """A map that holds its place a second time, so many metres farther."""
+    both = site.crop((0.0, 0.0), np.inf)
+    move = np.array([by, 0.0, 0.0])
+    both.add(
+        Descriptors(site.vectors, site.quality),
+        site.centroids + move,
+        site.sizes,
+        session=1,
+        stamp=0.0,
+        cloud=site.cloud + site.origin + move,
+    )
+    return both
+
+
+@pytest.mark.parametrize("method", ["geo", "profile"])
+def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str) -> None:
+    config = Config.preset(method)
+    site = build_map(PlazaSequence(plaza, steps=6), config)
+    scans = [plaza.scan(geometry.yaw_transform(yaw, (-8.0, 1.0, 1.7))) for yaw in (0.3, 2.0)]
+    for scan in scans:
+        assert Localizer(site, config).localize(scan).localized
+        result = Localizer(twice(site, 500.0), config).localize(scan)
+        assert not result.localized and result.reason == "ambiguous"
+        assert result.runner_up is not None
+
+
+def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) -> None:
+    site = build_map(PlazaSequence(plaza, steps=6), Config.preset("geo"))
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    rng = np.random.default_rng(0)
+    site.vectors[:] += rng.normal(0, 1.5, site.vectors.shape)  # the nearest is hardly ever right
+    answers = []
+    for escalation in (1, 80):
+        matching = MatchingConfig(neighbours=1, escalation=escalation)
+        config = Config.preset("geo").model_copy(update={"matching": matching})
+        answers.append(Localizer(site, config).localize(scan))
+    lost, found = answers
+    assert not lost.localized and lost.reason.startswith("too few inliers")
+    assert found.localized and found.counts["candidates"] == 80 * found.counts["segments"]
+
+
+def test_neighbours_grow_with_the_map_up_to_a_limit() -> None:
+    config = MatchingConfig()
+    first = [config.attempts(n)[0] for n in (10, 50_000, 200_000, 1_000_000, 10**8)]
+    assert first[:2] == [25, 25] and first == sorted(first) and first[-1] == config.max_neighbours
+    assert Config.preset("nsm").matching.attempts(10**7) == (200,)
+    assert Config.preset("dsm").matching.attempts(10**7) == (25,)

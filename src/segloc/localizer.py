@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from . import geometry
 from .config import Config
@@ -14,9 +15,29 @@ from .local_cloud import Accumulator
 from .map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
-from .segmentation import Segmenter
-from .types import LocalCloud, Localization, Scan
+from .segmentation import Segmentation, Segmenter
+from .types import Hypothesis, LocalCloud, Localization, Matches, Scan
 from .verification import Verdict, Verifier
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found for one local cloud, with all that was considered.
+
+    Attributes
+    ----------
+    candidates : int
+        Matches before pruning.
+    matches : Matches
+    hypotheses : list of Hypothesis
+        T_map_local, best first, at different places, before verification.
+    verdict : Verdict
+    """
+
+    candidates: int
+    matches: Matches
+    hypotheses: list[Hypothesis]
+    verdict: Verdict
 
 
 class Localizer:
@@ -69,30 +90,42 @@ class Localizer:
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
         with watch("segmentation"):
             scene = self.segmenter.segment(cloud)
-        with watch("preprocessing"):
-            prepared = self.descriptor.prepare(scene.segments)
-        with watch("descriptor"):
-            descriptors = self.descriptor.encode(prepared)
-        with watch("matching"):
-            candidates = self.matcher.match(descriptors)
-        with watch("pruning"):
-            matches = self.matcher.prune(descriptors, candidates)
-        with watch("pose"):
-            hypotheses = self.estimator.estimate(
-                scene.segments.centroids, self.site.centroids, matches
-            )
-        with watch("verification"):
-            verdict = self.verifier.verify(scene, hypotheses)
+        found = self.search(scene, watch)
 
         counts = {
             "scans": cloud.num_scans,
             "points": len(cloud.points),
             "segments": len(scene.segments),
-            "candidates": len(candidates),
-            "matches": len(matches),
-            "hypotheses": len(hypotheses),
+            "candidates": found.candidates,
+            "matches": len(found.matches),
+            "hypotheses": len(found.hypotheses),
         }
-        return _localization(cloud, counts, verdict, watch)
+        return _localization(cloud, counts, found.verdict, watch)
+
+    def search(self, scene: Segmentation, watch: Stopwatch | None = None) -> Search:
+        """Everything after segmentation: describe, match, find poses, verify.
+
+        Where too few segments agree on a pose, it is tried once more with more neighbours.
+        """
+        watch = watch or Stopwatch()
+        with watch("preprocessing"):
+            prepared = self.descriptor.prepare(scene.segments)
+        with watch("descriptor"):
+            descriptors = self.descriptor.encode(prepared)
+        for attempt, neighbours in enumerate(self.matcher.attempts):
+            with watch("matching"):
+                candidates = self.matcher.match(descriptors, neighbours)
+            with watch("pruning"):
+                matches = self.matcher.prune(descriptors, candidates)
+            with watch("pose"):
+                hypotheses = self.estimator.estimate(
+                    scene.segments.centroids, self.site.centroids, matches
+                )
+            with watch("verification"):
+                verdict = self.verifier.verify(scene, hypotheses, escalated=attempt > 0)
+            if not verdict.starved:
+                break
+        return Search(len(candidates), matches, hypotheses, verdict)
 
 
 class Stopwatch:

@@ -22,6 +22,12 @@ class MatchingConfig(BaseModel):
     )
     grows_from: int = Field(50_000, ge=1, description="segments of a map from which they grow")
     max_neighbours: int = Field(200, ge=1, description="up to so many")
+    escalation: int = Field(
+        4,
+        ge=1,
+        description="times as many, once, where too few segments agree on a pose; 1: never",
+    )
+    max_escalated: int = Field(400, ge=1, description="up to so many")
     indexed_from: int = Field(
         100_000, ge=1, description="larger maps are searched through an index, not exactly"
     )
@@ -34,16 +40,17 @@ class MatchingConfig(BaseModel):
         description="matches that the method's forest finds less likely are dropped",
     )
 
-
-    def neighbours_in(self, segments: int) -> int:
-        """Neighbours proposed in a map of so many segments.
+    def attempts(self, segments: int) -> tuple[int, ...]:
+        """Neighbours proposed in a map of so many segments: at first, and where that fails.
 
         The more segments a map holds, the more of them look alike by chance, and the true
         neighbour falls behind.
         """
         share = max(1.0, segments / self.grows_from)
         grown = min(round(self.neighbours * share**self.growth), self.max_neighbours)
-        return max(self.neighbours, grown)
+        first = max(self.neighbours, grown)
+        second = min(self.escalation * first, self.max_escalated)
+        return (first, second) if second > first else (first,)
 
 
 class Matcher:
@@ -51,7 +58,13 @@ class Matcher:
 
     The search is exact, except in maps large enough for an index, where it reads the lists of
     descriptors around the nearest centres (an inverted file).
+
     Methods with a ``pruner`` then keep the matches that it finds likely.
+
+    Attributes
+    ----------
+    attempts : tuple of int
+        Neighbours of each query segment, at first and where that was too few.
     """
 
     def __init__(
@@ -65,21 +78,22 @@ class Matcher:
         self.config = config or MatchingConfig()
         self._quality = site.quality
         self._vectors = np.ascontiguousarray(site.vectors)
-        self.neighbours = self.config.neighbours_in(len(site))
+        self.attempts = self.config.attempts(len(site))
         large = len(site) > self.config.indexed_from
         lists = len(site) // self.config.list_size if large else 1
         self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
 
-    def match(self, query: Descriptors) -> Matches:
+    def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
         """The nearest map segments of every query segment, best match first.
 
+        So many of them for each; by default as many as in the first of the ``attempts``.
         A match's score is the likelihood exp(-distance), times the quality of both descriptors
         where they have one.
         """
         indices, distances = self._index.search(
-            query.vectors, self.neighbours, self.config.probes, self._threads
+            query.vectors, neighbours or self.attempts[0], self.config.probes, self._threads
         )
         rows = np.repeat(np.arange(len(query), dtype=np.int64), indices.shape[1])
         columns, distance = indices.reshape(-1), distances.reshape(-1)

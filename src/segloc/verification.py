@@ -27,6 +27,9 @@ class VerificationConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     min_inliers: int = Field(6, ge=2, description="distinct segments that must agree")
+    extra_inliers: int = Field(
+        2, ge=0, description="so many more among more neighbours, where more agree by chance"
+    )
     min_overlap: float = Field(
         0.55, ge=0, le=1, description="share of the live cloud that must lie on the map"
     )
@@ -56,6 +59,8 @@ class Verdict:
     best: Hypothesis | None
     runner_up: Hypothesis | None
     confidence: float
+    starved: bool = False
+    """Whether it was for lack of segments that agree."""
 
 
 class Verifier:
@@ -80,21 +85,32 @@ class Verifier:
         )
         self._tile = lru_cache(maxsize=self.config.icp_tiles)(self._prepared_tile)
 
-    def verify(self, scene: Segmentation, hypotheses: list[Hypothesis]) -> Verdict:
+    def verify(
+        self, scene: Segmentation, hypotheses: list[Hypothesis], *, escalated: bool = False
+    ) -> Verdict:
         """Rank the candidates, refine the best and decide.
 
         A pose is believed when enough distinct segments agree with it, enough of the live cloud
         lies on the map after ICP, and no different place explains the scan about as well.
         """
         if not hypotheses:
-            return Verdict("no consistent matches", None, None, 0.0)
+            return Verdict("no consistent matches", None, None, 0.0, starved=True)
         sample = _thinned(scene.structure, self.config.sample)
         ranked = self._ranked(hypotheses, sample)
+        needed = self.config.min_inliers + (self.config.extra_inliers if escalated else 0)
         verdicts = [
-            self._judge(ranked, i, scene, sample) for i in range(self._worth_refining(ranked))
+            self._judge(ranked, i, scene, sample, needed)
+            for i in range(self._worth_refining(ranked))
         ]
         accepted = [v for v in verdicts if not v.reason]
         return max(accepted or verdicts[:1], key=lambda v: v.confidence)
+
+    def refined(self, hypothesis: Hypothesis, scene: Segmentation) -> Hypothesis:
+        """A hypothesis moved to where the clouds fit best, with its overlap there.
+
+        Unchanged where the clouds do not fit at all.
+        """
+        return self._refined(hypothesis, scene, _thinned(scene.structure, self.config.sample))
 
     def _ranked(self, hypotheses: list[Hypothesis], sample: Float32) -> list[Hypothesis]:
         poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
@@ -113,12 +129,18 @@ class Verifier:
         return max(len(worth), 1)
 
     def _judge(
-        self, ranked: list[Hypothesis], chosen: int, scene: Segmentation, sample: Float32
+        self,
+        ranked: list[Hypothesis],
+        chosen: int,
+        scene: Segmentation,
+        sample: Float32,
+        needed: int,
     ) -> Verdict:
         config, coarse = self.config, ranked[chosen]
-        if coarse.inliers < config.min_inliers:
-            reason = f"too few inliers ({coarse.inliers} < {config.min_inliers})"
-            return Verdict(reason, coarse, _elsewhere(ranked, coarse, config.separation), 0.0)
+        if coarse.inliers < needed:
+            reason = f"too few inliers ({coarse.inliers} < {needed})"
+            other = _elsewhere(ranked, coarse, config.separation)
+            return Verdict(reason, coarse, other, 0.0, starved=True)
         best = self._refined(coarse, scene, sample)
         runner_up = _elsewhere(ranked, best, config.separation)
         p = confidence(best)

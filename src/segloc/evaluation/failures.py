@@ -153,13 +153,14 @@ def funnel(
     tree = cKDTree(localizer.site.centroids)
     cases = []
     for position in map(int, chosen[near]):
-        cloud = _gathered(localizer, sequence, position, read)
+        cloud = gathered(localizer, sequence, position, read)
         index = int(sequence.indices[position])
         cases.append(_examine(localizer, tree, cloud, truths[position], index))
     return Funnel(len(chosen), tuple(cases))
 
 
-def _gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:
+def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:
+    """The local cloud of a query: one scan, or with poses those of the way behind it."""
     scans = range(position, position + 1)
     if sequence.poses is not None:
         config = localizer.config.local_cloud
@@ -173,21 +174,19 @@ def _examine(
     localizer: Localizer, tree: cKDTree, cloud: LocalCloud, truth: Pose, index: int
 ) -> Case:
     scene = localizer.segmenter.segment(cloud)
-    descriptors = localizer.descriptor.describe(scene.segments)
-    matches = localizer.matcher.prune(descriptors, localizer.matcher.match(descriptors))
     centroids = scene.segments.centroids
-    hypotheses = localizer.estimator.estimate(centroids, localizer.site.centroids, matches)
-    verdict = localizer.verifier.verify(scene, hypotheses)
+    found = localizer.search(scene)
     T, overlap = _aligned(localizer, scene, truth @ geometry.inverse(cloud.T_local_sensor))
     placed = geometry.transform(T, centroids)
     repeated = tree.query(placed)[0] < REPEAT_RADIUS_M if len(placed) else np.empty(0, bool)
-    matched = _matched(localizer.site.centroids, matches, placed)
-    nearest = [h for h in hypotheses if _same(h.T_map_local, T)]
-    objects = [_objects(centroids[rows], localizer) for rows in (repeated, matched & repeated)]
+    matched = _matched(localizer.site.centroids, found.matches, placed)
+    nearest = [h for h in found.hypotheses if _same(h.T_map_local, T)]
+    held = _objects(centroids[repeated], localizer)
+    proposed = _objects(centroids[matched & repeated], localizer)
     inliers = max((h.inliers for h in nearest), default=0)
-    stage = _stage(localizer, len(centroids), objects, bool(nearest), verdict, T)
-    detail = verdict.reason.split(" (")[0] if stage == STAGES[-1] else ""
-    return Case(index, stage, detail, len(centroids), *objects, inliers, overlap, T.tolist())
+    stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found.verdict, T)
+    detail = found.verdict.reason.split(" (")[0] if stage == STAGES[-1] else ""
+    return Case(index, stage, detail, len(centroids), held, proposed, inliers, overlap, T.tolist())
 
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
@@ -223,7 +222,7 @@ def _same(a: Pose, b: Pose) -> bool:
 def _stage(
     localizer: Localizer,
     segments: int,
-    objects: list[int],
+    objects: tuple[int, int],
     found: bool,
     verdict: Verdict,
     T: Pose,

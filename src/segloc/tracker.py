@@ -1,0 +1,193 @@
+"""Successive queries of one robot: hypotheses kept between them and compared through odometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field
+
+from . import geometry
+from .errors import InvalidScan
+from .localizer import Localizer
+from .types import Hypothesis, LocalCloud, Pose, Scan, checked_pose
+from .verification import confidence
+
+
+class TrackerConfig(BaseModel):
+    """When hypotheses of different queries support each other."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    min_inliers: int = Field(5, ge=2, description="weaker hypotheses are not kept")
+    min_overlap: float = Field(0.5, ge=0, le=1, description="after refinement; the same")
+    tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
+    tolerance_deg: float = Field(3.0, gt=0, description="the same for their headings, degrees")
+    drift: float = Field(0.02, ge=0, description="odometry errs by this share of the way")
+    apart_m: float = Field(
+        4.0, ge=0, description="travel between two views that witness independently, metres"
+    )
+    agreeing: int = Field(2, ge=2, description="views that must agree on a hypothesis")
+    memory_m: float = Field(150.0, gt=0, description="unsupported hypotheses are kept this long")
+    max_kept: int = Field(16, ge=1, description="hypotheses kept between queries")
+    candidates: int = Field(3, ge=1, description="hypotheses of each query that are refined")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where the tracker stands after a query.
+
+    Attributes
+    ----------
+    localized : bool
+    T_map_odom : (4, 4) float64 or None
+        Takes poses of the odometry to the map.
+    confidence : float
+        In [0, 1]: that of the views that agree, taken as independent. Unlike that of a single
+        query it is not calibrated.
+    views : int
+        Independent views that agree with the track.
+    reason : str
+        "" when localized.
+    """
+
+    localized: bool
+    T_map_odom: Pose | None
+    confidence: float
+    views: int
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A hypothesis with the last view that supported it."""
+
+    T_map_odom: Pose
+    confidence: float
+    views: int
+    believed: bool  # by a single view that passed all gates
+    at: float  # travelled distance of the last supporting view
+
+
+class Tracker:
+    """Localizes a robot over successive queries.
+
+    A single query that passes all gates of verification is believed at once. Hypotheses below the
+    gates, and ambiguous ones, are kept: those on which views from different positions agree are
+    believed, and those that a believed one contradicts are dropped. A believed track survives
+    queries that find nothing, for ``memory_m`` of travel.
+
+    Parameters
+    ----------
+    localizer : Localizer
+    config : TrackerConfig, optional
+    """
+
+    def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
+        self.localizer = localizer
+        self.config = config or TrackerConfig()
+        self._kept: list[_Kept] = []
+        self._travelled = 0.0
+        self._last: Pose | None = None
+
+    def update(self, scans: Scan | Sequence[Scan] | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
+        """Take the next query.
+
+        Parameters
+        ----------
+        scans : Scan, sequence of Scan, or LocalCloud
+            As for :meth:`Localizer.localize`.
+        T_odom_sensor : (4, 4) array
+            Pose of the (last) scan's sensor in the odometry's frame, whose z axis points up.
+
+        Raises
+        ------
+        InvalidScan
+            If the pose is not a rigid transform, or the scans cannot be accumulated.
+        """
+        T = checked_pose(T_odom_sensor, "T_odom_sensor")
+        if self._last is not None:
+            self._travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
+        self._last = T
+        views = self._views(scans, T)
+        for view in views:
+            self._merge(view)
+        self._forget()
+        return self._answer(views)
+
+    def _views(self, scans: Scan | Sequence[Scan] | LocalCloud, T_odom_sensor: Pose) -> list[_Kept]:
+        """The hypotheses of one query that are worth keeping, refined; the best first."""
+        localizer, config = self.localizer, self.config
+        cloud = scans if isinstance(scans, LocalCloud) else localizer.accumulator.gather(scans)
+        if not np.isfinite(cloud.T_local_sensor).all():
+            raise InvalidScan("T_local_sensor has values that are not finite")
+        scene = localizer.segmenter.segment(cloud)
+        found = localizer.search(scene)
+        T_sensor_odom = geometry.inverse(T_odom_sensor)
+
+        def kept(h: Hypothesis, believed: bool) -> _Kept:
+            T_map_odom = h.T_map_local @ cloud.T_local_sensor @ T_sensor_odom
+            return _Kept(T_map_odom, confidence(h), 1, believed, self._travelled)
+
+        verdict = found.verdict
+        if verdict.best is not None and not verdict.reason:
+            return [kept(verdict.best, True)]
+        strong = [h for h in found.hypotheses if h.inliers >= config.min_inliers]
+        refined = [localizer.verifier.refined(h, scene) for h in strong[: config.candidates]]
+        fitting = [h for h in refined if h.overlap >= config.min_overlap]
+        return sorted((kept(h, False) for h in fitting), key=lambda k: -k.confidence)
+
+    def _merge(self, view: _Kept) -> None:
+        """Let a view support the hypothesis that it agrees with, or stand for itself."""
+        for i, old in enumerate(self._kept):
+            if not self._agree(old, view):
+                continue
+            independent = view.at - old.at >= self.config.apart_m
+            self._kept[i] = _Kept(
+                view.T_map_odom,
+                1.0 - (1.0 - old.confidence) * (1.0 - view.confidence)
+                if independent
+                else max(old.confidence, view.confidence),
+                old.views + independent,
+                old.believed or view.believed,
+                view.at if independent else old.at,
+            )
+            return
+        self._kept.append(view)
+
+    def _agree(self, old: _Kept, view: _Kept) -> bool:
+        config = self.config
+        assert self._last is not None
+        here = geometry.inverse(old.T_map_odom @ self._last) @ view.T_map_odom @ self._last
+        slack = config.tolerance_m + config.drift * (view.at - old.at)
+        turned = math.degrees(geometry.rotation_angle(here))
+        return bool(np.linalg.norm(here[:3, 3]) <= slack and turned <= config.tolerance_deg)
+
+    def _forget(self) -> None:
+        """Drop what is old, what a believed hypothesis contradicts, and the weakest."""
+        config = self.config
+        fresh = [k for k in self._kept if self._travelled - k.at <= config.memory_m]
+        fresh.sort(key=lambda k: (-k.views, -k.believed, -k.confidence))
+        believed = [k for k in fresh if self._stands(k)]
+        if believed and (len(believed) == 1 or believed[0].views > believed[1].views):
+            fresh = [k for k in fresh if k is believed[0] or k.at > believed[0].at]
+        self._kept = fresh[: config.max_kept]
+
+    def _stands(self, kept: _Kept) -> bool:
+        return kept.believed or kept.views >= self.config.agreeing
+
+    def _answer(self, views: list[_Kept]) -> Track:
+        standing = [k for k in self._kept if self._stands(k)]
+        if not standing:
+            reason = "no agreement yet" if self._kept else "nothing found"
+            return Track(False, None, 0.0, max((k.views for k in self._kept), default=0), reason)
+        best = standing[0]
+        if len(standing) > 1 and standing[1].views >= best.views:
+            return Track(False, None, 0.0, best.views, "contradiction")
+        contradicted = bool(views) and views[0].believed and not self._agree(best, views[0])
+        if contradicted:
+            return Track(False, None, 0.0, best.views, "contradiction")
+        return Track(True, best.T_map_odom, best.confidence, best.views)
