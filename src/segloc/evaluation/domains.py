@@ -26,8 +26,6 @@ from ..training.shards import INDEX, Session, finish, finished, options_of, writ
 from ..types import Float64, Int64, Scan
 from .pool import in_parallel
 
-Progress = Callable[[str], None]
-
 SIMULATED = ("kitti", "burgess", "robotcar")
 RECORDED = "kitti00"
 SPLITS = ("train", "test")
@@ -139,7 +137,7 @@ def simulated(
     *,
     seed: int = 0,
     workers: int = 1,
-    progress: Progress = print,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Make the segments of a simulated domain, unless they are there.
 
@@ -159,6 +157,7 @@ def simulated(
     workers : int
         Processes that simulate.
     progress : callable
+        Called with (worlds done, worlds in all).
 
     Returns
     -------
@@ -176,13 +175,11 @@ def simulated(
     if (folder / INDEX).exists():
         return folder
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [
-        _Job(folder, domain, split, size.scale, seed + k) for k in range(size.worlds(split))
-    ]
+    jobs = [_Job(folder, domain, split, size.scale, seed + k) for k in range(size.worlds(split))]
     sessions: list[Session] = []
     for done, found in enumerate(in_parallel(_simulate, jobs, workers), start=1):
         sessions += found
-        progress(f"{domain}, {split}: world {done} of {len(jobs)}")
+        progress(done, len(jobs))
     finish(folder, sessions, _EXTRACT.label)
     return folder
 
@@ -213,7 +210,7 @@ def _simulate(job: _Job) -> list[Session]:
     return sessions
 
 
-def recorded(root: Path, data: Path, split: str, *, progress: Progress = print) -> Path:
+def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] = print) -> Path:
     """Make the segments of KITTI odometry 00, unless they are there; no place is in both splits.
 
     The passes over a place are aligned with each other, since the positions of the reference agree
@@ -226,7 +223,8 @@ def recorded(root: Path, data: Path, split: str, *, progress: Progress = print) 
     data : Path
         A folder with ``keyframes/`` and their T_world_sensor in ``keyframes.tum``.
     split : {"train", "test"}
-    progress : callable
+    say : callable
+        Takes a line for each pass.
 
     Returns
     -------
@@ -260,7 +258,7 @@ def recorded(root: Path, data: Path, split: str, *, progress: Progress = print) 
             for k, select in enumerate(passes)
         ]
         sessions += collect_recordings(
-            folder, items, _EXTRACT, SegmentationConfig(), register=True, progress=progress
+            folder, items, _EXTRACT, SegmentationConfig(), register=True, progress=say
         )
     finish(folder, sessions, _EXTRACT.label)
     return folder
