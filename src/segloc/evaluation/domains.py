@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,10 +21,20 @@ from ..segmentation import SegmentationConfig, Segmenter
 from ..simulation import LineLidar, SimulatedSequence
 from ..simulation.suites import SIX, SWATHE_M, TestSet
 from ..training.collect import Posed, collect_recordings
+from ..training.dataset import SegmentDataset
 from ..training.extract import ExtractConfig, extract_session
-from ..training.shards import INDEX, Session, finish, finished, options_of, write_shard
+from ..training.shards import (
+    INDEX,
+    Session,
+    finish,
+    finished,
+    load_dataset,
+    options_of,
+    write_shard,
+)
 from ..types import Float64, Int64, Scan
 from .pool import in_parallel
+from .workspace import Workspace
 
 SIMULATED = ("kitti", "burgess", "robotcar")
 RECORDED = "kitti00"
@@ -262,6 +272,51 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
         )
     finish(folder, sessions, _EXTRACT.label)
     return folder
+
+
+class Domains:
+    """The datasets of a workspace, made where they are missing, each read once.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    sizes : dict of str to DomainSize, optional
+        By simulated domain; by default those of the workspace's scale.
+    """
+
+    def __init__(self, workspace: Workspace, sizes: Mapping[str, DomainSize] | None = None) -> None:
+        self._workspace = workspace
+        self._sizes = SIZES[workspace.scale] if sizes is None else sizes
+        self._read: dict[Path, SegmentDataset] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that there are: the simulated ones, and KITTI 00 where the workspace has data."""
+        return SIMULATED if self._workspace.data is None else (*SIMULATED, RECORDED)
+
+    def folder(self, domain: str, split: str) -> Path:
+        """Where the segments of a domain lie; see :func:`simulated` and :func:`recorded`."""
+        space, root = self._workspace, self._workspace.out / "datasets"
+        if domain == RECORDED and space.data is not None:
+            return recorded(root, space.data, split, say=space.say)
+        size = self._sizes[domain]
+        with space.progress(f"Simulating {domain} ({split})") as update:
+            return simulated(
+                root,
+                domain,
+                split,
+                size,
+                seed=space.seed,
+                workers=space.workers,
+                progress=update,
+            )
+
+    def dataset(self, domain: str, split: str) -> SegmentDataset:
+        """The segments of a domain."""
+        folder = self.folder(domain, split)
+        if folder not in self._read:
+            self._read[folder] = load_dataset(folder)
+        return self._read[folder]
 
 
 def _hash(key: object) -> str:

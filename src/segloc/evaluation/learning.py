@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,15 +33,37 @@ FORESTS = ("segmatch-eigen", "segmatch-esf", "nsm")
 PAIRED = ("dsm", "esm")
 QUALITY = "-fq"
 
-STEPS: dict[str, dict[str, int]] = {
-    "small": {"dsm": 500, "esm": 120, "segmap": 60, "profile": 500},
-    "full": {"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000},
-}
-"""By scale and network. Few, so that a whole table is trained in minutes (small) or in an hour
-(full) of one core: methods then also differ in how fast they learn."""
-
 _OWN: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-3, "hard_share": 0.0}}
-_FOREST_PAIRS = {"small": 20_000, "full": 60_000}
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long methods are trained for a comparison.
+
+    Attributes
+    ----------
+    steps : dict of str to int
+        By network.
+    forest_pairs : int
+        Right candidates that a forest is grown on at most.
+    """
+
+    steps: Mapping[str, int]
+    forest_pairs: int
+
+    def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
+        """The settings of a method's training."""
+        if method in FORESTS:
+            return ForestConfig(pairs=self.forest_pairs, seed=seed)
+        return network_config(method, self.steps[method], seed=seed)
+
+
+EFFORTS = {
+    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 20_000),
+    "full": Effort({"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000}, 60_000),
+}
+"""By scale. Few steps, so that a whole table is trained in ten minutes (small) or an hour (full) of
+one core: methods then also differ in how fast they learn."""
 
 
 class PairHead(Pruner):
@@ -143,13 +165,6 @@ def network_config(network: str, steps: int, *, seed: int = 0, **more: Any) -> T
         "seed": seed,
     }
     return TrainConfig(**{**values, **_OWN.get(network, {}), **more})
-
-
-def config_of(method: str, scale: str, seed: int = 0) -> TrainConfig | ForestConfig:
-    """The settings of a method's training at a scale."""
-    if method in FORESTS:
-        return ForestConfig(seed=seed, pairs=_FOREST_PAIRS[scale])
-    return network_config(method, STEPS[scale][method], seed=seed)
 
 
 def trained(
