@@ -176,9 +176,7 @@ def simulated(
     if (folder / INDEX).exists():
         return folder
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [
-        _Job(folder, domain, split, size.scale, seed + k) for k in range(size.worlds(split))
-    ]
+    jobs = [_Job(folder, domain, split, size.scale, seed + k) for k in range(size.worlds(split))]
     sessions: list[Session] = []
     for done, found in enumerate(in_parallel(_simulate, jobs, workers), start=1):
         sessions += found

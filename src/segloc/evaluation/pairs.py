@@ -102,9 +102,7 @@ def _near(dataset: SegmentDataset) -> tuple[Int64, Int64]:
     return a[across][order], b[across][order]
 
 
-def _far(
-    dataset: SegmentDataset, count: int, rng: np.random.Generator
-) -> tuple[Int64, Int64]:
+def _far(dataset: SegmentDataset, count: int, rng: np.random.Generator) -> tuple[Int64, Int64]:
     """``count`` random pairs of different sessions that lie more than 20 m apart."""
     found = [np.empty((0, 2), np.int64)]
     missing = count

@@ -29,9 +29,44 @@ _DATA, _ENTRY = "data", "entry.json"
 
 
 @contextmanager
-def _silent(label: str) -> Iterator[Update]:
+def silent(label: str) -> Iterator[Update]:
+    """A progress that shows nothing."""
     del label
     yield lambda done, total: None
+
+
+def mute(text: str) -> None:
+    """Take a remark and say nothing."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A recording to map, and one to localize in it.
+
+    Attributes
+    ----------
+    map, query : Path
+        Folders of scans.
+    map_poses : Path
+        Of the scans to map; its frame is the map's.
+    poses : Path or None
+        Odometry of the queries, by which they are accumulated; without it each scan stands alone.
+    truth : Path or None
+        True poses of the queries in the map's frame, to score against.
+    map_select, select : str or None
+        Which scans; see :func:`segloc.datasets.parse_select`.
+    every_m : float or None
+        Metres of travel between queries; every scan where it is None.
+    """
+
+    map: Path
+    query: Path
+    map_poses: Path
+    poses: Path | None = None
+    truth: Path | None = None
+    map_select: str | None = None
+    select: str | None = None
+    every_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +81,7 @@ class Workspace:
         Of :data:`segloc.simulation.suites.SUITES`; "small" or "full".
     data : Path or None
         KITTI odometry 00: keyframes, scans and their poses, as ``benchmarks/kitti00.sh`` reads it.
-    sequences : (Path, Path) or None
+    sequences : Pair or None
         A recording to map and one to localize in it, of the user's own.
     seed, threads, workers : int
         Of the simulation; of the engine (0: all cores); processes.
@@ -64,13 +99,13 @@ class Workspace:
     suite: str = "six"
     scale: str = "small"
     data: Path | None = None
-    sequences: tuple[Path, Path] | None = None
+    sequences: Pair | None = None
     seed: int = 0
     threads: int = 1
     workers: int = 1
     methods: tuple[str, ...] | None = None
-    progress: Callable[[str], AbstractContextManager[Update]] = field(default=_silent)
-    say: Callable[[str], None] = field(default=lambda text: None)
+    progress: Callable[[str], AbstractContextManager[Update]] = field(default=silent)
+    say: Callable[[str], None] = field(default=mute)
     command: str = ""
 
     def __post_init__(self) -> None:
