@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import SeglocError
-from . import bench, config, demo, localize, map_build, map_info, map_merge, simulate
+from . import bench, config, demo, evaluate, localize, map_build, map_info, map_merge, simulate
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -29,6 +29,7 @@ app.command("localize")(localize.localize)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
+app.command("evaluate")(evaluate.evaluate)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)

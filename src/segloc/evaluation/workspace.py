@@ -15,6 +15,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .._native import __version__, instruction_set
 from ..errors import ConfigError, SeglocError
 
@@ -29,9 +32,44 @@ _DATA, _ENTRY = "data", "entry.json"
 
 
 @contextmanager
-def _silent(label: str) -> Iterator[Update]:
+def silent(label: str) -> Iterator[Update]:
+    """A progress that shows nothing."""
     del label
     yield lambda done, total: None
+
+
+def mute(text: str) -> None:
+    """Take a remark and say nothing."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A recording to map, and one to localize in it.
+
+    Attributes
+    ----------
+    map, query : Path
+        Folders of scans.
+    map_poses : Path
+        Of the scans to map; its frame is the map's.
+    poses : Path or None
+        Odometry of the queries, by which they are accumulated; without it each scan stands alone.
+    truth : Path or None
+        True poses of the queries in the map's frame, to score against.
+    map_select, select : str or None
+        Which scans; see :func:`segloc.datasets.parse_select`.
+    every_m : float or None
+        Metres of travel between queries; every scan where it is None.
+    """
+
+    map: Path
+    query: Path
+    map_poses: Path
+    poses: Path | None = None
+    truth: Path | None = None
+    map_select: str | None = None
+    select: str | None = None
+    every_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +84,7 @@ class Workspace:
         Of :data:`segloc.simulation.suites.SUITES`; "small" or "full".
     data : Path or None
         KITTI odometry 00: keyframes, scans and their poses, as ``benchmarks/kitti00.sh`` reads it.
-    sequences : (Path, Path) or None
+    sequences : Pair or None
         A recording to map and one to localize in it, of the user's own.
     seed, threads, workers : int
         Of the simulation; of the engine (0: all cores); processes.
@@ -64,13 +102,13 @@ class Workspace:
     suite: str = "six"
     scale: str = "small"
     data: Path | None = None
-    sequences: tuple[Path, Path] | None = None
+    sequences: Pair | None = None
     seed: int = 0
     threads: int = 1
     workers: int = 1
     methods: tuple[str, ...] | None = None
-    progress: Callable[[str], AbstractContextManager[Update]] = field(default=_silent)
-    say: Callable[[str], None] = field(default=lambda text: None)
+    progress: Callable[[str], AbstractContextManager[Update]] = field(default=silent)
+    say: Callable[[str], None] = field(default=mute)
     command: str = ""
 
     def __post_init__(self) -> None:
@@ -142,30 +180,75 @@ class Workspace:
         SeglocError
             If the folder cannot be written.
         """
-        folder = self.out / "cache" / f"{name}-{_digest(settings)[:16]}"
-        if folder.exists():
-            try:
-                _check(folder)
-                return load(folder / _DATA)
-            except (OSError, ValueError, KeyError, TypeError, EOFError, SeglocError) as error:
-                self.say(f"{folder}: damaged, computed again ({_line(error)})")
+        found = self.find(name, settings, load)
+        if found is not None:
+            return found
         value = compute()
-        _store(folder, {"name": name, "settings": settings}, lambda path: save(value, path))
+        self.keep(name, settings, value, save)
         return value
+
+    def find(
+        self, name: str, settings: Mapping[str, object], load: Callable[[Path], T]
+    ) -> T | None:
+        """A finished part, or None where there is none or its files are damaged."""
+        folder = self._folder(name, settings)
+        if not folder.exists():
+            return None
+        try:
+            _check(folder)
+            return load(folder / _DATA)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, SeglocError) as error:
+            self.say(f"{folder}: damaged, computed again ({_line(error)})")
+            return None
+
+    def keep(
+        self,
+        name: str,
+        settings: Mapping[str, object],
+        value: T,
+        save: Callable[[T, Path], object],
+    ) -> None:
+        """Store a finished part, the whole of it or nothing.
+
+        Raises
+        ------
+        SeglocError
+            If the folder cannot be written.
+        """
+        entry: dict[str, object] = {"name": name, "settings": settings}
+        _store(self._folder(name, settings), entry, lambda path: save(value, path))
+
+    def _folder(self, name: str, settings: Mapping[str, object]) -> Path:
+        return self.out / "cache" / f"{name}-{_digest(settings)[:16]}"
 
     def cached_json(
         self, name: str, settings: Mapping[str, object], compute: Callable[[], Any]
     ) -> Any:
         """:meth:`cached` for a value that JSON can hold; returned as JSON gives it back."""
-
-        def save(value: Any, path: Path) -> None:
-            path.write_text(json.dumps(value, allow_nan=False), "utf-8")
-
-        def load(path: Path) -> Any:
-            return json.loads(path.read_text("utf-8"))
-
-        value = self.cached(name, settings, compute, save, load)
+        value = self.cached(name, settings, compute, save_json, load_json)
         return json.loads(json.dumps(value))
+
+
+def save_json(value: Any, path: Path) -> None:
+    """Write a value that JSON can hold."""
+    path.write_text(json.dumps(value, allow_nan=False), "utf-8")
+
+
+def load_json(path: Path) -> Any:
+    """What :func:`save_json` wrote."""
+    return json.loads(path.read_text("utf-8"))
+
+
+def save_arrays(arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write arrays by name."""
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+
+def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """What :func:`save_arrays` wrote."""
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
 
 
 def _store(folder: Path, entry: dict[str, object], save: Callable[[Path], object]) -> None:
@@ -187,7 +270,7 @@ def _store(folder: Path, entry: dict[str, object], save: Callable[[Path], object
 
 
 def _check(folder: Path) -> None:
-    entry = json.loads((folder / _ENTRY).read_text("utf-8"))
+    entry = load_json(folder / _ENTRY)
     if entry["sha256"] != _digests(folder / _DATA):
         raise ValueError("its files do not match their checksums")
 
