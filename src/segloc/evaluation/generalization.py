@@ -107,7 +107,9 @@ def _tables(transfer: Transfer, areas: Areas) -> tuple[Table, ...]:
 
 def _published() -> Table:
     names = {"kitti": "KITTI", "burgess": "Burgess Field", "robotcar": "RobotCar"}
-    rows = tuple((names[test], names[train], *areas) for test, train, areas in GENERALIZATION)
+    rows: list[tuple[Cell, ...]] = [
+        (names[test], names[train], *areas) for test, train, areas in GENERALIZATION
+    ]
     note = "Table I. Other recordings, labels and trainings: compare ranks and losses, not values."
     columns = ("test", "trained on", *METHODS)
-    return Table("generalization_published", "Published areas", columns, rows, note, "paper")
+    return Table("generalization_published", "Published areas", columns, tuple(rows), note, "paper")

@@ -117,7 +117,9 @@ def _judges(transfer: Transfer, curves: dict[str, dict[str, Roc]]) -> Table:
 
 def _published() -> Table:
     own = [(test, areas) for test, train, areas in GENERALIZATION if test == train]
-    rows = tuple((method, *(areas[k] for _, areas in own)) for k, method in enumerate(METHODS))
+    rows: list[tuple[Cell, ...]] = [
+        (method, *(areas[k] for _, areas in own)) for k, method in enumerate(METHODS)
+    ]
     columns = ("method", "KITTI", "Burgess Field", "RobotCar")
     note = "From Table I, training and test set alike. Other recordings: compare ranks, not values."
-    return Table("roc_published", "Published areas", columns, rows, note, "paper")
+    return Table("roc_published", "Published areas", columns, tuple(rows), note, "paper")

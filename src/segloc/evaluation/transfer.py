@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..descriptors.base import Descriptor
-from ..descriptors.forest import shipped_forest
-from ..errors import WeightsError
+from ..errors import ConfigError, WeightsError
 from ..training.shards import INDEX
 from .domains import RECORDED, SIZES, Domains, DomainSize
 from .learning import (
@@ -24,12 +23,10 @@ from .learning import (
     source_of,
     trained,
 )
+from .methods import METHODS
+from .methods import fingerprint as shipped_fingerprint
 from .pairs import Described, Pairs, Roc, described, labelled_pairs, pair_scores, roc, trust_scores
-from .published import METHODS
 from .workspace import Workspace
-
-COMPARED = (*METHODS, "profile", "geo")
-"""The methods of the paper, and two of our own; ``geo`` learns nothing."""
 
 SHIPPED = "shipped"
 """The weights that come with the package, as if they were a domain to train on."""
@@ -79,10 +76,15 @@ class Transfer:
     plan : Plan, optional
         By default that of the workspace's scale.
 
+    Raises
+    ------
+    ConfigError
+        If the workspace asks for methods that there are not.
+
     Attributes
     ----------
     methods : tuple of str
-        Those of :data:`COMPARED` that the workspace asks for.
+        Those of :data:`~segloc.evaluation.methods.METHODS` that the workspace asks for.
     fingerprints : dict of str to str
         Of all weights used so far, by method and training set.
     """
@@ -91,7 +93,9 @@ class Transfer:
         self.workspace = workspace
         self.plan = plan or PLANS[workspace.scale]
         self.domains = Domains(workspace, self.plan.sizes)
-        self.methods = tuple(m for m in COMPARED if m in (workspace.methods or COMPARED))
+        self.methods = tuple(m for m in METHODS if m in (workspace.methods or METHODS))
+        if not self.methods:
+            raise ConfigError(f"no method to compare; there are {', '.join(METHODS)}")
         self.fingerprints: dict[str, str] = {}
         self._pairs: dict[str, Pairs] = {}
         self._described: dict[tuple[str, str], Described] = {}
@@ -204,12 +208,9 @@ class Transfer:
 
 def _fingerprint(descriptor: Descriptor, method: str, weights: Path | None) -> str:
     """Of everything that decides a method's scores."""
-    digest = hashlib.sha256(descriptor.fingerprint.encode())
-    files = [weights] if weights is not None else []
-    if method in FORESTS and weights is None:
-        files.append(shipped_forest(method))
-    elif method.endswith(QUALITY) and weights is not None:
-        files.append(pair_head_path(weights))
-    for file in files:
-        digest.update(file.read_bytes())
+    if weights is None:
+        return shipped_fingerprint(method)
+    digest = hashlib.sha256(descriptor.fingerprint.encode() + weights.read_bytes())
+    if method.endswith(QUALITY):
+        digest.update(pair_head_path(weights).read_bytes())
     return digest.hexdigest()[:16]
