@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from .. import _native
@@ -135,7 +135,7 @@ class _Job:
 
 def dataset_folder(root: Path, domain: str, split: str, size: DomainSize, seed: int) -> Path:
     """Where a simulated domain's segments are kept: another folder for other settings."""
-    key = [domain, split, asdict(size), seed, _EXTRACT.model_dump(mode="json")]
+    key = [domain, split, size.worlds(split), size.scale, seed, _EXTRACT.model_dump(mode="json")]
     return root / f"{domain}-{split}-{_hash(key)}"
 
 
