@@ -65,7 +65,8 @@ def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
         for done, (name, (work, arguments)) in enumerate(works.items()):
             update(done, len(works))
             dsm, esm = (in_process(1, work, x, *arguments) for x in _LAYERS.values())
-            rows.append((name, round(dsm, 1), round(esm, 1), round(100 * (1 - dsm / esm), 1)))
+            less = round(100 * (1 - dsm / esm), 1) if esm > 0 else None
+            rows.append((name, round(dsm, 1), round(esm, 1), less))
     facts = workspace.facts(time.monotonic() - start, {})
     tables = (_table(rows, batch), _published())
     return Study(NAME, "Memory of training", tables, (), facts, _TEXT)
