@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import geometry
 from ..config import Config
+from ..datasets import Recording
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator
@@ -20,7 +21,7 @@ from ..map import SegmentMap
 from ..mapping import map_views
 from ..pose import PoseEstimator
 from ..segmentation import Segmenter
-from ..types import Float64, Localization
+from ..types import Float64, Localization, Pose
 from ..verification import Verifier
 from .courses import Course, Opened
 from .localization import Evaluation, query_scans
@@ -58,13 +59,13 @@ def shared_config(method: str, threads: int) -> Config:
     return preset.model_copy(update={**shared, "threads": threads})
 
 
-def build_site(
-    recording: Any,
+def build_maps(
+    recording: Recording,
     descriptors: Mapping[str, Descriptor],
     threads: int = 1,
     progress: Progress | None = None,
-) -> Site:
-    """Build the maps of all methods from the same segments.
+) -> dict[str, SegmentMap]:
+    """The maps of several methods, made of the same segments; the first has the cloud of all.
 
     Raises
     ------
@@ -72,43 +73,52 @@ def build_site(
         If the recording has no poses, or nothing that could be segmented.
     """
     config = Config(threads=threads)
-    views = map_views(recording, config, progress=progress)
+    sites: dict[str, SegmentMap] = {}
     poses = recording.poses
-    if poses is None:
+    if poses is None or len(poses) == 0:
         raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
-    voxel = config.mapping.cloud_voxel
-    sites = {
-        name: SegmentMap.empty(name, d.fingerprint, d.dim, poses[0, :3, 3], cloud_voxel=voxel)
-        for name, d in descriptors.items()
-    }
-    first, nothing = next(iter(sites)), np.empty((0, 3))
-    for view in views:
+    first, nothing = next(iter(descriptors)), np.empty((0, 3))
+    for view in map_views(recording, config, progress=progress):
         segments = view.scene.segments
         centroids = geometry.transform(view.T_map_local, segments.centroids)
         surface = geometry.transform(view.T_map_local, view.scene.surface)
-        for name, site in sites.items():
+        for name, descriptor in descriptors.items():
+            site = sites.setdefault(name, _empty(name, descriptor, poses[0], config))
             site.add(
-                descriptors[name].describe(segments),
+                descriptor.describe(segments),
                 centroids,
                 segments.sizes,
                 session=0,
                 stamp=view.stamp,
                 cloud=surface if name == first else nothing,
             )
-    return _site(sites, poses, threads)
+    if not len(sites[first]):
+        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
+    for site in sites.values():
+        site.add_trajectory(poses)
+    return sites
 
 
-def _site(sites: Mapping[str, SegmentMap], poses: Float64, threads: int) -> Site:
+def _empty(name: str, descriptor: Descriptor, near: Pose, config: Config) -> SegmentMap:
+    voxel = config.mapping.cloud_voxel
+    return SegmentMap.empty(
+        name, descriptor.fingerprint, descriptor.dim, near[:3, 3], cloud_voxel=voxel
+    )
+
+
+def build_site(
+    recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
+) -> Site:
+    """The maps of :func:`build_maps`, ready to be asked."""
+    sites = build_maps(recording, descriptors, threads)
     whole = next(iter(sites.values()))
-    if len(whole) == 0:
-        raise DatasetError(f"no segment found along {len(poses)} poses")
     # The cloud is the same for all methods, and so is what verification prepares of it.
     verifier = Verifier(whole.cloud, whole.origin, Config().verification)
     localizers = {
         name: _localizers(site, shared_config(name, threads), verifier)
         for name, site in sites.items()
     }
-    return Site(localizers, poses, whole.cloud + whole.origin)
+    return Site(localizers, whole.trajectory, whole.cloud + whole.origin)
 
 
 def _localizers(site: SegmentMap, config: Config, verifier: Verifier) -> dict[str, Localizer]:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..datasets import Recording, Swathes, open_sequence
-from ..errors import ConfigError
+from ..errors import ConfigError, DatasetError
 from ..local_cloud import LocalCloudConfig
 from ..simulation.suites import SIX, TestSet
 from ..types import Float64, Int64
@@ -143,9 +143,12 @@ class KittiCourse:
         return Facts("Urban, real", "hdl64e")
 
     def settings(self) -> dict[str, Any]:
-        files = sorted(self.data.glob("*.tum"))
-        sizes = {path.name: path.stat().st_size for path in files}
-        return {"course": self.name, "poses": sizes, "scale": self.scale, "seed": self.seed}
+        folders = [self.data, self.data / "keyframes", self.data / "scans"]
+        for folder in folders:
+            if not folder.is_dir():
+                raise DatasetError(f"{folder}: no such folder; --kitti needs keyframes and scans")
+        sizes = [_size(folder) for folder in folders]
+        return {"course": self.name, "bytes": sizes, "scale": self.scale, "seed": self.seed}
 
     def open(self) -> Opened:
         keyframes, scans = self.data / "keyframes", self.data / "scans"
@@ -189,7 +192,8 @@ class PairCourse:
         parts = (opened.map, opened.asks["query"].recording)
         return {
             "pair": {key: str(value) for key, value in asdict(self.pair).items()},
-            "scans": [[part.name, *_digits(part.indices)] for part in parts],
+            "scans": [len(part) for part in parts],
+            "bytes": [_size(folder) for folder in (self.pair.map, self.pair.query)],
             "poses": [_sum(part.poses) for part in parts],
             "truths": _sum(opened.asks["query"].truths),
         }
@@ -213,8 +217,9 @@ class PairCourse:
         return Opened(site, None, {"query": ask})
 
 
-def _digits(indices: Int64) -> tuple[int, int]:
-    return len(indices), int(indices.sum())
+def _size(folder: Path) -> int:
+    """Bytes of the files in a folder."""
+    return sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
 
 
 def _sum(poses: Float64 | None) -> float | None:

@@ -28,6 +28,8 @@ _INK = "#010203"
 _GREEN, _RED, _GREY = "#12a150", "#e5243b", "#7d8aa0"
 _METADATA = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
 _PROLOG = re.compile(r"^.*?(?=<svg)", re.DOTALL)
+_ID = re.compile(r' id="([^"]*)"')
+_REFERENCE = re.compile(r'(?:url\(|href=")#([^")]+)[")]')
 _CELLS_ALONG = 900
 
 
@@ -52,8 +54,14 @@ MAP_STYLES: Mapping[str, MapStyle] = {
 """By the label of a series; any other is a line."""
 
 
-def svg(figure: Figure) -> str:
+def svg(figure: Figure, prefix: str = "") -> str:
     """Draw a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+    prefix : str
+        Of the ids inside, which must differ from those of other drawings in a page.
 
     Returns
     -------
@@ -71,8 +79,7 @@ def svg(figure: Figure) -> str:
         from matplotlib.figure import Figure as Canvas
     except ImportError as error:
         raise MissingDependency("matplotlib", "report", "drawing") from error
-    # The salt keeps the names inside one drawing apart from those inside the others.
-    with matplotlib.rc_context(_settings(figure.name)):
+    with matplotlib.rc_context(_settings()):
         canvas = Canvas(figsize=_size(figure), layout="constrained", facecolor="none")
         FigureCanvasSVG(canvas)
         axes = canvas.add_subplot(projection="polar" if figure.kind == "polar" else None)
@@ -81,18 +88,26 @@ def svg(figure: Figure) -> str:
         stream = io.StringIO()
         canvas.savefig(stream, format="svg", dpi=110, metadata=dict.fromkeys(_UNTOLD))
     text = _PROLOG.sub("", _METADATA.sub("", stream.getvalue()))
+    text = _renamed(text, f"{prefix}{figure.name}")
     return text.replace(_INK, "currentColor").replace("<svg", '<svg role="img"', 1)
 
 
 _UNTOLD = ("Date", "Creator", "Format", "Type")
 
 
-def _settings(salt: str) -> dict[str, Any]:
+def _renamed(text: str, prefix: str) -> str:
+    """With ids that are of use to the drawing alone, and begin with the prefix."""
+    used = set(_REFERENCE.findall(text))
+    text = _ID.sub(lambda m: f' id="{prefix}-{m[1]}"' if m[1] in used else "", text)
+    return _REFERENCE.sub(lambda m: m[0].replace(f"#{m[1]}", f"#{prefix}-{m[1]}"), text)
+
+
+def _settings() -> dict[str, Any]:
     inks = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
     return {
         **dict.fromkeys(inks, _INK),
         "svg.fonttype": "none",
-        "svg.hashsalt": salt,
+        "svg.hashsalt": "segloc",  # ids come from it instead of from chance
         "font.size": 10.0,
         "axes.linewidth": 0.6,
         "grid.color": _GREY,
@@ -118,7 +133,7 @@ def _curves(axes: Axes, figure: Figure) -> None:
     axes.grid(True)
     axes.set_xlabel(figure.xlabel)
     axes.set_ylabel(figure.ylabel)
-    _legend(axes, figure)
+    _legend(axes)
 
 
 def _roc(axes: Axes, figure: Figure) -> None:
@@ -131,7 +146,7 @@ def _roc(axes: Axes, figure: Figure) -> None:
     axes.grid(True)
     axes.set_xlabel(figure.xlabel or "false positive rate")
     axes.set_ylabel(figure.ylabel or "true positive rate")
-    axes.legend(loc="lower right")
+    _legend(axes, loc="lower right")
 
 
 def _polar(axes: Axes, figure: Figure) -> None:
@@ -139,7 +154,7 @@ def _polar(axes: Axes, figure: Figure) -> None:
         axes.plot(np.radians(degrees), radius, color=_colour(k), lw=1.5, label=label)
     axes.set_ylim(bottom=0)
     axes.grid(True)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncol=2)
+    _legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.06), ncol=2)
 
 
 def _bars(axes: Axes, figure: Figure) -> None:
@@ -151,7 +166,7 @@ def _bars(axes: Axes, figure: Figure) -> None:
     axes.set_axisbelow(True)
     axes.set_xlabel(figure.xlabel)
     axes.set_ylabel(figure.ylabel)
-    _legend(axes, figure)
+    _legend(axes)
 
 
 def _map(axes: Axes, figure: Figure) -> None:
@@ -180,7 +195,7 @@ def _map(axes: Axes, figure: Figure) -> None:
     axes.tick_params(length=2)
     axes.set_xlabel(figure.xlabel)
     axes.set_ylabel(figure.ylabel)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
+    _legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
 
 
 def _cloud(axes: Axes, x: Float64, y: Float64, low: Float64, high: Float64) -> None:
@@ -204,11 +219,13 @@ def _extent(figure: Figure) -> tuple[Float64, Float64]:
     return points.min(axis=0) - 5.0, points.max(axis=0) + 5.0
 
 
-def _legend(axes: Axes, figure: Figure) -> None:
-    if len(figure.series) > 6:
+def _legend(axes: Axes, **place: Any) -> None:
+    """At its place, or wherever there is room; none for a single curve without one."""
+    count = len(axes.get_legend_handles_labels()[0])
+    if count > 6 and not place:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    elif len(figure.series) > 1:
-        axes.legend(loc="best")
+    elif count > (0 if place else 1):
+        axes.legend(**(place or {"loc": "best"}))
 
 
 def _colour(k: int) -> str:

@@ -141,7 +141,7 @@ def _cell(cell: Cell) -> str:
 
 def _figure(study: Study, figure: Figure) -> Iterator[str]:
     yield f'<figure class="{figure.kind}" id="{escape(f"{study.name}-{figure.name}")}">'
-    yield svg(figure)
+    yield svg(figure, f"{study.name}-")
     note = f" <span>{escape(figure.note)}</span>" if figure.note else ""
     yield f"<figcaption>{escape(figure.title)}{note}</figcaption>"
     yield "</figure>"

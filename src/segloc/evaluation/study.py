@@ -171,7 +171,10 @@ class Study:
             If a file is missing or damaged; names it.
         """
         try:
-            with np.load(folder / _ARRAYS, allow_pickle=False) as file:
+            with (
+                (folder / _ARRAYS).open("rb") as stream,
+                np.load(stream, allow_pickle=False) as file,
+            ):
                 arrays = dict(file)
         except OSError as error:
             raise SeglocError(f"{folder / _ARRAYS}: cannot be read") from error

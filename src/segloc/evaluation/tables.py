@@ -39,9 +39,9 @@ def text(cell: Cell) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """Every digit of every cell, comma-separated, with a header; empty where there is nothing."""
+    """Every digit of every cell after RFC 4180, with a header; empty where there is nothing."""
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
+    writer = csv.writer(stream)
     writer.writerow(table.columns)
     writer.writerows(["" if cell is None else cell for cell in row] for row in table.rows)
     return stream.getvalue()

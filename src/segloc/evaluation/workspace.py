@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
-import secrets
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
@@ -15,11 +12,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from .._native import __version__, instruction_set
 from ..errors import ConfigError, SeglocError
+from . import cache
 
 if TYPE_CHECKING:
     from ..simulation.suites import TestSet
@@ -28,7 +23,6 @@ T = TypeVar("T")
 Update = Callable[[int, int], None]
 
 SCALES = ("small", "full")
-_DATA, _ENTRY = "data", "entry.json"
 
 
 @contextmanager
@@ -195,8 +189,8 @@ class Workspace:
         if not folder.exists():
             return None
         try:
-            _check(folder)
-            return load(folder / _DATA)
+            cache.check(folder)
+            return load(folder / cache.DATA)
         except (OSError, ValueError, KeyError, TypeError, EOFError, SeglocError) as error:
             self.say(f"{folder}: damaged, computed again ({_line(error)})")
             return None
@@ -216,81 +210,17 @@ class Workspace:
             If the folder cannot be written.
         """
         entry: dict[str, object] = {"name": name, "settings": settings}
-        _store(self._folder(name, settings), entry, lambda path: save(value, path))
+        cache.store(self._folder(name, settings), entry, lambda path: save(value, path))
 
     def _folder(self, name: str, settings: Mapping[str, object]) -> Path:
-        return self.out / "cache" / f"{name}-{_digest(settings)[:16]}"
+        return self.out / "cache" / f"{name}-{cache.digest(settings)[:16]}"
 
     def cached_json(
         self, name: str, settings: Mapping[str, object], compute: Callable[[], Any]
     ) -> Any:
         """:meth:`cached` for a value that JSON can hold; returned as JSON gives it back."""
-        value = self.cached(name, settings, compute, save_json, load_json)
+        value = self.cached(name, settings, compute, cache.save_json, cache.load_json)
         return json.loads(json.dumps(value))
-
-
-def save_json(value: Any, path: Path) -> None:
-    """Write a value that JSON can hold."""
-    path.write_text(json.dumps(value, allow_nan=False), "utf-8")
-
-
-def load_json(path: Path) -> Any:
-    """What :func:`save_json` wrote."""
-    return json.loads(path.read_text("utf-8"))
-
-
-def save_arrays(arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write arrays by name."""
-    with path.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-
-
-def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """What :func:`save_arrays` wrote."""
-    with np.load(path, allow_pickle=False) as file:
-        return dict(file)
-
-
-def _store(folder: Path, entry: dict[str, object], save: Callable[[Path], object]) -> None:
-    """Write an entry of the cache: the whole of it, or nothing."""
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
-    try:
-        temporary.mkdir(parents=True)
-        save(temporary / _DATA)
-        entry = {**entry, "sha256": _digests(temporary / _DATA)}
-        (temporary / _ENTRY).write_text(json.dumps(entry, indent=1, default=str) + "\n", "utf-8")
-        if folder.exists():
-            shutil.rmtree(folder)
-        temporary.replace(folder)
-    except OSError as error:
-        where = error.filename or folder
-        raise SeglocError(f"{where}: cannot be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _check(folder: Path) -> None:
-    entry = load_json(folder / _ENTRY)
-    if entry["sha256"] != _digests(folder / _DATA):
-        raise ValueError("its files do not match their checksums")
-
-
-def _digests(path: Path) -> dict[str, str]:
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    return {str(file.relative_to(path.parent)): _file_digest(file) for file in files}
-
-
-def _file_digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
-
-
-def _digest(settings: Mapping[str, object]) -> str:
-    text = json.dumps({"segloc": __version__, **settings}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _line(error: BaseException) -> str:
