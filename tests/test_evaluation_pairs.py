@@ -15,11 +15,11 @@ pytest.importorskip("sklearn")
 from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from segloc import _native  # noqa: E402
 from segloc.descriptors import create  # noqa: E402
 from segloc.descriptors.pointset import DSM_LAYERS  # noqa: E402
 from segloc.errors import ConfigError, DatasetError, WeightsError  # noqa: E402
-from segloc.evaluation import (  # noqa: E402  # noqa: E402
+from segloc.evaluation import domain_segments as making  # noqa: E402
+from segloc.evaluation import (  # noqa: E402
     domains,
     generalization,
     learning,
@@ -31,7 +31,8 @@ from segloc.evaluation import (  # noqa: E402  # noqa: E402
 )
 from segloc.evaluation import pairs as pair_module  # noqa: E402
 from segloc.evaluation.bench.harness import Row  # noqa: E402
-from segloc.evaluation.domains import Domains, DomainSize  # noqa: E402
+from segloc.evaluation.domain_segments import SIMULATED, DomainSize  # noqa: E402
+from segloc.evaluation.domains import Domains  # noqa: E402
 from segloc.evaluation.learning import Effort, PairHead, Training, load_method, trained  # noqa: E402
 from segloc.evaluation.pairs import Pairs, labelled_pairs  # noqa: E402
 from segloc.evaluation.study import Study, Table  # noqa: E402
@@ -45,17 +46,17 @@ from segloc.training.shapes import shapes_dataset  # noqa: E402
 from segloc.training.shards import Session, load_dataset, write_shard  # noqa: E402
 from segloc.types import Segments  # noqa: E402
 
-SIZES = dict.fromkeys(domains.SIMULATED, DomainSize(1, 1, "small"))
+SIZES = dict.fromkeys(SIMULATED, DomainSize(1, 1, "small"))
 EFFORT = Effort({"dsm": 3, "esm": 1, "segmap": 1, "profile": 4}, 300)
 PLAN = transfer.Plan(SIZES, EFFORT, 60)
 METHODS = ("segmatch-eigen", "dsm", "dsm-fq", "geo", "profile")
 OBJECTS = 70
-SIMULATE = domains._simulate
+SIMULATE = making._simulate
 
 
 def shapes_world(job: Any) -> list[Session]:
     """In the place of a simulated world: two sessions of objects 30 m apart."""
-    seed = job.seed + 10 * domains.SIMULATED.index(job.domain) + 5 * (job.split == "test")
+    seed = job.seed + 10 * SIMULATED.index(job.domain) + 5 * (job.split == "test")
     dataset = shapes_dataset(OBJECTS, 2, seed)
     found = []
     for k in range(2):
@@ -76,9 +77,9 @@ def shapes_world(job: Any) -> list[Session]:
 @pytest.fixture(scope="module")
 def patched() -> Iterator[pytest.MonkeyPatch]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(domains, "_simulate", shapes_world)
+        patch.setattr(making, "_simulate", shapes_world)
         label = LabelConfig(rule="centroids")  # the shapes are seen from one side only
-        patch.setattr(domains, "_EXTRACT", domains._EXTRACT.model_copy(update={"label": label}))
+        patch.setattr(making, "_EXTRACT", making._EXTRACT.model_copy(update={"label": label}))
         yield patch
 
 
@@ -165,47 +166,47 @@ def test_simulated_domains_are_made_once_and_hold_true_pairs(
     patched: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with patched.context() as patch:
-        patch.setattr(domains, "_simulate", SIMULATE)
+        patch.setattr(making, "_simulate", SIMULATE)
         check_a_simulated_domain(tmp_path)
 
 
 def check_a_simulated_domain(tmp_path: Path) -> None:
     size = DomainSize(1, 1, "small")
-    folder = domains.simulated(tmp_path, "burgess", "train", size)
+    folder = making.simulated(tmp_path, "burgess", "train", size)
     dataset = load_dataset(folder)
     pairs = labelled_pairs(dataset)
     known = dataset.objects[pairs.first], dataset.objects[pairs.second]
     assert (known[0] == known[1])[pairs.same].mean() > 0.7
     assert (known[0] == known[1])[~pairs.same].mean() < 0.1
     with pytest.MonkeyPatch.context() as patch:
-        forbid(patch, (domains, "_simulate"))
-        assert domains.simulated(tmp_path, "burgess", "train", size) == folder
+        forbid(patch, (making, "_simulate"))
+        assert making.simulated(tmp_path, "burgess", "train", size) == folder
     (folder / "index.json").unlink()  # as if it had been cut off at the end
     with pytest.MonkeyPatch.context() as patch:
-        forbid(patch, (domains, "extract_session"))
-        domains.simulated(tmp_path, "burgess", "train", size)
+        forbid(patch, (making, "extract_session"))
+        making.simulated(tmp_path, "burgess", "train", size)
     np.testing.assert_array_equal(load_dataset(folder).labels, dataset.labels)
     with pytest.raises(ConfigError, match="atlantis"):
-        domains.simulated(tmp_path, "atlantis", "train", size)
+        making.simulated(tmp_path, "atlantis", "train", size)
 
 
 def test_real_domain_aligns_the_passes(
     kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(domains, "_PLACES", {"test": {"corner": ("160:170", "992:1003")}})
-    folder = domains.recorded(tmp_path, kitti, "test", say=lambda _: None)
+    monkeypatch.setattr(making, "_PLACES", {"test": {"corner": ("160:170", "992:1003")}})
+    folder = making.recorded(tmp_path, kitti, "test", say=lambda _: None)
     dataset = load_dataset(folder)
     assert labelled_pairs(dataset).same.sum() > 50
-    forbid(monkeypatch, (domains, "collect_recordings"))
-    assert domains.recorded(tmp_path, kitti, "test") == folder
+    forbid(monkeypatch, (making, "collect_recordings"))
+    assert making.recorded(tmp_path, kitti, "test") == folder
     with pytest.raises(DatasetError, match=r"keyframes\.tum: no such file"):
-        domains.recorded(tmp_path, tmp_path, "test")
+        making.recorded(tmp_path, tmp_path, "test")
 
 
 def test_roc_study(curves: Study, space: Workspace) -> None:
     areas = curves.tables[0]
     assert [row[0] for row in areas.rows] == list(METHODS)
-    for domain in domains.SIMULATED:
+    for domain in SIMULATED:
         values = cells(areas, TITLES[domain])
         assert values["geo"] > 0.8  # shapes of their own sizes
         assert all(0.3 < value <= 1 for value in values.values())
@@ -219,7 +220,7 @@ def test_roc_study(curves: Study, space: Workspace) -> None:
 def test_nothing_is_done_twice(curves: Study, space: Workspace) -> None:
     with pytest.MonkeyPatch.context() as patch:
         forbid(
-            patch, (domains, "_simulate"), (learning, "_train"), (transfer, "described"),
+            patch, (making, "_simulate"), (learning, "_train"), (transfer, "described"),
             (transfer, "roc"),
         )  # fmt: skip
         again = roc.run(space, PLAN)
@@ -241,7 +242,7 @@ def test_generalization_study(curves: Study, space: Workspace) -> None:
     shipped = [row for row in areas.rows if row[1] == TITLES[SHIPPED]]
     k = areas.columns.index("dsm-fq")
     assert len(shipped) == 3 and all(row[k] is None and row[k - 1] is not None for row in shipped)
-    for domain in domains.SIMULATED:
+    for domain in SIMULATED:
         rows = [row for row in percent.rows if row[0] == TITLES[domain]]
         assert max(cell for row in rows for cell in row[2:] if cell is not None) == 100
         assert len({value for (test, _), value in cells(areas, "geo", 2).items()
@@ -349,7 +350,6 @@ def test_memory_study(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None
 def test_a_dataset_is_read_once(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     found = Domains(space, SIZES)
     dataset = found.dataset("burgess", "test")
-    assert isinstance(dataset, SegmentDataset) and found.names == domains.SIMULATED
+    assert isinstance(dataset, SegmentDataset) and found.names == SIMULATED
     forbid(monkeypatch, (domains, "load_dataset"))
     assert found.dataset("burgess", "test") is dataset
-    assert _native.__version__

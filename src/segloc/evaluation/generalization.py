@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from .domains import SIMULATED
+from .domain_segments import SIMULATED
 from .pairs import Roc
 from .published import GENERALIZATION, METHODS
 from .study import Cell, Study, Table
@@ -37,7 +37,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     start = time.monotonic()
     transfer = Transfer(workspace, plan)
     tests = transfer.domains.names
-    transfer.train(tests)
+    transfer.prepare(tests)
     rows = [(test, source) for test in tests for source in _sources(test)]
     areas: Areas = {}
     with workspace.progress("Scoring pairs") as update:

@@ -38,7 +38,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     start = time.monotonic()
     transfer = Transfer(workspace, plan)
     domains = transfer.domains.names
-    transfer.train(domains)
+    transfer.prepare(domains)
     curves: dict[str, dict[str, Roc]] = {domain: {} for domain in domains}
     with workspace.progress("Scoring pairs") as update:
         for done, (domain, method) in enumerate(cells := _cells(transfer, domains)):

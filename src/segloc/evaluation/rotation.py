@@ -15,7 +15,8 @@ from ..descriptors.pointset import Alignment
 from ..geometry import yaw_transform
 from ..training.augment import AugmentConfig
 from ..types import Float32, Float64, Segments
-from .domains import Domains, DomainSize
+from .domain_segments import DomainSize
+from .domains import Domains
 from .learning import Training, load_method, network_config, trained
 from .pairs import described, labelled_pairs, pair_scores, roc
 from .study import Cell, Figure, Study, Table

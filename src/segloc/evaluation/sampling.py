@@ -17,7 +17,8 @@ from ..training.sampling import Sampler
 from ..types import Float32
 from .bench.fps import SAMPLES, SEGMENTS, fps
 from .bench.harness import OURS, Row, in_process
-from .domains import Domains, DomainSize
+from .domain_segments import DomainSize
+from .domains import Domains
 from .learning import Training, network_config, trained
 from .pairs import Described, labelled_pairs, pair_scores, roc
 from .study import Cell, Study, Table

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..descriptors.base import Descriptor
 from ..errors import ConfigError, WeightsError
 from ..training.shards import INDEX
-from .domains import RECORDED, SIZES, Domains, DomainSize
+from .domain_segments import RECORDED, DomainSize
+from .domains import SIZES, Domains
 from .learning import (
     EFFORTS,
     FORESTS,
@@ -100,8 +101,10 @@ class Transfer:
         self._pairs: dict[str, Pairs] = {}
         self._described: dict[tuple[str, str], Described] = {}
 
-    def train(self, domains: Iterable[str]) -> None:
-        """Train all methods on the named domains, side by side."""
+    def prepare(self, domains: Sequence[str]) -> None:
+        """Make the segments of the named domains, and train all methods on each, side by side."""
+        for domain in domains:
+            self.domains.folder(domain, "test")
         wanted = [
             self._training(method, domain)
             for domain in domains
