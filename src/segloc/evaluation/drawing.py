@@ -212,7 +212,8 @@ def _cloud(axes: Axes, x: Float64, y: Float64, low: Float64, high: Float64) -> N
 
 
 def _extent(figure: Figure) -> tuple[Float64, Float64]:
-    points = np.concatenate([np.column_stack(curve) for curve in figure.series.values()])
+    curves = [np.column_stack(curve) for curve in figure.series.values()]
+    points = np.concatenate([np.empty((0, 2)), *curves])
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         points = np.zeros((1, 2))
