@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..descriptors.base import Descriptor
+from ..descriptors.base import Descriptor, Pruner
 from ..errors import DatasetError
 from ..training.dataset import FAR_M, SegmentDataset
 from ..training.metrics import Interval, area_interval, bootstrap_places
 from ..training.scoring import describe
-from ..types import Float64, Int64
+from ..types import Float32, Float64, Int64
 
 SAME_M = 0.5
 
@@ -42,6 +43,24 @@ class Pairs:
 
 
 @dataclass(frozen=True)
+class Described:
+    """What a descriptor says of the segments of M pairs.
+
+    Attributes
+    ----------
+    vectors : (P, dim) float32
+    quality : (P,) float32 or None
+    first, second : (M,) int64
+        The pairs, as indices into ``vectors``.
+    """
+
+    vectors: Float32
+    quality: Float32 | None
+    first: Int64
+    second: Int64
+
+
+@dataclass(frozen=True)
 class Roc:
     """A receiver operating characteristic.
 
@@ -56,6 +75,23 @@ class Roc:
     false_positive: Float64
     true_positive: Float64
     area: Interval
+
+    def save(self, path: Path) -> None:
+        """Write the curve and its area to a file."""
+        with path.open("wb") as stream:
+            np.savez(
+                stream,
+                false_positive=self.false_positive,
+                true_positive=self.true_positive,
+                area=np.array([self.area.value, self.area.low, self.area.high]),
+            )
+
+    @staticmethod
+    def load(path: Path) -> Roc:
+        """Read what :meth:`save` wrote."""
+        with np.load(path, allow_pickle=False) as file:
+            area = Interval(*(float(value) for value in file["area"]))
+            return Roc(file["false_positive"], file["true_positive"], area)
 
 
 def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 0) -> Pairs:
@@ -120,27 +156,44 @@ def _far(dataset: SegmentDataset, count: int, rng: np.random.Generator) -> tuple
     raise DatasetError(f"no two segments of different sessions lie {FAR_M:g} m apart")
 
 
-def pair_scores(
-    descriptor: Descriptor, dataset: SegmentDataset, pairs: Pairs, threads: int = 1
-) -> Float64:
+def described(descriptor: Descriptor, dataset: SegmentDataset, pairs: Pairs) -> Described:
+    """Describe the segments of pairs, each once."""
+    used, place = np.unique(np.concatenate([pairs.first, pairs.second]), return_inverse=True)
+    first, second = np.split(place.reshape(-1).astype(np.int64), 2)
+    vectors, quality = describe(descriptor, dataset.subset(used))
+    return Described(vectors, quality, first, second)
+
+
+def pair_scores(found: Described, pruner: Pruner | None = None, threads: int = 1) -> Float64:
     """How much a method takes each pair for one object, (M,) float64; higher is more.
 
-    This is the order in which the method itself would trust its candidate matches: the
-    probability that its forest gives a pair where it has a forest; the logarithm of
-    exp(-distance) times both qualities where its descriptors have a quality (``-fq``, see
-    :meth:`segloc.matching.Matcher.match`); and else minus the distance of the descriptors.
+    Minus the distance of the descriptors; where there is a pruner, the probability that it gives
+    the pair: that of the forest of SegMatch and NSM, or of FC4 for ``-fq``
+    (:class:`~segloc.evaluation.learning.PairHead`).
     """
-    used, place = np.unique(np.concatenate([pairs.first, pairs.second]), return_inverse=True)
-    a, b = np.split(place.reshape(-1).astype(np.int64), 2)
-    vectors, quality = describe(descriptor, dataset.subset(used))
-    if descriptor.pruner is not None:
-        likely = descriptor.pruner.probability(vectors, vectors, a, b, threads)
-        return likely.astype(np.float64)
-    score = -np.linalg.norm(vectors[a].astype(np.float64) - vectors[b], axis=1)
-    if quality is not None:
-        sure = np.log(np.maximum(quality.astype(np.float64), 1e-12))
-        score += sure[a] + sure[b]
-    return score
+    if pruner is None:
+        return -_distances(found)
+    likely = pruner.probability(found.vectors, found.vectors, found.first, found.second, threads)
+    return likely.astype(np.float64)
+
+
+def trust_scores(found: Described) -> Float64 | None:
+    """In which order a map's candidate matches are trusted, (M,); None without a quality.
+
+    The logarithm of exp(-distance) times both qualities, as in
+    :meth:`segloc.matching.Matcher.match`. A quality says how likely a segment's *nearest*
+    descriptor is to be right; which of two given pairs shows one object is another question.
+    """
+    if found.quality is None:
+        return None
+    sure = np.log(np.maximum(found.quality.astype(np.float64), 1e-12))
+    return sure[found.first] + sure[found.second] - _distances(found)
+
+
+def _distances(found: Described) -> Float64:
+    between = found.vectors[found.first].astype(np.float64) - found.vectors[found.second]
+    distances: Float64 = np.linalg.norm(between, axis=1)
+    return distances
 
 
 def roc(scores: Float64, pairs: Pairs, *, seed: int = 0, points: int = 200) -> Roc:
