@@ -11,10 +11,11 @@ import typer
 from ..errors import ConfigError, DatasetError, MissingDependency, SeglocError
 
 if TYPE_CHECKING:
-    from ..evaluation.study import Study, Table
+    from ..evaluation.study import Study
     from ..evaluation.workspace import Pair, Workspace
 
 _MAP_POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
+_LONG_ROWS = 40
 
 
 def evaluate(
@@ -175,13 +176,10 @@ def _command() -> str:
 
 
 def _show(study: Study) -> None:
+    """Print the tables that fit on a screen."""
+    from ..evaluation.tables import plain
+
     for table in study.tables:
-        _print(table)
-
-
-def _print(table: Table) -> None:
-    from ..evaluation.tables import text
-    from .console import table as show
-
-    title = f"{table.title} (published)" if table.source == "paper" else table.title
-    show(title, table.columns, [[text(cell) for cell in row] for row in table.rows])
+        if len(table.rows) <= _LONG_ROWS:
+            published = " (published)" if table.source == "paper" else ""
+            print(f"{table.title}{published}\n{plain(table)}\n")

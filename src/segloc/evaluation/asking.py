@@ -31,6 +31,8 @@ ESTIMATORS = ("consensus", "prosac")
 
 PLACES = ("map", "stranger")
 
+_CELL_M, _TALL_M = 0.5, 1.0
+
 Answer = dict[str, Any]
 Progress = Callable[[int, int], None]
 
@@ -147,7 +149,8 @@ def ask_all(
         ``answers[method][ask][place][estimator]`` is a list of one dict a query, in values that
         JSON can hold.
     arrays : dict of str to array
-        "trajectory" (V, 2), "cloud" (N, 2), and for each ask "indices-ASK" and "truths-ASK".
+        "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each ask "indices-ASK"
+        and "truths-ASK".
     """
     descriptors = {name: create(name, threads) for name in methods}
     places = {"map": build_site(opened.map, descriptors, threads)}
@@ -205,13 +208,26 @@ def _record(result: Localization) -> Answer:
 def _arrays(opened: Opened, site: Site) -> dict[str, Float64]:
     arrays = {
         "trajectory": site.trajectory[:, :2, 3],
-        "cloud": np.unique(np.round(site.cloud[:, :2]), axis=0),
+        "cloud": _standing(site.cloud),
     }
     for name, ask in opened.asks.items():
         arrays[f"indices-{name}"] = ask.recording.indices[ask.positions].astype(np.float64)
         if ask.truths is not None:
             arrays[f"truths-{name}"] = ask.truths
     return arrays
+
+
+def _standing(cloud: Float64) -> Float64:
+    """Where something stands, (N, 2): cells whose points differ in height by a metre or more."""
+    if not len(cloud):
+        return np.empty((0, 2))
+    cells, group = np.unique(np.round(cloud[:, :2] / _CELL_M), axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    starts = np.flatnonzero(np.diff(group.ravel()[order], prepend=-1))
+    z = cloud[order, 2]
+    tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts) >= _TALL_M
+    standing: Float64 = cells[tall] * _CELL_M
+    return standing
 
 
 def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], ask: str) -> Evaluation:

@@ -86,13 +86,13 @@ def svg(figure: Figure, prefix: str = "") -> str:
         axes.set_facecolor("none")
         _DRAW[figure.kind](axes, figure)
         stream = io.StringIO()
-        canvas.savefig(stream, format="svg", dpi=110, metadata=dict.fromkeys(_UNTOLD))
+        untold = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        canvas.savefig(
+            stream, format="svg", dpi=110, metadata=untold, bbox_inches="tight", pad_inches=0.04
+        )
     text = _PROLOG.sub("", _METADATA.sub("", stream.getvalue()))
     text = _renamed(text, f"{prefix}{figure.name}")
     return text.replace(_INK, "currentColor").replace("<svg", '<svg role="img"', 1)
-
-
-_UNTOLD = ("Date", "Creator", "Format", "Type")
 
 
 def _renamed(text: str, prefix: str) -> str:
@@ -200,19 +200,20 @@ def _map(axes: Axes, figure: Figure) -> None:
 
 def _cloud(axes: Axes, x: Float64, y: Float64, low: Float64, high: Float64) -> None:
     """Grey where there is anything: one picture, however many points there are."""
-    cell = max(1.0, float((high - low).max()) / _CELLS_ALONG)
+    cell = max(0.5, float((high - low).max()) / _CELLS_ALONG)
     shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
     counts, _, _ = np.histogram2d(x, y, bins=shape, range=np.stack([low, low + shape * cell]).T)
     picture = np.zeros((*counts.T.shape, 4))
     picture[..., :3] = [int(_GREY[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    picture[..., 3] = 0.55 * (counts.T > 0)
+    picture[..., 3] = 0.6 * (counts.T > 0)
     end = low + shape * cell
     box = (low[0], end[0], low[1], end[1])
     axes.imshow(picture, origin="lower", extent=box, interpolation="nearest", zorder=0)
 
 
 def _extent(figure: Figure) -> tuple[Float64, Float64]:
-    points = np.concatenate([np.column_stack(curve) for curve in figure.series.values()])
+    curves = [np.column_stack(curve) for curve in figure.series.values()]
+    points = np.concatenate([np.empty((0, 2)), *curves])
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         points = np.zeros((1, 2))

@@ -68,7 +68,8 @@ def summaries(results: list[Result], methods: Methods, estimator: str) -> Iterat
     columns = ("set", "type", "sensor", "queries", "places", *methods.names)
     note = (
         "Queries that were localized rightly; in brackets, where there are any, those that were "
-        "localized falsely. Places: queries whose place the map holds. "
+        "localized falsely. Places: queries that the map's way passes within 3 m; some that it "
+        "passes farther off are found, too. "
     )
     yield Table(
         f"localizations-{estimator}",

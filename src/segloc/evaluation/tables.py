@@ -38,6 +38,20 @@ def text(cell: Cell) -> str:
     return f"{cell:.{digits}f}"
 
 
+def plain(table: Table) -> str:
+    """Lines for a terminal: words to the left, numbers to the right."""
+    rows = [list(table.columns), *([text(cell) for cell in row] for row in table.rows)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(table.columns))]
+    words = [k == 0 or not _numeric(table, k) for k in range(len(table.columns))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if left else cell.rjust(width)
+            for cell, width, left in zip(row, widths, words, strict=True)
+        ).rstrip()
+        for row in rows
+    )
+
+
 def to_csv(table: Table) -> str:
     """Every digit of every cell after RFC 4180, with a header; empty where there is nothing."""
     stream = io.StringIO()

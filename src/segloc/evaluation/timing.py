@@ -104,7 +104,7 @@ def run(workspace: Workspace) -> Study:
             },
             partial(_measured, source, descriptors, workspace),
         )
-        tables.append(_table(label, measured, descriptors, random))
+        tables.append(time_table(label, measured, descriptors, random))
     return Study(
         "timing",
         "Time of a query",
@@ -227,12 +227,13 @@ class _Pipeline:
         return {name: 1e3 * (end - start) for (_, start), (name, end) in pairwise(marks)}
 
 
-def _table(
+def time_table(
     label: str,
     measured: Mapping[str, Any],
     descriptors: Mapping[str, Descriptor],
     random: Sequence[str],
 ) -> Table:
+    """One row a method and processor; ``random`` names the methods whose weights were drawn."""
     rows = [
         _row(name, processor, descriptors, times)
         for processor, by_method in measured["times"].items()
