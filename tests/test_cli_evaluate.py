@@ -39,14 +39,14 @@ def test_your_own_pair_is_mapped_asked_and_reported(
     evaluate("localization", *pair, "--out", tmp_path / "out", "--methods", "geo", "--workers", 1)
     printed = capsys.readouterr().out
     assert "our estimator" in printed and "PROSAC" in printed and "own query" in printed
-    study = Study.load(tmp_path / "out" / "localization")
+    study = Study.load(tmp_path / "out" / "own")
     (row,) = study.tables[0].rows
     assert row[0] == "own query" and row[3] == 8 and isinstance(row[5], int) and row[5] >= 4
     assert not any(table.source == "paper" for table in study.tables)
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "own query" in page and "<svg" in page
     names = {path.name for path in (tmp_path / "out" / "tables").iterdir()}
-    assert {"localization-details.csv", "localization-details.tex"} <= names
+    assert {"own-details.csv", "own-details.tex"} <= names
 
 
 def test_without_truth_answers_are_counted_but_not_judged(recordings: Path, tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_without_truth_answers_are_counted_but_not_judged(recordings: Path, tmp_
     (query / "poses.tum").unlink()
     out = tmp_path / "out"
     evaluate("localization", recordings / "map", query, "--out", out, "--methods", "geo")
-    study = Study.load(out / "localization")
+    study = Study.load(out / "own")
     details = dict(zip(study.tables[-1].columns, study.tables[-1].rows[0], strict=True))
     assert details["localized"] >= 4  # type: ignore[operator]
     assert details["right"] is details["false"] is details["places"] is None

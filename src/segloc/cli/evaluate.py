@@ -134,10 +134,10 @@ def _run_all(workspace: Workspace) -> None:
 
 def _report(out: Path) -> None:
     from ..evaluation.report import write
-    from ..evaluation.studies import STUDIES
+    from ..evaluation.studies import STORED
     from ..evaluation.study import stored
 
-    found = list(stored(out, STUDIES))
+    found = list(stored(out, STORED))
     if not found:
         raise SeglocError(f"{out}: holds no study; run one first")
     write(out, found)

@@ -49,8 +49,8 @@ def run(workspace: Workspace) -> Study:
     tables = [table for name in ESTIMATORS for table in summaries(results, methods, name)]
     tables = tables if own else [tables[0], published.localizations(), *tables[1:]]
     return Study(
-        "localization",
-        "Localization",
+        "own" if own else "localization",
+        "Localization of your own recordings" if own else "Localization",
         (*tables, details(results, methods)),
         tuple(maps(results, methods)),
         workspace.facts(time.perf_counter() - start, methods.fingerprints),

@@ -21,10 +21,12 @@ MODULES: Mapping[str, str] = {
 """Which module of this package runs a study."""
 
 STUDIES = tuple(MODULES)
+STORED = (*STUDIES, "own")
+"""Names of the folders that studies are stored in; "own" is the user's own pair of recordings."""
 
 
 def run(name: str, workspace: Workspace) -> Study:
-    """Run one of :data:`STUDIES` and store it in a folder of its name.
+    """Run one of :data:`STUDIES` and store it in a folder of the workspace.
 
     Raises
     ------
@@ -34,5 +36,5 @@ def run(name: str, workspace: Workspace) -> Study:
     """
     module = importlib.import_module(f"{__package__}.{MODULES[name]}")
     study = cast(Callable[[Workspace], Study], module.run)(workspace)
-    study.save(workspace.out / name)
+    study.save(workspace.out / study.name)
     return study
