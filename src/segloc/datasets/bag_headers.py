@@ -70,7 +70,7 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
     wanted = [item for item in reader.connections if item.topic == topic]
     files = [file for path in paths for file in (path.glob("*.db3") if path.is_dir() else [path])]
     heads: Iterable[tuple[int, bytes]]
-    if all(file.suffix == ".db3" for file in files) and not _compressed(paths):
+    if files and all(file.suffix == ".db3" for file in files) and not _compressed(paths):
         heads = sorted((row for file in files for row in _sqlite_heads(file, topic)), key=_when)
     else:
         heads = ((time, data[:_HEAD]) for _, time, data in reader.messages(wanted))

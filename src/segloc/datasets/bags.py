@@ -69,13 +69,9 @@ def find(path: Path, topic: str | None) -> Found:
         headers, notes = _in_order(headers, str(path), chosen)
         track, remarks = find_track(reader, headers.frames[0])
         fields = _fields(reader, chosen)
-    stored = paths[0] if paths[0].is_file() else _stored(paths[0])[0].with_suffix("")
-    kind = (
-        _KINDS.get(paths[0].suffix) or f"ROS 2 bag, {'MCAP' if 'mcap' in stored.name else 'SQLite'}"
-    )
     return Found(
         name=path.resolve().stem if path.is_file() else path.resolve().name,
-        format=kind,
+        format=_kind(paths[0]),
         source=BagSource(paths, chosen, headers),
         indices=np.arange(len(headers)),
         stamps=headers.stamps,
@@ -85,6 +81,12 @@ def find(path: Path, topic: str | None) -> Found:
         fields=fields,
         notes=(*notes, *remarks),
     )
+
+
+def _kind(path: Path) -> str:
+    if path.is_file():
+        return _KINDS[path.suffix]
+    return f"ROS 2 bag, {'MCAP' if '.mcap' in _stored(path)[0].name else 'SQLite'}"
 
 
 @contextmanager
