@@ -112,7 +112,7 @@ def _read_tf(reader: AnyReader) -> dict[str, _Edge]:
 
 
 def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
+    return float((stamp.sec * 10**9 + stamp.nanosec) * 1e-9)  # rounded as those of clouds are
 
 
 def _row(xyz: Any, q: Any) -> list[float]:

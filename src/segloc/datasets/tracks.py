@@ -20,6 +20,7 @@ from ..types import Float64, Int64, Pose
 
 LONGEST_GAP_S = 1.0
 """Between poses farther apart in time, no pose is made up."""
+_ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,9 @@ class Track:
         if self.clock == "seconds":
             if stamps is None:
                 raise DatasetError(f"{self.source}: poses by time, but the scans have no times")
-            found = interpolated(self.keys, self.poses, stamps, LONGEST_GAP_S)
+            ends = np.clip(stamps, self.keys[0], self.keys[-1])
+            near = np.where(np.abs(ends - stamps) < _ROUNDING_S, ends, stamps)
+            found = interpolated(self.keys, self.poses, near, LONGEST_GAP_S)
         else:
             stamps = indices.astype(np.float64)
             found = interpolated(self.keys, self.poses, stamps, 0.0)
