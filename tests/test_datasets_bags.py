@@ -62,6 +62,23 @@ def test_clouds_stamps_and_odometry(kind: str, tmp_path: Path) -> None:
     assert opened(path, poses="none").poses is None
 
 
+def test_compression_makes_no_difference(tmp_path: Path) -> None:
+    plain = opened(clouds(BagWriter("ros1")).write(tmp_path / "plain"))
+    packed = opened(clouds(BagWriter("ros1")).write(tmp_path / "packed", compress=True))
+    np.testing.assert_array_equal(plain.stamps, packed.stamps)
+    np.testing.assert_array_equal(plain.scan(5).points, packed.scan(5).points)
+    several = tmp_path / "several"
+    several.mkdir()
+    for part in range(2):
+        bag = BagWriter("ros1")
+        for i in range(4 * part, 4 * part + 4):
+            bag.cloud("/points", DRIVE.stamps[i], DRIVE.seen(i))
+        bag.write(several / f"part_{1 - part}")
+    whole = opened(several)
+    np.testing.assert_array_equal(whole.stamps, plain.stamps)
+    np.testing.assert_array_equal(whole.scan(5).points, plain.scan(5).points)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_poses_from_tf(kind: str, tmp_path: Path) -> None:
     """map -> odom -> base -> lidar, the second the finest and the last fixed."""

@@ -53,7 +53,8 @@ def build(
     )
     if recording.poses is None:
         raise DatasetError(
-            f"{sequence}: a map needs a pose for every scan: name a file by --poses, or use --odometry"
+            f"{sequence}: a map needs a pose for every scan: name a file by --poses, "
+            "or use --odometry"
         )
     with progress("Building the map") as update:
         site = build_map(recording, settings, every_m=every, progress=update)

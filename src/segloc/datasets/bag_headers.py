@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 from urllib.parse import quote
 
 import numpy as np
@@ -59,8 +59,8 @@ class Headers:
 def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Headers:
     """The headers of all messages of a topic, in the order of recording.
 
-    SQLite gives the first bytes of a message alone; other storages are read through once, one
-    message in memory at a time.
+    SQLite and ROS 1 bags without compression give the first bytes of a message alone; others are
+    read through once, one message in memory at a time.
 
     Raises
     ------
@@ -72,6 +72,8 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
     heads: Iterable[tuple[int, bytes]]
     if files and all(file.suffix == ".db3" for file in files) and not _compressed(paths):
         heads = sorted((row for file in files for row in _sqlite_heads(file, topic)), key=_when)
+    elif not reader.is2 and (places := _ros1_places(reader, topic)) is not None:
+        heads = places
     else:
         heads = ((time, data[:_HEAD]) for _, time, data in reader.messages(wanted))
     parse = _parse_cdr if reader.is2 else _parse_ros1
@@ -107,6 +109,37 @@ def _sqlite_heads(path: Path, topic: str) -> Iterator[tuple[int, bytes]]:
     uri = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
     with closing(sqlite3.connect(uri, uri=True)) as database:
         yield from database.execute(query, (topic,))
+
+
+def _ros1_places(reader: AnyReader, topic: str) -> Iterator[tuple[int, bytes]] | None:
+    """First bytes of messages by a ROS 1 bag's own index; None where chunks are compressed."""
+    from rosbags.rosbag1.reader import decompressors
+
+    entries = [
+        (entry.time, bag, bag.chunks[entry.chunk_pos], entry.offset)
+        for bag in reader.readers
+        for item in bag.connections
+        if item.topic == topic
+        for entry in bag.indexes[item.id]
+    ]
+    if any(chunk.decompressor is not decompressors["none"] for _, _, chunk, _ in entries):
+        return None
+    entries.sort(key=lambda entry: int(entry[0]))
+    return ((time, _ros1_head(bag.bio, chunk.datapos + at)) for time, bag, chunk, at in entries)
+
+
+def _ros1_head(file: BinaryIO, place: int) -> bytes:
+    """The first bytes of the message whose record is at a place, or behind one of a connection."""
+    file.seek(place)
+    while True:
+        (length,) = struct.unpack("<I", file.read(4))
+        record = file.read(length)
+        (size,) = struct.unpack("<I", file.read(4))
+        if b"op=\x02" in record:
+            return file.read(min(size, _HEAD))
+        if b"op=\x07" not in record:
+            raise DatasetError(f"no message at byte {place}")
+        file.seek(size, 1)
 
 
 def _parse_ros1(head: bytes) -> tuple[int, str]:
