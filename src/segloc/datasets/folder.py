@@ -68,7 +68,7 @@ class FolderSequence:
     notes: tuple[str, ...] = ()
 
     def __init__(
-        self, folder: str | Path, poses: str | Path | None = None, *, deskew: bool = True
+        self, folder: str | Path, poses: str | Path | None = None, *, deskew: bool = False
     ) -> None:
         folder = Path(folder)
         self.name = folder.resolve().name

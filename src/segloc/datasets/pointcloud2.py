@@ -58,7 +58,8 @@ def to_scan(cloud: Cloud, stamp: float) -> Scan:
     """
     columns = _columns(cloud)
     try:
-        xyz = np.column_stack([columns[axis].astype(np.float32) for axis in "xyz"])
+        with np.errstate(all="ignore"):  # what float32 cannot hold becomes inf, which is dropped
+            xyz = np.column_stack([columns[axis].astype(np.float32) for axis in "xyz"])
     except KeyError as error:
         raise DatasetError(f"no field {error} among {', '.join(columns) or 'none'}") from error
     times = _seconds(columns, stamp)
@@ -103,8 +104,9 @@ def _seconds(columns: dict[str, NDArray[Any]], stamp: float) -> Float64 | None:
         return None
     raw = columns[name]
     times = raw.astype(np.float64)
-    if raw.dtype.kind in "iu" or (len(times) and np.nanmax(times) > _EPOCH_S * 1e6):
-        times *= 1e-9
-    if len(times) and np.nanmax(times) > _EPOCH_S:
+    latest = times[np.isfinite(times)].max(initial=0.0)
+    if raw.dtype.kind in "iu" or latest > _EPOCH_S * 1e6:
+        times, latest = times * 1e-9, latest * 1e-9
+    if latest > _EPOCH_S:
         times -= stamp
     return times

@@ -77,7 +77,8 @@ def parse(data: bytes, sensor: str) -> Scan:
             raise DatasetError(f"cut off: {len(data)} bytes are not four rows of float32")
         points = float_rows(data, 1).reshape(4, -1).T[:, :3].astype(np.float64)
     points = points[(points != 0).any(axis=1)]  # what returned nothing is at the sensor
-    return Scan(geometry.transform(Z_UP @ mount(*MOUNTS[sensor]), points))
+    with np.errstate(all="ignore"):  # what is not finite is dropped
+        return Scan(geometry.transform(Z_UP @ mount(*MOUNTS[sensor]), points))
 
 
 def _missing(path: Path, stamps: set[int]) -> str:
