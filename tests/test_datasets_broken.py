@@ -15,13 +15,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from segloc import geometry
-from segloc.datasets import RecordedSequence, boreas, helipr, nclt, open_sequence, robotcar
+from segloc.datasets import (
+    FolderSequence,
+    RecordedSequence,
+    boreas,
+    helipr,
+    nclt,
+    open_sequence,
+    robotcar,
+)
 from segloc.datasets.bag_headers import _parse_cdr, _parse_ros1
 from segloc.datasets.binary import parse_float4
 from segloc.datasets.pointcloud2 import to_scan
 from segloc.datasets.tracks import clean_track, euler_poses, read_table, rising
 from segloc.errors import DatasetError
 from segloc.io.kitti_bin import parse_nuscenes
+from segloc.io.scans import write_scan
 from segloc.motion import interpolated
 from segloc.types import Float64, Scan
 
@@ -227,6 +236,16 @@ def test_opening_reads_no_scan(tmp_path: Path) -> None:
     for position in (-1, 5):
         with pytest.raises(DatasetError, match=f"00: no scan at position {position} of 5"):
             sequence.scan(position)
+
+
+def test_folders_of_the_same_names_are_not_mistaken(tmp_path: Path) -> None:
+    for name in ("Ouster", "velodyne_sync", "lms_front", "lidar"):
+        folder = tmp_path / name
+        folder.mkdir()
+        write_scan(folder / "000100.bin", np.ones((5, 3)))
+        sequence = open_sequence(folder)
+        assert isinstance(sequence, FolderSequence)
+        assert sequence.indices.tolist() == [100]
 
 
 def test_a_scan_that_is_missing_shifts_no_pose(tmp_path: Path) -> None:

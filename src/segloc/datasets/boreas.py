@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ..types import Scan
 from .binary import float_rows
-from .recorded import FileSource, Found, in_seconds, scan_files
+from .recorded import FileSource, Found, holds_scans, in_seconds, scan_files
 from .tracks import Track, clean_track, read_table
 
 NAME = "Boreas"
@@ -25,7 +25,8 @@ _COLUMNS = (0, 1, 2, 3, 7, 8, 9)  # microseconds, x, y, z, roll, pitch, yaw
 
 def recognises(path: Path) -> bool:
     """Whether the path is a sequence's folder."""
-    return (path / "lidar").is_dir() and any((path / n).is_dir() for n in ("applanix", "calib"))
+    beside = any((path / name).is_dir() for name in ("applanix", "calib"))
+    return beside and holds_scans(path / "lidar", 15)
 
 
 def find(path: Path, topic: str | None) -> Found:

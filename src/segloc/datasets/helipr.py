@@ -14,7 +14,7 @@ import numpy as np
 
 from ..types import Scan
 from .binary import returned, rows_of
-from .recorded import FileSource, Found, choose, in_seconds, numbers, scan_files
+from .recorded import FileSource, Found, choose, holds_scans, in_seconds, numbers, scan_files
 from .tracks import Track, clean_track, quaternion_poses, read_table
 
 NAME = "HeLiPR"
@@ -37,12 +37,12 @@ INNER = tuple(f"LiDAR/{name}" for name in POINTS)
 
 def recognises(path: Path) -> bool:
     """Whether the path is a sequence's folder."""
-    return any((path / "LiDAR" / name).is_dir() for name in POINTS)
+    return any(holds_scans(path / "LiDAR" / name, 15) for name in POINTS)
 
 
 def find(path: Path, topic: str | None) -> Found:
     """Read what is there besides the scans."""
-    present = [name for name in POINTS if (path / "LiDAR" / name).is_dir()]
+    present = [name for name in POINTS if holds_scans(path / "LiDAR" / name, 15)]
     sensor = choose(path, present, topic)
     files = scan_files(path / "LiDAR" / sensor)
     stamps = numbers(files)

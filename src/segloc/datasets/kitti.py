@@ -15,7 +15,7 @@ from ..errors import DatasetError
 from ..io.trajectory import read_trajectory_and_kind
 from ..types import Float64, Int64, Pose
 from .binary import parse_float4
-from .recorded import FileSource, Found, numbers, relative, scan_files
+from .recorded import FileSource, Found, holds_scans, numbers, relative, scan_files
 from .tracks import Track, matrix_poses, read_table
 
 NAME = "KITTI odometry"
@@ -25,7 +25,7 @@ INNER = ("velodyne",)
 def recognises(path: Path) -> bool:
     """Whether the path is a sequence's folder."""
     beside = any((path / name).is_file() for name in ("calib.txt", "times.txt"))
-    return (path / "velodyne").is_dir() and beside
+    return beside and holds_scans(path / "velodyne")
 
 
 def find(path: Path, topic: str | None) -> Found:

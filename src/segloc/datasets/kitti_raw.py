@@ -15,7 +15,7 @@ from ..errors import DatasetError
 from ..types import Float64
 from .binary import parse_float4
 from .kitti import read_values
-from .recorded import FileSource, Found, numbers, scan_files
+from .recorded import FileSource, Found, holds_scans, numbers, scan_files
 from .tracks import Track, clean_track, euler_poses, matrix_poses
 
 NAME = "KITTI raw"
@@ -25,7 +25,7 @@ _EARTH_RADIUS_M = 6378137.0
 
 def recognises(path: Path) -> bool:
     """Whether the path is a drive's folder."""
-    return (path / "velodyne_points" / "data").is_dir()
+    return holds_scans(path / "velodyne_points" / "data")
 
 
 def find(path: Path, topic: str | None) -> Found:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..types import Scan
 from .binary import column_times, float_rows, returned
-from .recorded import FileSource, Found, in_seconds, scan_files
+from .recorded import FileSource, Found, holds_scans, in_seconds, scan_files
 from .tracks import Track, clean_track, matrix_poses, mount, read_table
 
 NAME = "MulRan"
@@ -24,7 +24,7 @@ MOUNT = ((1.7042, -0.021, 1.8047), (radians(0.0001), radians(0.0003), radians(17
 
 def recognises(path: Path) -> bool:
     """Whether the path is a sequence's folder."""
-    return (path / "Ouster").is_dir()
+    return holds_scans(path / "Ouster", 15)
 
 
 def find(path: Path, topic: str | None) -> Found:

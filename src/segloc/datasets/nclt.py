@@ -14,7 +14,7 @@ import numpy as np
 
 from ..types import Scan
 from .binary import rows_of
-from .recorded import FileSource, Found, in_seconds, relative, scan_files
+from .recorded import FileSource, Found, holds_scans, in_seconds, relative, scan_files
 from .tracks import Z_UP, Track, clean_track, euler_poses, read_table
 
 NAME = "NCLT"
@@ -25,7 +25,7 @@ _STEP_M, _OFFSET_M = 0.005, -100.0
 
 def recognises(path: Path) -> bool:
     """Whether the path is a session's folder."""
-    return (path / "velodyne_sync").is_dir()
+    return holds_scans(path / "velodyne_sync", 15)
 
 
 def find(path: Path, topic: str | None) -> Found:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import DatasetError
 from ..io.pcd import parse_pcd
 from ..types import Float64, Pose, Scan
 from .binary import column_times, returned
@@ -26,19 +25,21 @@ _TRUTHS = ("ground_truth/registered_poses.csv", "registered_poses.csv")
 
 def recognises(path: Path) -> bool:
     """Whether the path is an experiment's folder."""
-    return any((path / inner).is_dir() for inner in INNER)
+    return any(_holds_clouds(path / inner) for inner in INNER)
+
+
+def _holds_clouds(folder: Path) -> bool:
+    return folder.is_dir() and any(_SCAN.fullmatch(file.name) for file in folder.glob("*.pcd"))
 
 
 def find(path: Path, topic: str | None) -> Found:
     """Read what is there besides the scans."""
-    folder = next(path / inner for inner in INNER if (path / inner).is_dir())
+    folder = next(path / inner for inner in INNER if _holds_clouds(path / inner))
     scans = sorted(
         (int(match[1]) + 1e-9 * int(match[2]), file)
         for file in folder.iterdir()
         if (match := _SCAN.fullmatch(file.name))
     )
-    if not scans:
-        raise DatasetError(f"{folder}: no scans: no files cloud_SECONDS_NANOSECONDS.pcd")
     truth = next((name for name in _TRUTHS if (path / name).is_file()), None)
     return Found(
         name=path.resolve().name,

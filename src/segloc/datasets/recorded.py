@@ -277,6 +277,17 @@ def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:
     return paths
 
 
+def holds_scans(folder: Path, digits: int = 1) -> bool:
+    """Whether a folder has a file NUMBER.bin of so many digits or more: 15 are a time.
+
+    Other files in folders of the same names are somebody else's, to be read as a plain folder.
+    """
+    if not folder.is_dir():
+        return False
+    names = (path.stem for path in folder.glob("*.bin"))
+    return any(name.isdecimal() and len(name) >= digits for name in names)
+
+
 def numbers(paths: list[Path]) -> Int64:
     """The numbers in the names of files, (N,) int64."""
     if any(len(path.stem) > 18 and int(path.stem) > np.iinfo(np.int64).max for path in paths):

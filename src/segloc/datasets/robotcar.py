@@ -19,7 +19,16 @@ from ..errors import DatasetError
 from ..io.scans import read_file
 from ..types import Float64, Pose, Scan
 from .binary import float_rows, rows_of
-from .recorded import FileSource, Found, choose, in_seconds, numbers, relative, scan_files
+from .recorded import (
+    FileSource,
+    Found,
+    choose,
+    holds_scans,
+    in_seconds,
+    numbers,
+    relative,
+    scan_files,
+)
 from .tracks import Z_UP, Track, clean_track, euler_poses, mount, read_table
 
 NAME = "Oxford RobotCar"
@@ -38,12 +47,12 @@ _UNUSABLE = frozenset({"INS_INACTIVE", "INS_ALIGNING"})
 
 def recognises(path: Path) -> bool:
     """Whether the path is a traversal's folder."""
-    return any((path / name).is_dir() for name in MOUNTS)
+    return any(holds_scans(path / name, 15) for name in MOUNTS)
 
 
 def find(path: Path, topic: str | None) -> Found:
     """Read what is there besides the scans."""
-    present = [name for name in MOUNTS if (path / name).is_dir()]
+    present = [name for name in MOUNTS if holds_scans(path / name, 15)]
     sensor = choose(path, present, topic)
     files = scan_files(path / sensor)
     stamps = numbers(files)
