@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import quote
 
 import numpy as np
@@ -144,15 +144,15 @@ def _ros1_head(file: BinaryIO, place: int) -> bytes:
 
 def _parse_ros1(head: bytes) -> tuple[int, str]:
     """Stamp in nanoseconds and frame: uint32 number, two uint32 of time, a string."""
-    _, seconds, nanoseconds, length = struct.unpack_from("<IIII", head)
-    return seconds * 10**9 + nanoseconds, _text(head, 16, length)
+    _, whole, nanoseconds, length = struct.unpack_from("<IIII", head)
+    return whole * 10**9 + nanoseconds, _text(head, 16, length)
 
 
 def _parse_cdr(head: bytes) -> tuple[int, str]:
     """The same in CDR, behind four bytes that name the byte order: int32, uint32, a string."""
     order = "<" if head[1] & 1 else ">"
-    seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", head, 4)
-    return seconds * 10**9 + nanoseconds, _text(head, 16, length)
+    whole, nanoseconds, length = struct.unpack_from(f"{order}iII", head, 4)
+    return whole * 10**9 + nanoseconds, _text(head, 16, length)
 
 
 def _text(head: bytes, start: int, length: int) -> str:
@@ -165,3 +165,8 @@ def _ranks(times: Int64) -> Int64:
     """For each of sorted times, how many equal ones are before it."""
     first = np.searchsorted(times, times, side="left")
     return np.asarray(np.arange(len(times)) - first, dtype=np.int64)
+
+
+def seconds(time: Any) -> float:
+    """A builtin_interfaces/Time, rounded as the stamps of headers are."""
+    return float((time.sec * 10**9 + time.nanosec) * 1e-9)

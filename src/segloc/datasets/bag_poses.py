@@ -11,6 +11,7 @@ from .. import geometry
 from ..errors import DatasetError
 from ..motion import interpolated
 from ..types import Float64, Pose
+from .bag_headers import seconds
 from .tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses, rising
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str
     wanted = [item for item in reader.connections if item.topic == topic]
     for item, logged, data in reader.messages(wanted):
         message: Any = reader.deserialize(data, item.msgtype)
-        stamps.append(_seconds(message.header.stamp) or logged * 1e-9)
+        stamps.append(seconds(message.header.stamp) or logged * 1e-9)
         pose = message.pose.pose
         rows.append(_row(pose.position, pose.orientation))
         bodies.add(_name(message.child_frame_id))
@@ -106,13 +107,9 @@ def _read_tf(reader: AnyReader) -> dict[str, _Edge]:
                     f"{item.topic}: {child} has two parents: {edge.parent}, {parent}"
                 )
             edge.static |= item.topic.endswith("tf_static")
-            edge.stamps.append(_seconds(entry.header.stamp))
+            edge.stamps.append(seconds(entry.header.stamp))
             edge.rows.append(_row(entry.transform.translation, entry.transform.rotation))
     return edges
-
-
-def _seconds(stamp: Any) -> float:
-    return float((stamp.sec * 10**9 + stamp.nanosec) * 1e-9)  # rounded as those of clouds are
 
 
 def _row(xyz: Any, q: Any) -> list[float]:

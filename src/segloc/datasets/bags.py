@@ -17,10 +17,11 @@ import numpy as np
 from ..errors import DatasetError, MissingDependency
 from ..io._columns import one_line
 from ..types import Scan
-from .bag_headers import Headers, read_headers
+from .bag_headers import Headers, read_headers, seconds
 from .pointcloud2 import to_scan
 from .recorded import Found
 from .tracks import rising
+from .velodyne import decode
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -29,6 +30,7 @@ NAME = "bag"
 INNER: tuple[str, ...] = ()
 _SUFFIXES = (".bag", ".db3", ".mcap")
 _CLOUD = "sensor_msgs/msg/PointCloud2"
+_PACKETS = "velodyne_msgs/msg/VelodyneScan"
 _KINDS = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag, SQLite", ".mcap": "MCAP"}
 
 
@@ -126,10 +128,8 @@ def faults_of(path: Path) -> Iterator[None]:
 
 
 def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
-    counts: dict[str, int] = {}
-    for item in reader.connections:
-        if item.msgtype == _CLOUD:
-            counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
+    counts = _counts(reader, _CLOUD) or _counts(reader, _PACKETS)
+    counts |= _counts(reader, _PACKETS) if topic is not None else {}
     clouds = {name: count for name, count in counts.items() if count} or counts
     others = sorted({f"{item.topic} ({item.msgtype})" for item in reader.connections})
     if not clouds:
@@ -143,6 +143,15 @@ def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
     if len(clouds) > 1:
         raise DatasetError(f"{path}: several topics, choose one by --topic: {_listed(clouds)}")
     return next(iter(clouds))
+
+
+def _counts(reader: AnyReader, kind: str) -> dict[str, int]:
+    """How many messages there are on each topic of a type."""
+    counts: dict[str, int] = {}
+    for item in reader.connections:
+        if item.msgtype == kind:
+            counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
+    return counts
 
 
 def _listed(topics: dict[str, int]) -> str:
@@ -171,6 +180,8 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
 def _fields(reader: AnyReader, topic: str) -> str:
     for item, _, data in reader.messages([c for c in reader.connections if c.topic == topic]):
         message: Any = reader.deserialize(data, item.msgtype)
+        if item.msgtype == _PACKETS:
+            return "x y z intensity ring time"
         return " ".join(field.name for field in message.fields)
     return ""
 
@@ -201,9 +212,12 @@ class BagSource:
         """The cloud at position k."""
         with faults_of(self._paths[0]):
             data, kind = self._message(k)
-            cloud: Any = self._open().deserialize(data, kind)
+            message: Any = self._open().deserialize(data, kind)
+        stamp = float(self._headers.stamps[k])
         try:
-            return to_scan(cloud, float(self._headers.stamps[k]))
+            if kind == _PACKETS:
+                return _unpacked(message, stamp, self.where(k))
+            return to_scan(message, stamp)
         except DatasetError as error:
             raise DatasetError(f"{self.where(k)}: {error}") from error
 
@@ -227,3 +241,12 @@ class BagSource:
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_reader": None}  # a process opens the bag for itself
+
+
+def _unpacked(message: Any, stamp: float, where: str) -> Scan:
+    """The points of a velodyne_msgs/VelodyneScan, whose stamp is its first packet's or its last."""
+    packets = [(seconds(packet.stamp), bytes(packet.data)) for packet in message.packets]
+    scan = decode(packets, where)
+    if scan.times is not None and packets:
+        scan.times = scan.times + (packets[0][0] - stamp)
+    return scan

@@ -16,6 +16,7 @@ from . import (
     newer_college,
     nuscenes,
     robotcar,
+    velodyne,
 )
 from .recorded import Found
 
@@ -40,7 +41,8 @@ class Format(Protocol):
 
 
 _MODULES = (
-    bags, kitti_raw, kitti, robotcar, newer_college, nclt, boreas, helipr, mulran, nuscenes
+    bags, kitti_raw, kitti, robotcar, newer_college, nclt, boreas, helipr, mulran, nuscenes,
+    velodyne,
 )  # fmt: skip
 FORMATS = tuple(cast(Format, module) for module in _MODULES)
 """The first that recognises a path reads it."""
