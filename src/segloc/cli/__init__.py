@@ -8,7 +8,19 @@ from typing import Annotated
 import typer
 
 from ..errors import SeglocError
-from . import bench, config, demo, evaluate, localize, map_build, map_info, map_merge, simulate
+from . import (
+    bench,
+    config,
+    demo,
+    evaluate,
+    info,
+    localize,
+    map_build,
+    map_info,
+    map_merge,
+    odometry,
+    simulate,
+)
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -26,6 +38,8 @@ app.add_typer(maps, name="map", context_settings=_CONTEXT)
 app.add_typer(train, name="train", context_settings=_CONTEXT)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
+app.command("info")(info.info)
+app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
