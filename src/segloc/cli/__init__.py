@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import SeglocError
-from . import bench, config, demo, localize, map_build, map_info, map_merge, simulate
+from . import align, bench, config, demo, localize, map_build, map_info, map_merge, simulate
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -24,6 +24,7 @@ app = typer.Typer(
 maps = typer.Typer(help="Build, inspect and merge maps.", no_args_is_help=True)
 app.add_typer(maps, name="map", context_settings=_CONTEXT)
 app.add_typer(train, name="train", context_settings=_CONTEXT)
+app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("config")(config.config)
