@@ -24,7 +24,6 @@ Int32 = NDArray[np.int32]
 _POINT_AREA_M2 = 0.04  # that a point of a segment stands for: voxels of 0.2 m
 _RADII_M = (0.5, 2.5)
 _LEAST_POINTS = 4
-_STRANGE = 0.6
 
 
 class UpdateConfig(BaseModel):
@@ -37,6 +36,9 @@ class UpdateConfig(BaseModel):
     )
     gone_share: float = Field(
         0.6, gt=0, le=1, description="share of an object's points in view that must be gone"
+    )
+    max_gone: float = Field(
+        0.25, gt=0, le=1, description="a larger share of the map in view is not believed to be gone"
     )
     max_views: int = Field(0, ge=0, description="newest views kept of an object; 0: all")
     same_m: float = Field(0.5, gt=0, description="centroids of one object lie this close")
@@ -106,13 +108,13 @@ def update_map(
     MapMismatch
         If the map was described by something else.
     SeglocError
-        If most of what should be in view is not there: then the poses are surely not in the map's
-        frame.
+        If far more of what should be in view is gone than changes in a place: then the poses are
+        not in the map's frame.
     """
     config = config or Config.preset(site.descriptor)
     update = update or UpdateConfig()
     judged = visibility(site.cloud, site.origin, recording, update.visibility, progress)
-    _check_frame(judged, recording.name)
+    _check_frame(judged, recording.name, update.max_gone)
     gone, seen = _judged_segments(site, judged, update.gone_share)
     missed = np.where(gone, site.missed + 1, np.where(seen, 0, site.missed)).astype(np.int32)
     stay = missed < update.max_missed
@@ -134,9 +136,9 @@ def update_map(
     )
 
 
-def _check_frame(judged: Visibility, name: str) -> None:
+def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:
     gone, seen = int(judged.gone.sum()), int(judged.seen.sum())
-    if gone > _STRANGE * (gone + seen):
+    if gone > max_gone * (gone + seen):
         share = 100 * gone / (gone + seen)
         raise SeglocError(
             f"{name}: {share:.0f} % of the map in view is not there: "
