@@ -7,10 +7,9 @@ passes so close that ICP between neighbours ties them densely, and is optimised 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -147,7 +146,13 @@ class _Graph:
         self.optimise()
 
     def _solve(self) -> None:
-        tried = [k for k, loop in enumerate(self.loops) if loop.accepted or loop.weight > 0]
+        # A loop that was contradicted once may fit now; between components nothing is tried again.
+        tried = [
+            k
+            for k, loop in enumerate(self.loops)
+            if (loop.accepted or loop.weight > 0)
+            and self.component[loop.target] == self.component[loop.source]
+        ]
         edges = joined_edges([self._odometry, edges_of([self.loops[k] for k in tried])])
         is_loop = np.arange(len(edges)) >= len(self._odometry)
         first = [self.chain.first(members[0]) for members in self.components]
@@ -243,9 +248,6 @@ def _next_session(
     return session, found[typical]
 
 
-class _silent:  # noqa: N801 (stands for a function)
-    def __init__(self, label: str) -> None: ...
-    def __enter__(self) -> Update:
-        return lambda done, total: None
-
-    def __exit__(self, *exc: Any) -> None: ...
+@contextmanager
+def _silent(label: str) -> Iterator[Update]:
+    yield lambda done, total: None

@@ -135,11 +135,9 @@ class _Reader:
 
     def __init__(self, recording: Recording, poses: Float64, config: Config) -> None:
         self.config, self.poses = config, poses
-        self.longest = max(
-            (len(self.window(i, config.local_cloud.window_m)) for i in range(0, len(poses), 10)),
-            default=1,
-        )
-        self.read = lru_cache(maxsize=2 * self.longest)(recording.scan)
+        length = config.local_cloud.window_m
+        some = [len(self.window(i, length)) for i in range(0, len(poses), 10)]
+        self.read = lru_cache(maxsize=2 * max(some))(recording.scan)
         self.accumulator = Accumulator(config.local_cloud)
         self.segmenter = Segmenter(config.segmentation)
         self.descriptor = create(config.method, config.threads)
@@ -195,31 +193,25 @@ class _Parts:
 
     def __init__(self, config: Config, settings: AlignConfig, origin: Float64) -> None:
         self._descriptor = create(config.method, config.threads)
-        self._voxel, self._length, self._origin = (
-            config.mapping.cloud_voxel,
-            settings.part_m,
-            origin,
-        )
-        self._nodes: list[list[int]] = []
-        self._sites: list[SegmentMap] = []
+        self._voxel, self._origin = config.mapping.cloud_voxel, origin
+        self._length = settings.part_m
+        self._nodes: dict[int, list[int]] = {}
+        self._sites: dict[int, SegmentMap] = {}
 
     def of(self, node: int, way: float) -> SegmentMap:
-        """The map that a submap belongs into; submaps come in the order of the way."""
-        if not self._sites or way >= len(self._sites) * self._length:
-            while len(self._sites) <= way // self._length:
-                self._nodes.append([])
-                self._sites.append(
-                    SegmentMap.empty(
-                        self._descriptor.name,
-                        self._descriptor.fingerprint,
-                        self._descriptor.dim,
-                        self._origin,
-                        cloud_voxel=self._voxel,
-                    )
-                )
-        self._nodes[-1].append(node)
-        return self._sites[-1]
+        """The map that a submap belongs into."""
+        part = int(way // self._length)
+        if part not in self._sites:
+            self._nodes[part] = []
+            self._sites[part] = SegmentMap.empty(
+                self._descriptor.name,
+                self._descriptor.fingerprint,
+                self._descriptor.dim,
+                self._origin,
+                cloud_voxel=self._voxel,
+            )
+        self._nodes[part].append(node)
+        return self._sites[part]
 
     def finished(self) -> list[Part]:
-        pairs = zip(self._nodes, self._sites, strict=True)
-        return [Part(np.array(nodes, np.int64), site) for nodes, site in pairs if nodes]
+        return [Part(np.array(self._nodes[k], np.int64), site) for k, site in self._sites.items()]
