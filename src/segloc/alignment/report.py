@@ -150,6 +150,6 @@ def _draw(axes: Any, alignment: Alignment, members: list[int], poses: list[Float
     for k in members:
         label = f"{k}: {alignment.names[k]}"
         axes.plot(*poses[k][:, :2, 3].T, color=_COLOURS[k % len(_COLOURS)], lw=1.4, label=label)
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")
     axes.legend(fontsize=8, frameon=False)
     axes.tick_params(labelsize=8)
