@@ -168,9 +168,10 @@ class _Graph:
     def alignment(self) -> Alignment:
         chain, edges = self.chain, edges_of(self.loops)
         before, after = residuals(self.start, edges), residuals(self.poses, edges)
+        together = self.component[edges.first] == self.component[edges.second]
         loops = [
-            replace(loop, before=b, after=a)
-            for loop, b, a in zip(self.loops, before, after, strict=True)
+            replace(loop, before=b, after=a) if shared else loop
+            for loop, b, a, shared in zip(self.loops, before, after, together, strict=True)
         ]
         poses = [
             spread(session, self.poses[chain.session == k])

@@ -40,7 +40,8 @@ class Loop:
     reason : str
         Why it is not believed; "" if it is.
     before, after : (6,) float64 or None
-        Residual in rotation (rad) and translation (m) by the poses before and after alignment.
+        Residual in rotation (rad) and translation (m) by the poses before and after alignment;
+        None between sessions that share no frame.
     weight : float
         How far the last optimisation believed it.
     """

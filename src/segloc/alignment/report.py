@@ -48,17 +48,13 @@ def loops_csv(alignment: Alignment) -> str:
 
 
 def _lengths(loop: Loop) -> list[str]:
-    """Residuals before and after, in metres and degrees."""
-    lengths = []
-    for residual in (loop.before, loop.after):
-        metres, degrees = _size(residual)
-        lengths += [f"{metres:.3f}", f"{degrees:.3f}"]
-    return lengths
+    """Residuals before and after, in metres and degrees; empty where there is no common frame."""
+    sizes = [() if r is None else _size(r) for r in (loop.before, loop.after)]
+    return [f"{value:.3f}" for size in sizes for value in size] or [""] * 4
 
 
-def _size(residual: Float64 | None) -> tuple[float, float]:
-    if residual is None:
-        return math.nan, math.nan
+def _size(residual: Float64) -> tuple[float, float]:
+    """Metres and degrees."""
     turn, shift = residual[:3], residual[3:]
     return float(np.linalg.norm(shift)), math.degrees(float(np.linalg.norm(turn)))
 
@@ -83,13 +79,15 @@ def summary(alignment: Alignment) -> dict[str, Any]:
             "found": sum(loop.kind == "found" for loop in accepted),
             "dense": sum(loop.kind == "dense" for loop in accepted),
         },
-        "residual_before": _spread([_size(loop.before) for loop in accepted]),
-        "residual_after": _spread([_size(loop.after) for loop in accepted]),
+        "residual_before": _spread([loop.before for loop in accepted]),
+        "residual_after": _spread([loop.after for loop in accepted]),
     }
 
 
-def _spread(sizes: list[tuple[float, float]]) -> dict[str, float | None]:
+def _spread(residuals: list[Float64 | None]) -> dict[str, float | None]:
+    """Median and 95 % of their sizes."""
     names = ("median_m", "p95_m", "median_deg", "p95_deg")
+    sizes = [_size(residual) for residual in residuals if residual is not None]
     if not sizes:
         return dict.fromkeys(names)
     metres, degrees = np.array(sizes).T
