@@ -83,6 +83,7 @@ def knn(
     threads: int = 0,
     isa: str = "auto",
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
+
 class DescriptorIndex:
     def __init__(
         self, database: NDArray[np.float32], lists: int, threads: int = 0, isa: str = "auto"

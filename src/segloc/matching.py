@@ -34,7 +34,6 @@ class MatchingConfig(BaseModel):
         description="matches that the method's forest finds less likely are dropped",
     )
 
-
     def neighbours_in(self, segments: int) -> int:
         """Neighbours proposed in a map of so many segments.
 

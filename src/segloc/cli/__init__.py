@@ -9,22 +9,18 @@ import typer
 
 from ..errors import SeglocError
 from . import (
-from . import (
     align,
     bench,
     config,
     demo,
     evaluate,
     info,
-)
     localize,
     map_build,
     map_info,
     map_merge,
-from . import (
     map_update,
     odometry,
-)
     simulate,
 )
 from .train import train
