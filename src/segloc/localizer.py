@@ -16,7 +16,7 @@ from .map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
-from .types import Hypothesis, LocalCloud, Localization, Matches, Scan
+from .types import Descriptors, Hypothesis, LocalCloud, Localization, Matches, Scan
 from .verification import Verdict, Verifier
 
 
@@ -90,8 +90,22 @@ class Localizer:
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
         with watch("segmentation"):
             scene = self.segmenter.segment(cloud)
-        found = self.search(scene, watch)
+        with watch("preprocessing"):
+            prepared = self.descriptor.prepare(scene.segments)
+        with watch("descriptor"):
+            descriptors = self.descriptor.encode(prepared)
+        return self.locate(cloud, scene, descriptors, watch)
 
+    def locate(
+        self,
+        cloud: LocalCloud,
+        scene: Segmentation,
+        descriptors: Descriptors,
+        watch: Stopwatch | None = None,
+    ) -> Localization:
+        """The second half of :meth:`localize`, for a cloud that is segmented and described."""
+        watch = watch or Stopwatch()
+        found = self.search(scene, descriptors, watch)
         counts = {
             "scans": cloud.num_scans,
             "points": len(cloud.points),
@@ -102,16 +116,14 @@ class Localizer:
         }
         return _localization(cloud, counts, found.verdict, watch)
 
-    def search(self, scene: Segmentation, watch: Stopwatch | None = None) -> Search:
-        """Everything after segmentation: describe, match, find poses, verify.
+    def search(
+        self, scene: Segmentation, descriptors: Descriptors, watch: Stopwatch | None = None
+    ) -> Search:
+        """Match, find poses and verify them, and keep all that was considered.
 
         Where too few segments agree on a pose, it is tried once more with more neighbours.
         """
         watch = watch or Stopwatch()
-        with watch("preprocessing"):
-            prepared = self.descriptor.prepare(scene.segments)
-        with watch("descriptor"):
-            descriptors = self.descriptor.encode(prepared)
         for attempt, neighbours in enumerate(self.matcher.attempts):
             with watch("matching"):
                 candidates = self.matcher.match(descriptors, neighbours)

@@ -125,7 +125,7 @@ class Tracker:
         if not np.isfinite(cloud.T_local_sensor).all():
             raise InvalidScan("T_local_sensor has values that are not finite")
         scene = localizer.segmenter.segment(cloud)
-        found = localizer.search(scene)
+        found = localizer.search(scene, localizer.descriptor.describe(scene.segments))
         T_sensor_odom = geometry.inverse(T_odom_sensor)
 
         def kept(h: Hypothesis, believed: bool) -> _Kept:

@@ -175,7 +175,7 @@ def _examine(
 ) -> Case:
     scene = localizer.segmenter.segment(cloud)
     centroids = scene.segments.centroids
-    found = localizer.search(scene)
+    found = localizer.search(scene, localizer.descriptor.describe(scene.segments))
     T, overlap = _aligned(localizer, scene, truth @ geometry.inverse(cloud.T_local_sensor))
     placed = geometry.transform(T, centroids)
     repeated = tree.query(placed)[0] < REPEAT_RADIUS_M if len(placed) else np.empty(0, bool)
