@@ -30,6 +30,8 @@ from segloc.simulation import (
     SimulatedSequence,
     simulate_sessions,
 )
+from segloc.types import Hypothesis
+from segloc.verification import confidence
 
 EVERY_M = 8.0
 LENGTH_M = 160.0
@@ -125,6 +127,12 @@ def held_out(rows: np.ndarray) -> np.ndarray:
     return p
 
 
+def shipped(rows: np.ndarray) -> np.ndarray:
+    """What the confidence of the package says of every candidate."""
+    found = [Hypothesis(np.eye(4), int(n), float(overlap)) for n, overlap in rows[:, :2]]
+    return np.array([confidence(hypothesis) for hypothesis in found])
+
+
 def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
     """Reliability in bins of confidence, and the gap between right and wrong."""
     right = rows[:, 2] > 0
@@ -135,10 +143,9 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         if chosen.any():
             high = min(high, 1.0)
             print(f"| {low:.2f} to {high:.2f} | {chosen.sum()} | {right[chosen].mean():.3f} |")
-    brier = float(((p - right) ** 2).mean())
-    print(
-        f"Brier score {brier:.4f}; confident (over 0.5) and wrong: {int((p[~right] > 0.5).sum())}"
-    )
+    for name, q in (("model of the other worlds", p), ("model of the package", shipped(rows))):
+        brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
+        print(f"{name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely}")
     for name, part in (("right", rows[right]), ("wrong", rows[~right])):
         for column, label in ((0, "inliers"), (1, "overlap")):
             q = np.percentile(part[:, column], [0, 1, 50, 99, 100])
