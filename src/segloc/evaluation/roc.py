@@ -13,6 +13,8 @@ from .transfer import TITLES, Plan, Transfer
 from .workspace import Workspace
 
 NAME = "roc"
+Curves = dict[str, dict[str, Roc]]
+
 _STRICT = 0.01
 _JUDGED = ("dsm", "esm", "profile")
 
@@ -39,22 +41,24 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     transfer = Transfer(workspace, plan)
     domains = transfer.domains.names
     transfer.prepare(domains)
-    curves: dict[str, dict[str, Roc]] = {domain: {} for domain in domains}
+    curves: Curves = {domain: {} for domain in domains}
+    cells = [(domain, method) for domain in domains for method in transfer.methods]
     with workspace.progress("Scoring pairs") as update:
-        for done, (domain, method) in enumerate(cells := _cells(transfer, domains)):
+        for done, (domain, method) in enumerate(cells):
             update(done, len(cells))
             curve = transfer.curve(method, domain, domain)
             if curve is not None:
                 curves[domain][method] = curve
-    tables = (_areas(transfer, curves), _judges(transfer, curves), _published())
+    tables = (
+        _areas(transfer, curves),
+        _published(),
+        _details(curves),
+        _judges(transfer, curves),
+    )
     figures = tuple(_figure(domain, found) for domain, found in curves.items())
     facts = workspace.facts(time.monotonic() - start, transfer.fingerprints)
     facts["steps"] = dict(transfer.plan.effort.steps)
     return Study(NAME, "Telling objects apart", tables, figures, facts, _TEXT)
-
-
-def _cells(transfer: Transfer, domains: tuple[str, ...]) -> list[tuple[str, str]]:
-    return [(domain, method) for domain in domains for method in transfer.methods]
 
 
 def _figure(domain: str, curves: dict[str, Roc]) -> Figure:
@@ -67,52 +71,57 @@ def _figure(domain: str, curves: dict[str, Roc]) -> Figure:
     )
 
 
-def _areas(transfer: Transfer, curves: dict[str, dict[str, Roc]]) -> Table:
-    columns = ["method"]
-    for domain in curves:
-        columns += [TITLES[domain], "95 %", "at 1 % false"]
-    rows = []
-    for method in transfer.methods:
-        row: list[Cell] = [method]
-        for found in curves.values():
-            row += _described(found[method]) if method in found else [None] * 3
-        rows.append(tuple(row))
-    counts = [f"{TITLES[domain]} {int(transfer.pairs(domain).same.sum())}" for domain in curves]
+def _areas(transfer: Transfer, curves: Curves) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (method, *(_area(found.get(method)) for found in curves.values()))
+        for method in transfer.methods
+    ]
+    counts = [f"{int(transfer.pairs(domain).same.sum())} of {TITLES[domain]}" for domain in curves]
     note = (
-        "Area under the curve, its 95 % interval by bootstrap over places, and the share of the "
-        "matching pairs found where 1 % of the others pass. A pair matches if centroids lie within "
-        "0.5 m, and does not beyond 20 m, as in the paper. Scores: minus the distance of "
-        "descriptors; the probability of the forest (SegMatch, NSM) or of FC4 (-fq). "
-        f"Matching pairs, and as many others: {', '.join(counts)}."
+        "A pair matches if its centroids lie within 0.5 m, and does not beyond 20 m, as in the "
+        "paper. Scores: minus the distance of descriptors; the probability of the forest "
+        "(SegMatch, NSM) or of FC4 (-fq). Matching pairs, and as many others: "
+        + ", ".join(counts)
+        + "."
     )
-    return Table("roc_areas", "Areas under the curves", tuple(columns), tuple(rows), note)
+    columns = ("method", *(TITLES[domain] for domain in curves))
+    return Table("roc", "Area under the curve", columns, tuple(rows), note)
 
 
-def _described(curve: Roc) -> list[Cell]:
-    area = curve.area
-    strict = float(np.interp(_STRICT, curve.false_positive, curve.true_positive))
-    return [round(area.value, 4), f"{area.low:.3f} to {area.high:.3f}", round(strict, 3)]
+def _area(curve: Roc | None) -> Cell:
+    return None if curve is None else round(curve.area.value, 4)
 
 
-def _judges(transfer: Transfer, curves: dict[str, dict[str, Roc]]) -> Table:
+def _details(curves: Curves) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for domain, found in curves.items():
+        for method, curve in found.items():
+            strict = float(np.interp(_STRICT, curve.false_positive, curve.true_positive))
+            interval = f"{curve.area.low:.3f} to {curve.area.high:.3f}"
+            rows.append((TITLES[domain], method, _area(curve), interval, round(strict, 3)))
+    columns = ("set", "method", "area", "95 %", "found at 1 % false")
+    note = (
+        "Intervals by bootstrap over places. Found: share of the matching pairs above the "
+        "threshold that 1 % of the others pass."
+    )
+    return Table("roc_details", "The curves in figures", columns, tuple(rows), note)
+
+
+def _judges(transfer: Transfer, curves: Curves) -> Table:
     """Distance against what was learned to judge it."""
     rows: list[tuple[Cell, ...]] = []
-    for method in (m for m in _JUDGED if m in transfer.methods):
-        row: list[Cell] = [method]
-        for domain, found in curves.items():
+    for domain, found in curves.items():
+        for method in (m for m in _JUDGED if m in transfer.methods):
             trust = transfer.trust(method, domain, domain)
             each = (found.get(method), found.get(f"{method}-fq"), trust)
-            row += [None if curve is None else round(curve.area.value, 4) for curve in each]
-        rows.append(tuple(row))
-    columns = ["method"]
-    for domain in curves:
-        columns += [f"{TITLES[domain]}: distance", "FC4", "distance and quality"]
+            rows.append((TITLES[domain], method, *map(_area, each)))
+    columns = ("set", "method", "distance", "FC4", "distance and quality")
     note = (
-        "FC4 judges a pair; it is what the paper calls feature quality. The quality that "
-        "localization orders its matches by judges a single segment: whether the nearest one in a "
-        "map will be of the same object. Of pairs that are given it says little."
+        "Areas by what judges a pair. FC4 is what the paper calls feature quality. The quality "
+        "that localization orders its matches by judges a single segment: whether the nearest one "
+        "in a map will be of the same object. Of pairs that are given it says little."
     )
-    return Table("roc_judges", "Areas by what judges a pair", tuple(columns), tuple(rows), note)
+    return Table("roc_judges", "What judges a pair", columns, tuple(rows), note)
 
 
 def _published() -> Table:
