@@ -85,13 +85,9 @@ def evaluate(
         raise ConfigError(f"the study must be one of {', '.join(names)}, not {study!r}")
     check_every(every)
     check_folder(out)
-    pair = None
-    if mapped is not None:
-        if query is None:
-            raise ConfigError("give two recordings, one to map and one to localize in it")
-        if study != "localization":
-            raise ConfigError(f"only localization takes recordings of your own, not {study}")
-        pair = _pair(mapped, query, map_poses, poses, truth, map_select, select, every)
+    files = (map_poses, poses, truth, map_select, select)
+    pair = None if mapped is None else _pair(study, mapped, query, *files, every)
+    chosen = None if methods is None else tuple(name.strip() for name in methods.split(","))
     workspace = Workspace(
         out,
         suite,
@@ -101,7 +97,7 @@ def evaluate(
         seed,
         threads,
         workers,
-        None if methods is None else tuple(name.strip() for name in methods.split(",")),
+        chosen,
         progress,
         note,
         _command(),
@@ -111,12 +107,7 @@ def evaluate(
         _run_all(workspace)
     elif study != "report":
         _show(studies.run(study, workspace))
-    try:
-        _report(out)
-    except MissingDependency as error:
-        if study == "report":
-            raise
-        note(f"no report.html: {error}")
+    _report(out, asked=study == "report")
 
 
 def _run_all(workspace: Workspace) -> None:
@@ -132,21 +123,30 @@ def _run_all(workspace: Workspace) -> None:
             note(f"{name} is left out: {error}")
 
 
-def _report(out: Path) -> None:
+def _report(out: Path, asked: bool) -> None:
+    """Draw what is stored; where nobody asked for it, a missing package is but a remark."""
     from ..evaluation.report import write
     from ..evaluation.studies import STORED
     from ..evaluation.study import stored
+    from .console import note
 
     found = list(stored(out, STORED))
     if not found:
         raise SeglocError(f"{out}: holds no study; run one first")
-    write(out, found)
+    try:
+        write(out, found)
+    except MissingDependency as error:
+        if asked:
+            raise
+        note(f"no report.html: {error}")
+        return
     print(f"{out / 'report.html'} shows {', '.join(study.name for study in found)}")
 
 
 def _pair(
+    study: str,
     mapped: Path,
-    query: Path,
+    query: Path | None,
     map_poses: Path,
     poses: Path | None,
     truth: Path | None,
@@ -156,6 +156,10 @@ def _pair(
 ) -> Pair:
     from ..evaluation.workspace import Pair
 
+    if query is None:
+        raise ConfigError("give two recordings, one to map and one to localize in it")
+    if study != "localization":
+        raise ConfigError(f"only localization takes recordings of your own, not {study}")
     for folder in (mapped, query):
         if not folder.is_dir():
             raise DatasetError(f"{folder}: no such folder")
