@@ -8,7 +8,21 @@ from typing import Annotated
 import typer
 
 from ..errors import SeglocError
-from . import bench, config, demo, evaluate, localize, map_build, map_info, map_merge, simulate
+from . import (
+    align,
+    bench,
+    config,
+    demo,
+    evaluate,
+    info,
+    localize,
+    map_build,
+    map_info,
+    map_merge,
+    map_update,
+    odometry,
+    simulate,
+)
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -21,11 +35,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings=_CONTEXT,
 )
-maps = typer.Typer(help="Build, inspect and merge maps.", no_args_is_help=True)
+maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
 app.add_typer(maps, name="map", context_settings=_CONTEXT)
 app.add_typer(train, name="train", context_settings=_CONTEXT)
+app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
+app.command("info")(info.info)
+app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
@@ -33,6 +50,7 @@ app.command("evaluate")(evaluate.evaluate)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)
+maps.command("update")(map_update.update)
 
 
 def _print_version(wanted: bool) -> None:

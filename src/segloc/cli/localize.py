@@ -9,11 +9,14 @@ import typer
 
 from .options import (
     ConfigFile,
+    Deskew,
     Every,
+    Odometry,
     Poses,
     Recording,
     Select,
     Threads,
+    Topic,
     check_every,
     load_config,
 )
@@ -35,26 +38,31 @@ def localize(
     ] = None,
     tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 3.0,
     tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 5.0,
+    topic: Topic = None,
+    deskew: Deskew = True,
+    odometry: Odometry = False,
     config: ConfigFile = None,
     threads: Threads = 0,
 ) -> None:
     """Find the scans of a recording in a map, each by itself and without an initial guess.
 
-    With --poses, a query is a cloud gathered over the way behind it; otherwise one scan.
+    With poses, a query is a cloud gathered over the way behind it; otherwise one scan.
     """
-    from ..datasets import open_sequence
     from ..evaluation.localization import Evaluation, Tolerance, localize_sequence
     from ..localizer import Localizer
     from ..map import SegmentMap
     from .console import progress
+    from .recording import open_recording
     from .results import check_folder, write_results
 
     check_every(every)
     check_folder(out)
     prior = SegmentMap.load(site)
     localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
-    recording = open_sequence(sequence, poses, select)
-    truths = None if truth is None else open_sequence(sequence, truth, select).poses
+    recording = open_recording(
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
+    )
+    truths = None if truth is None else _truths(recording, sequence, truth, topic)
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
     with progress("Localizing") as update:
@@ -68,6 +76,22 @@ def localize(
     )
     write_results(out, prior, evaluation, f"{recording.name} in {site.stem}")
     show(evaluation.summary(), f"{recording.name} in {site.name}")
+
+
+def _truths(recording: Sequence, path: Path, truth: Path, topic: str | None) -> Float64:
+    """The true poses of the recording's scans, which may have others than its own."""
+    import numpy as np
+
+    from ..datasets import open_sequence
+    from ..datasets.base import Selection
+    from ..errors import DatasetError
+
+    same = Selection(tuple((int(i), int(i)) for i in recording.indices))
+    known = open_sequence(path, truth, same, topic=topic)
+    if known.poses is None or not np.array_equal(known.indices, recording.indices):
+        missing = np.setdiff1d(recording.indices, known.indices)
+        raise DatasetError(f"{truth}: no pose for scan {missing[0] if len(missing) else 0}")
+    return known.poses
 
 
 def _positions(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -12,12 +12,23 @@ from ..errors import ConfigError
 if TYPE_CHECKING:
     from ..config import Config
 
+Value = TypeVar("Value")
+
 Recording = Annotated[
-    Path, typer.Argument(metavar="SEQUENCE", help="A folder of scans, numbered by their names.")
+    Path, typer.Argument(metavar="SEQUENCE", help="A dataset's sequence, a bag, a folder of scans.")
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option(help="Poses of the scans (TUM or KITTI), by which they are accumulated."),
+    typer.Option(help="TUM or KITTI; by default the recording's own, `none` for none."),
+]
+Topic = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Which of several topics, sensors or scenes.")
+]
+Deskew = Annotated[
+    bool, typer.Option(help="Undo the motion during a scan, where points have times.")
+]
+Odometry = Annotated[
+    bool, typer.Option("--odometry", help="Poses from the scans alone (`segloc odometry`).")
 ]
 Select = Annotated[
     str | None, typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.")
@@ -43,3 +54,18 @@ def load_config(path: Path | None, method: str | None, threads: int) -> Config:
 def check_every(every: float | None) -> None:
     if every is not None and not 0 < every < float("inf"):
         raise ConfigError(f"--every must be a positive number of metres, not {every}")
+
+
+def each(values: list[Value] | None, count: int, option: str) -> list[Value] | list[None]:
+    """One value for each of ``count`` sequences, from none, one, or as many.
+
+    Raises
+    ------
+    ConfigError
+        If there are any other number.
+    """
+    if not values:
+        return [None] * count
+    if len(values) not in (1, count):
+        raise ConfigError(f"{option} is given {len(values)} times for {count} sequences")
+    return values if len(values) == count else values * count

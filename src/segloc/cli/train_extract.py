@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .console import say
-from .options import ConfigFile
+from .options import ConfigFile, each
 
 if TYPE_CHECKING:
     from ..training.extract import ExtractConfig
@@ -35,6 +35,9 @@ def extract(
     select: Annotated[
         list[str] | None,
         typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
+    ] = None,
+    topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which of several topics or sensors.")
     ] = None,
     place: Annotated[str, typer.Option(help="A name for the place.")] = "place",
     sensor: Annotated[str, typer.Option(help="A name for the sensor.")] = "unknown",
@@ -85,7 +88,7 @@ def extract(
             config,
         )
     else:
-        named = _Recordings(sequences or [], poses or [], select or [], place, sensor)
+        named = _Recordings(sequences or [], poses or [], select or [], topic, place, sensor)
         done = named.collect(out, settings, register, config)
     if not done:
         note("nothing was extracted")
@@ -111,7 +114,13 @@ class _Recordings:
     """The recordings that a command line names."""
 
     def __init__(
-        self, sequences: list[Path], poses: list[Path], select: list[str], place: str, sensor: str
+        self,
+        sequences: list[Path],
+        poses: list[Path],
+        select: list[str],
+        topic: str | None,
+        place: str,
+        sensor: str,
     ) -> None:
         from ..errors import ConfigError
 
@@ -121,12 +130,12 @@ class _Recordings:
         self.rows = list(
             zip(
                 sequences,
-                _each(poses, count, "--poses"),
-                _each(select, count, "--select"),
+                each(poses, count, "--poses"),
+                each(select, count, "--select"),
                 strict=True,
             )
         )
-        self.place, self.sensor = place, sensor
+        self.topic, self.place, self.sensor = topic, place, sensor
 
     def collect(
         self, out: Path, settings: ExtractConfig, register: bool, config: Path | None
@@ -139,7 +148,7 @@ class _Recordings:
         items = [
             Posed(
                 Session(self.place, f"{k:02d}-{path.resolve().name}", self.sensor),
-                open_sequence(path, poses, select),
+                open_sequence(path, poses, select, topic=self.topic),
             )
             for k, (path, poses, select) in enumerate(self.rows)
         ]
@@ -147,14 +156,6 @@ class _Recordings:
         return collect_recordings(
             out, items, settings, segmentation, register=register, progress=say
         )
-
-
-def _each(values: list, count: int, option: str) -> list:  # type: ignore[type-arg]
-    from ..errors import ConfigError
-
-    if len(values) not in (0, 1, count):
-        raise ConfigError(f"{option} is given {len(values)} times for {count} sequences")
-    return list(values) if len(values) == count else (values or [None]) * count
 
 
 def _show(counts: LabelCounts, title: str) -> None:
