@@ -18,6 +18,7 @@ SEGMENT_DTYPES: dict[str, Any] = {
     "sizes": np.int32,
     "session": np.int32,
     "stamps": np.float64,
+    "missed": np.int32,
 }
 
 

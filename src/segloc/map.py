@@ -59,6 +59,7 @@ class SegmentMap:
         self._columns = {
             name: [array] for name, array in segments.items() if name != "quality" or len(array)
         }
+        self._columns.setdefault("missed", [np.zeros(len(segments["session"]), np.int32)])
         self._trajectory = [trajectory]
 
     @classmethod
@@ -122,6 +123,11 @@ class SegmentMap:
     def stamps(self) -> Float64:
         """Stamp of the view that each segment comes from, (P,) float64."""
         return self._column("stamps")
+
+    @property
+    def missed(self) -> Int32:
+        """How many sessions in a row looked where each segment was and saw nothing, (P,) int32."""
+        return self._column("missed")
 
     @property
     def cloud(self) -> Float32:
@@ -207,6 +213,7 @@ class SegmentMap:
             "sizes": sizes,
             "session": np.full(count, session),
             "stamps": np.full(count, stamp, dtype=np.float64),
+            "missed": np.zeros(count, np.int32),
         }
         columns = {
             name: checked(value, name, row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
@@ -282,14 +289,35 @@ class SegmentMap:
 
         near = inside(self.centroids[:, :2])
         near_points = inside(self.cloud[:, :2] + self.origin[:2])
-        return SegmentMap(
-            self.descriptor,
-            self.fingerprint,
-            {name: array[near] for name, array in self._segments().items()},
-            VoxelCloud(self.cloud[near_points], self.origin, self.cloud_voxel),
-            self.trajectory[inside(self.trajectory[:, :2, 3])],
-            self.metadata,
-        )
+        way = self.trajectory[inside(self.trajectory[:, :2, 3])]
+        return self._part(self._segments(), near, near_points, way)
+
+    def kept(
+        self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
+    ) -> SegmentMap:
+        """A new map of some of the segments and points, along the same way.
+
+        Parameters
+        ----------
+        rows : (P,) bool
+            The segments to keep.
+        points : (N,) bool
+            The points of the cloud to keep.
+        missed : (P,) int, optional
+            What takes the place of the column of that name.
+
+        Raises
+        ------
+        SeglocError
+            If a shape does not fit.
+        """
+        segments = self._segments()
+        if missed is not None:
+            segments["missed"] = checked(missed, "missed", (len(self),), np.int32)
+        masks = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
+        if masks[0].shape != (len(self),) or masks[1].shape != (len(self.cloud),):
+            raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not fit")
+        return self._part(segments, *masks, self.trajectory)
 
     # --- on disk -------------------------------------------------------------------------------
 
@@ -343,7 +371,23 @@ class SegmentMap:
     def _segments(self) -> dict[str, Array]:
         return {name: self._column(name) for name in self._columns}
 
+    def _part(
+        self, segments: dict[str, Array], rows: Array, points: Array, trajectory: Float64
+    ) -> SegmentMap:
+        return SegmentMap(
+            self.descriptor,
+            self.fingerprint,
+            {name: array[rows] for name, array in segments.items()},
+            VoxelCloud(self.cloud[points], self.origin, self.cloud_voxel),
+            trajectory,
+            self.metadata,
+        )
+
     def _arrays(self) -> dict[str, Array]:
         arrays = self._segments()
+        if not arrays[
+            "missed"
+        ].any():  # nothing to tell: files are as they were before there was it
+            del arrays["missed"]
         arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
         return arrays

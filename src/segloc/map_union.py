@@ -21,16 +21,20 @@ _SEPARATOR = "\n---\n"
 def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) -> dict[str, Array]:
     """All rows of ``mine``, then those of ``theirs`` that are new to the last bit.
 
-    Sessions do not count in the comparison: they are renumbered. See `SegmentMap.merge`.
+    Sessions do not count in the comparison: they are renumbered. See `SegmentMap.merge`. Nor does
+    ``missed``: of a segment in both the larger is kept.
     """
     if not len(theirs["session"]):
         return dict(mine)
     if not len(mine["session"]):
         return dict(theirs)
-    names = sorted(mine.keys() - {"session"})
+    names = sorted(mine.keys() - {"session", "missed"})
     my_row, their_row = (_rows([part[name] for name in names]) for part in (mine, theirs))
     twin = _twins(my_row, their_row)
     theirs = {**theirs, "session": _renumbered(mine["session"], theirs["session"], twin)}
+    missed = mine["missed"].copy()
+    np.maximum.at(missed, twin[twin >= 0], theirs["missed"][twin >= 0])
+    mine = {**mine, "missed": missed}
     return {name: np.concatenate([mine[name], theirs[name][twin < 0]]) for name in mine}
 
 

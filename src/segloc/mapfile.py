@@ -37,8 +37,9 @@ SCHEMA: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "cloud": ("F32", ("N", 3)),
     "sizes": ("I32", ("P",)),
     "session": ("I32", ("P",)),
+    "missed": ("I32", ("P",)),
 }
-OPTIONAL = frozenset({"quality"})
+OPTIONAL = frozenset({"quality", "missed"})
 REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
 
 _DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4"}

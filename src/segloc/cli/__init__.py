@@ -9,14 +9,17 @@ import typer
 
 from ..errors import SeglocError
 from . import (
+    align,
     bench,
     config,
     demo,
+    evaluate,
     info,
     localize,
     map_build,
     map_info,
     map_merge,
+    map_update,
     odometry,
     simulate,
 )
@@ -32,9 +35,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings=_CONTEXT,
 )
-maps = typer.Typer(help="Build, inspect and merge maps.", no_args_is_help=True)
+maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
 app.add_typer(maps, name="map", context_settings=_CONTEXT)
 app.add_typer(train, name="train", context_settings=_CONTEXT)
+app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("info")(info.info)
@@ -42,9 +46,11 @@ app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
+app.command("evaluate")(evaluate.evaluate)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)
+maps.command("update")(map_update.update)
 
 
 def _print_version(wanted: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -11,6 +11,8 @@ from ..errors import ConfigError
 
 if TYPE_CHECKING:
     from ..config import Config
+
+Value = TypeVar("Value")
 
 Recording = Annotated[
     Path, typer.Argument(metavar="SEQUENCE", help="A dataset's sequence, a bag, a folder of scans.")
@@ -52,3 +54,18 @@ def load_config(path: Path | None, method: str | None, threads: int) -> Config:
 def check_every(every: float | None) -> None:
     if every is not None and not 0 < every < float("inf"):
         raise ConfigError(f"--every must be a positive number of metres, not {every}")
+
+
+def each(values: list[Value] | None, count: int, option: str) -> list[Value] | list[None]:
+    """One value for each of ``count`` sequences, from none, one, or as many.
+
+    Raises
+    ------
+    ConfigError
+        If there are any other number.
+    """
+    if not values:
+        return [None] * count
+    if len(values) not in (1, count):
+        raise ConfigError(f"{option} is given {len(values)} times for {count} sequences")
+    return values if len(values) == count else values * count

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .console import say
-from .options import ConfigFile
+from .options import ConfigFile, each
 
 if TYPE_CHECKING:
     from ..training.extract import ExtractConfig
@@ -130,8 +130,8 @@ class _Recordings:
         self.rows = list(
             zip(
                 sequences,
-                _each(poses, count, "--poses"),
-                _each(select, count, "--select"),
+                each(poses, count, "--poses"),
+                each(select, count, "--select"),
                 strict=True,
             )
         )
@@ -156,14 +156,6 @@ class _Recordings:
         return collect_recordings(
             out, items, settings, segmentation, register=register, progress=say
         )
-
-
-def _each(values: list, count: int, option: str) -> list:  # type: ignore[type-arg]
-    from ..errors import ConfigError
-
-    if len(values) not in (0, 1, count):
-        raise ConfigError(f"{option} is given {len(values)} times for {count} sequences")
-    return list(values) if len(values) == count else (values or [None]) * count
 
 
 def _show(counts: LabelCounts, title: str) -> None:

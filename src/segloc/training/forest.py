@@ -144,24 +144,18 @@ def training_pairs(
 def _candidates(
     vectors: Float32, dataset: SegmentDataset, config: ForestConfig, rng: np.random.Generator
 ) -> tuple[Int64, Int64, NDArray[np.bool_]]:
-    """What matching proposes where one session is the map and the others ask.
+    """What matching proposes where one session is the map and the others of its world ask.
 
     Worlds are taken together until there are ``config.map_segments`` in a map. Pairs that may or
     may not show one object are left out.
     """
     found = [(np.empty(0, np.int64), np.empty(0, np.int64))]
-    sessions = np.unique(dataset.sessions)
-    _, world, sizes = np.unique(dataset.places, return_inverse=True, return_counts=True)
-    share = np.cumsum(sizes) // (config.map_segments * len(sessions))
-    maps = [
-        (share[world] == group, dataset.sessions == session)
-        for group in np.unique(share)
-        for session in sessions
-    ]
+    group, turn = _shared_maps(dataset, config.map_segments)
+    maps = [(group == g, turn == t) for g in np.unique(group) for t in np.unique(turn[group == g])]
     limit = config.queries // max(1, len(maps)) + 1
     for inside, there in maps:
         site = np.flatnonzero(inside & there)
-        asking = inside & ~there if len(sessions) > 1 else inside
+        asking = inside & ~there if turn.any() else inside
         queries = rng.permutation(np.flatnonzero(asking))[:limit]
         if len(site) == 0 or len(queries) == 0:
             continue
@@ -171,6 +165,24 @@ def _candidates(
     same = dataset.labels[rows] == dataset.labels[columns]
     known = (same | dataset.different(rows, columns, config.different_m)) & (rows != columns)
     return rows[known], columns[known], same[known]
+
+
+def _shared_maps(dataset: SegmentDataset, least: int) -> tuple[Int64, Int64]:
+    """Of every segment, the group of its world, and which of the world's sessions saw it.
+
+    The first sessions of a group's worlds have ``least`` segments together, where there are so
+    many.
+    """
+    group, turn = np.zeros((2, len(dataset)), np.int64)
+    number = gathered = 0
+    for world in np.unique(dataset.places):
+        own = np.flatnonzero(dataset.places == world)
+        _, turn[own] = np.unique(dataset.sessions[own], return_inverse=True)
+        group[own] = number
+        gathered += int((turn[own] == 0).sum())
+        if gathered >= least:
+            number, gathered = number + 1, 0
+    return group, turn
 
 
 def _classifier(config: ForestConfig) -> Any:

@@ -1,0 +1,153 @@
+"""What an alignment leaves behind: its loops as a table, its numbers, and a picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from typing import Any
+
+import numpy as np
+
+from ..errors import MissingDependency
+from ..types import Float64
+from .align import Alignment
+from .loops import Loop
+
+_COLUMNS = [
+    "target_session",
+    "target_scan",
+    "source_session",
+    "source_scan",
+    "kind",
+    "inliers",
+    "shared",
+    "accepted",
+    "reason",
+    "before_m",
+    "before_deg",
+    "after_m",
+    "after_deg",
+    "weight",
+]
+_COLOURS = ("#1769aa", "#e5243b", "#12a150", "#8e44ad", "#d98200", "#00838f")
+_GREY = "#b8bfca"
+
+
+def loops_csv(alignment: Alignment) -> str:
+    """One line a loop: which scans, what found it, residuals before and after, why rejected."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    rows = zip(alignment.loops, alignment.loop_sessions, alignment.loop_scans, strict=True)
+    for loop, sessions, scans in rows:
+        ends = [sessions[0], scans[0], sessions[1], scans[1]]
+        said = [loop.kind, loop.inliers, f"{loop.shared:.3f}", int(loop.accepted), loop.reason]
+        writer.writerow([*ends, *said, *_lengths(loop), f"{loop.weight:.3f}"])
+    return text.getvalue()
+
+
+def _lengths(loop: Loop) -> list[str]:
+    """Residuals before and after, in metres and degrees; empty where there is no common frame."""
+    sizes = [() if r is None else _size(r) for r in (loop.before, loop.after)]
+    return [f"{value:.3f}" for size in sizes for value in size] or [""] * 4
+
+
+def _size(residual: Float64) -> tuple[float, float]:
+    """Metres and degrees."""
+    turn, shift = residual[:3], residual[3:]
+    return float(np.linalg.norm(shift)), math.degrees(float(np.linalg.norm(turn)))
+
+
+def summary(alignment: Alignment) -> dict[str, Any]:
+    """Counts and residuals in values that JSON can hold."""
+    accepted = [loop for loop in alignment.loops if loop.accepted]
+    across = alignment.loop_sessions[:, 0] != alignment.loop_sessions[:, 1]
+    believed = np.array([loop.accepted for loop in alignment.loops], dtype=bool)
+    return {
+        "sessions": [
+            {"name": name, "scans": len(poses), "file": f"session_{k}.tum", "component": c}
+            for k, (name, poses) in enumerate(zip(alignment.names, alignment.poses, strict=True))
+            for c, members in enumerate(alignment.components)
+            if k in members
+        ],
+        "components": alignment.components,
+        "loops": {
+            "accepted": int(believed.sum()),
+            "accepted_across_sessions": int((believed & across).sum()),
+            "rejected": int((~believed).sum()),
+            "found": sum(loop.kind == "found" for loop in accepted),
+            "dense": sum(loop.kind == "dense" for loop in accepted),
+        },
+        "residual_before": _spread([loop.before for loop in accepted]),
+        "residual_after": _spread([loop.after for loop in accepted]),
+    }
+
+
+def _spread(residuals: list[Float64 | None]) -> dict[str, float | None]:
+    """Median and 95 % of their sizes."""
+    names = ("median_m", "p95_m", "median_deg", "p95_deg")
+    sizes = [_size(residual) for residual in residuals if residual is not None]
+    if not sizes:
+        return dict.fromkeys(names)
+    metres, degrees = np.array(sizes).T
+    values = [np.percentile(part, share) for part in (metres, degrees) for share in (50, 95)]
+    return {name: round(float(value), 4) for name, value in zip(names, values, strict=True)}
+
+
+def picture(alignment: Alignment) -> bytes:
+    """Every component from above, as odometry had it and as it is now, with its loops.
+
+    Returns
+    -------
+    bytes
+        A PNG image.
+
+    Raises
+    ------
+    MissingDependency
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependency("matplotlib", "report", "drawing") from error
+    rows = len(alignment.components)
+    figure = Figure(figsize=(12, 5.5 * rows), dpi=110, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 2, squeeze=False)
+    for row, members in zip(axes, alignment.components, strict=True):
+        for side, title, poses in zip(
+            row, ("odometry", "aligned"), (_moved(alignment, members), alignment.poses), strict=True
+        ):
+            _draw(side, alignment, members, poses)
+            side.set_title(title, loc="left")
+    image = io.BytesIO()
+    figure.savefig(image, format="png", metadata={"Software": None})
+    return image.getvalue()
+
+
+def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
+    """Odometry, each session moved to where its first pose is now."""
+    moved = list(alignment.odometry)
+    for k in members:
+        odometry = alignment.odometry[k]
+        moved[k] = alignment.poses[k][0] @ np.linalg.inv(odometry[0]) @ odometry
+    return moved
+
+
+def _draw(axes: Any, alignment: Alignment, members: list[int], poses: list[Float64]) -> None:
+    where = [dict(zip(map(int, i), p[:, :2, 3], strict=True))
+             for i, p in zip(alignment.indices, poses, strict=True)]  # fmt: skip
+    rows = zip(alignment.loops, alignment.loop_sessions, alignment.loop_scans, strict=True)
+    for loop, sessions, scans in rows:
+        if loop.accepted and sessions[0] in members:
+            ends = [where[s][int(i)] for s, i in zip(sessions, scans, strict=True)]
+            axes.plot(*np.array(ends).T, color=_GREY, lw=0.6, zorder=1)
+    for k in members:
+        label = f"{k}: {alignment.names[k]}"
+        axes.plot(*poses[k][:, :2, 3].T, color=_COLOURS[k % len(_COLOURS)], lw=1.4, label=label)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(fontsize=8, frameon=False)
+    axes.tick_params(labelsize=8)

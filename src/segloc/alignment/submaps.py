@@ -1,0 +1,217 @@
+"""A session as a chain of submaps: what was seen around points a few metres apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from .. import _native, geometry
+from ..config import Config
+from ..datasets import Recording
+from ..descriptors import create
+from ..errors import DatasetError
+from ..local_cloud import Accumulator, window
+from ..map import SegmentMap
+from ..segmentation import Segmentation, Segmenter
+from ..types import Descriptors, Float32, Float64, Int64, Pose, Segments
+from .config import AlignConfig
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Submap:
+    """What was seen around one scan of a session.
+
+    Attributes
+    ----------
+    T_odom_local : (4, 4) float64
+        The levelled pose of the scan.
+    scene : Segmentation
+        Of the cloud that a query spans, without the points of its segments.
+    descriptors : Descriptors
+        Of its segments.
+    structure, surface : (N, 3) float32
+        Of the shorter cloud that submaps are aligned by: points above ground; all points.
+    """
+
+    T_odom_local: Pose
+    scene: Segmentation
+    descriptors: Descriptors
+    structure: Float32
+    surface: Float32
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of a session that has hardly drifted, as a map in the session's own frame.
+
+    Attributes
+    ----------
+    nodes : (K,) int64
+        Its submaps.
+    site : SegmentMap
+    """
+
+    nodes: Int64
+    site: SegmentMap
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording, described.
+
+    Attributes
+    ----------
+    name : str
+    indices : (N,) int64
+        The numbers of the scans.
+    poses : (N, 4, 4) float64
+        T_odom_sensor, as recorded.
+    way : (N,) float64
+        Metres travelled up to each scan.
+    anchors : (S,) int64
+        Positions of the scans that submaps stand at.
+    submaps : list of S Submap
+    parts : list of Part
+    """
+
+    name: str
+    indices: Int64
+    poses: Float64
+    way: Float64
+    anchors: Int64
+    submaps: list[Submap]
+    parts: list[Part]
+
+    @property
+    def node_poses(self) -> Float64:
+        """T_odom_local of the submaps, (S, 4, 4)."""
+        return np.stack([submap.T_odom_local for submap in self.submaps])
+
+    @property
+    def node_way(self) -> Float64:
+        """Metres travelled up to each submap, (S,)."""
+        return self.way[self.anchors]
+
+
+def describe_session(
+    recording: Recording,
+    config: Config,
+    settings: AlignConfig,
+    progress: Progress | None = None,
+) -> Session:
+    """Cut a recording into submaps and these into described segments.
+
+    Raises
+    ------
+    DatasetError
+        If it has no poses, or nothing in it could be segmented.
+    """
+    poses = recording.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{recording.name}: aligning needs odometry: a pose for every scan")
+    way = geometry.travelled(poses)
+    marks = np.arange(0.0, way[-1] + 1e-9, settings.every_m)
+    anchors = np.unique(np.searchsorted(way, marks - 1e-9)).astype(np.int64)
+    parts = _Parts(config, settings, poses[0, :3, 3])
+    reader = _Reader(recording, poses, config)
+    submaps = []
+    for k, anchor in enumerate(map(int, anchors)):
+        submaps.append(_submap(reader, anchor, settings, parts.of(k, float(way[anchor]))))
+        if progress:
+            progress(k + 1, len(anchors))
+    found = parts.finished()
+    if not any(len(part.site) for part in found):
+        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
+    return Session(recording.name, recording.indices, poses, way, anchors, submaps, found)
+
+
+class _Reader:
+    """Gathers, segments and describes; neighbouring clouds share scans, each read once."""
+
+    def __init__(self, recording: Recording, poses: Float64, config: Config) -> None:
+        self.config, self.poses = config, poses
+        length = config.local_cloud.window_m
+        some = [len(self.window(i, length)) for i in range(0, len(poses), 10)]
+        self.read = lru_cache(maxsize=2 * max(some))(recording.scan)
+        self.accumulator = Accumulator(config.local_cloud)
+        self.segmenter = Segmenter(config.segmentation)
+        self.descriptor = create(config.method, config.threads)
+
+    def window(self, anchor: int, length_m: float) -> range:
+        gap = self.config.local_cloud.max_gap_m
+        return window(self.poses, anchor, length_m, centred=True, max_gap_m=gap)
+
+    def view(self, anchor: int, length_m: float) -> tuple[Segmentation, Descriptors]:
+        scans = self.window(anchor, length_m)
+        cloud = self.accumulator.gather([self.read(i) for i in scans], anchor - scans.start)
+        scene = self.segmenter.segment(cloud)
+        return scene, self.descriptor.describe(scene.segments)
+
+
+def _submap(reader: _Reader, anchor: int, settings: AlignConfig, site: SegmentMap) -> Submap:
+    T_odom_local = geometry.levelled(reader.poses[anchor])
+    scene, descriptors = reader.view(anchor, reader.config.local_cloud.window_m)
+    short, short_descriptors = reader.view(anchor, settings.submap_m)
+    for seen, described in ((scene, descriptors), (short, short_descriptors)):
+        site.add(
+            described,
+            geometry.transform(T_odom_local, seen.segments.centroids),
+            seen.segments.sizes,
+            session=0,
+            stamp=float(anchor),
+            cloud=geometry.transform(T_odom_local, seen.surface),
+        )
+    radius = settings.icp_radius
+    lean = Segmentation(
+        _without_points(scene.segments),
+        _within(scene.structure, reader.config.local_cloud.radius_m),
+        scene.ground,
+    )
+    structure = _within(short.structure, radius)
+    return Submap(T_odom_local, lean, descriptors, structure, _within(short.surface, radius))
+
+
+def _without_points(segments: Segments) -> Segments:
+    """Where segments lie is needed for long, their points are not."""
+    offsets = np.zeros_like(segments.offsets)
+    return Segments(np.empty((0, 3), np.float32), offsets, segments.centroids, segments.heights)
+
+
+def _within(points: Float32, radius: float) -> Float32:
+    """Thinned to what registration needs."""
+    near = (points[:, :2] ** 2).sum(axis=1) < radius**2
+    return np.ascontiguousarray(_native.voxel_grid(np.ascontiguousarray(points[near]), 0.3))
+
+
+class _Parts:
+    """The maps of a session's parts while they grow."""
+
+    def __init__(self, config: Config, settings: AlignConfig, origin: Float64) -> None:
+        self._descriptor = create(config.method, config.threads)
+        self._voxel, self._origin = config.mapping.cloud_voxel, origin
+        self._length = settings.part_m
+        self._nodes: dict[int, list[int]] = {}
+        self._sites: dict[int, SegmentMap] = {}
+
+    def of(self, node: int, way: float) -> SegmentMap:
+        """The map that a submap belongs into."""
+        part = int(way // self._length)
+        if part not in self._sites:
+            self._nodes[part] = []
+            self._sites[part] = SegmentMap.empty(
+                self._descriptor.name,
+                self._descriptor.fingerprint,
+                self._descriptor.dim,
+                self._origin,
+                cloud_voxel=self._voxel,
+            )
+        self._nodes[part].append(node)
+        return self._sites[part]
+
+    def finished(self) -> list[Part]:
+        return [Part(np.array(self._nodes[k], np.int64), site) for k, site in self._sites.items()]

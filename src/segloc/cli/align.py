@@ -1,0 +1,139 @@
+"""``segloc align``"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import ConfigFile, Threads, load_config
+
+if TYPE_CHECKING:
+    from ..alignment import Alignment, Reposed
+    from ..config import Config
+
+
+def align(
+    sequences: Annotated[
+        list[Path], typer.Argument(metavar="SEQUENCE...", help="Sessions: recordings of one place.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
+    poses: Annotated[
+        list[Path] | None,
+        typer.Option(help="Odometry (TUM or KITTI): one for all, or one a sequence."),
+    ] = None,
+    select: Annotated[
+        list[str] | None,
+        typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
+    ] = None,
+    method: Annotated[
+        str | None, typer.Option(metavar="NAME", help="How segments are described.")
+    ] = None,
+    every: Annotated[float, typer.Option(help="Metres between submaps.")] = 6.0,
+    min_support: Annotated[
+        int, typer.Option(min=1, help="Other loops that must agree with a loop.")
+    ] = 2,
+    pairs: Annotated[
+        bool, typer.Option("--pairs", help="Also write a dataset to train on, and its pairs.")
+    ] = False,
+    config: ConfigFile = None,
+    threads: Threads = 0,
+) -> None:
+    """Bring sessions with drifting poses, each in its own frame, into one frame.
+
+    Loops within and across sessions are found without an initial guess. Sessions that nothing
+    connects stay apart.
+    """
+    from ..alignment import AlignConfig, Reposed, align_sessions
+    from ..config import validated
+    from ..datasets import open_sequence
+    from .console import progress
+    from .options import each
+    from .results import check_folder
+
+    check_folder(out)
+    settings = validated(AlignConfig, {"every_m": every, "min_support": min_support}, "alignment")
+    chosen = load_config(config, method, threads)
+    count = len(sequences)
+    recordings = [
+        open_sequence(path, file, scans)
+        for path, file, scans in zip(
+            sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
+        )
+    ]
+    alignment = align_sessions(recordings, chosen, settings, progress)
+    aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
+    _write(out, alignment)
+    _write_maps(out, alignment, aligned, chosen)
+    if pairs:
+        _write_pairs(out, alignment, aligned, chosen)
+    _show(alignment, out)
+
+
+def _write(out: Path, alignment: Alignment) -> None:
+    from ..alignment.report import loops_csv, picture, summary
+    from ..errors import MissingDependency
+    from ..files import replacing, write_text
+    from ..io import Trajectory, write_tum
+    from .console import note
+
+    out.mkdir(parents=True, exist_ok=True)
+    for k, (indices, poses) in enumerate(zip(alignment.indices, alignment.poses, strict=True)):
+        write_tum(out / f"session_{k}.tum", Trajectory(indices.astype(float), poses))
+    write_text(out / "loops.csv", loops_csv(alignment))
+    write_text(out / "alignment.json", json.dumps(summary(alignment), indent=2) + "\n")
+    try:
+        image = picture(alignment)
+    except MissingDependency as error:
+        note(f"no before_after.png: {error}")
+        return
+    with replacing(out / "before_after.png") as stream:
+        stream.write(image)
+
+
+def _suffix(component: int) -> str:
+    """The largest component is the site; the others are numbered."""
+    return f"_{component}" if component else ""
+
+
+def _write_maps(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
+    from ..alignment.sitemap import build_site
+    from .console import progress
+
+    for c, members in enumerate(alignment.components):
+        with progress("Building the map") as update:
+            site = build_site([aligned[k] for k in members], config, update)
+        site.save(out / f"site{_suffix(c)}.segmap")
+
+
+def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
+    from ..alignment.pairs import write_dataset, write_pairs
+    from .console import say
+
+    folder = out / "dataset"
+    for c, members in enumerate(alignment.components):
+        recordings = [aligned[k] for k in members]
+        write_dataset(folder, recordings, f"site{_suffix(c)}", config.segmentation, progress=say)
+    write_pairs(out / "pairs.csv", folder, config.seed)
+
+
+def _show(alignment: Alignment, out: Path) -> None:
+    from ..alignment.report import summary
+    from .console import note, number, table
+
+    facts = summary(alignment)
+    loops, before, after = facts["loops"], facts["residual_before"], facts["residual_after"]
+    rows = [
+        ("sessions", str(len(alignment.names))),
+        ("loops accepted", str(loops["accepted"])),
+        ("  across sessions", str(loops["accepted_across_sessions"])),
+        ("loops rejected", str(loops["rejected"])),
+        ("residual before, median", number(before["median_m"], "m")),
+        ("residual after, median", number(after["median_m"], "m")),
+    ]
+    table(str(out), ("", ""), rows)
+    for c, members in enumerate(alignment.components[1:], start=1):
+        names = ", ".join(f"{k} ({alignment.names[k]})" for k in members)
+        note(f"nothing connects session {names} to the others: see site{_suffix(c)}.segmap")

@@ -1,0 +1,59 @@
+"""``segloc map update``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import ConfigFile, MapOut, Recording, Select, Threads, load_config
+
+
+def update(
+    site: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    sequence: Recording,
+    out: MapOut,
+    poses: Annotated[
+        Path, typer.Option(help="Poses of the scans in the map (TUM or KITTI); see `segloc align`.")
+    ],
+    select: Select = None,
+    max_missed: Annotated[
+        int, typer.Option(min=1, help="Sessions in a row that must look through what is removed.")
+    ] = 2,
+    max_views: Annotated[int, typer.Option(min=0, help="Newest views of an object; 0: all.")] = 0,
+    max_segments: Annotated[int, typer.Option(min=0, help="Size of the map; 0: any.")] = 0,
+    config: ConfigFile = None,
+    threads: Threads = 0,
+) -> None:
+    """Add a session to a map, and remove what is no longer there.
+
+    An object that the session's rays passed through is remembered as missed; what was not in view
+    stays.
+    """
+    from ..datasets import open_sequence
+    from ..files import checked_target
+    from ..map import SegmentMap
+    from ..map_update import UpdateConfig, update_map
+    from .console import progress, table
+
+    checked_target(out)
+    prior = SegmentMap.load(site)
+    settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
+    chosen = load_config(config, prior.descriptor, threads)
+    recording = open_sequence(sequence, poses, select)
+    with progress("Looking at the map") as bar:
+        updated, counts = update_map(prior, recording, chosen, settings, bar)
+    updated.save(out)
+    rows = [
+        ("segments before", str(len(prior))),
+        ("  seen again", str(counts.seen)),
+        ("  missed", str(counts.aged)),
+        ("  removed", str(counts.removed)),
+        ("  not in view", str(counts.out_of_view)),
+        ("segments added", str(counts.added)),
+        ("segments dropped for size", str(counts.bounded)),
+        ("segments now", str(len(updated))),
+        ("points of the cloud removed", str(counts.points_removed)),
+    ]
+    table(str(out), ("", ""), rows)
