@@ -185,7 +185,7 @@ class Run:
         return self.count
 
     def raw(self, i: int) -> Scan:
-        return Scan(np.ones((100, 3)))
+        return Scan(np.random.default_rng(0).normal(size=(100, 3)))
 
     def where(self, i: int) -> str:
         return f"scan {i}"
@@ -211,6 +211,15 @@ def test_odometry_that_was_lost_is_an_error(
     recording = Run(len(poses))
     with pytest.raises(DatasetError, match=rf"scan \d: odometry is lost: .*{fault}"):
         lidar_odometry(recording)
+
+
+def test_odometry_needs_three_dimensions() -> None:
+    class Flat(Run):
+        def raw(self, i: int) -> Scan:
+            return Scan(super().raw(i).points * [1.0, 1.0, 0.0])
+
+    with pytest.raises(DatasetError, match="scan 0: odometry needs 3D, not one plane"):
+        lidar_odometry(Flat(3))
 
 
 def test_info_finds_what_is_wrong(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..datasets import Recording, Swathes, open_sequence
+from ..datasets import Recording, Swathes, open_sequence, poses_at
 from ..errors import ConfigError, DatasetError
 from ..local_cloud import LocalCloudConfig
 from ..simulation.suites import SIX, TestSet
@@ -204,7 +204,7 @@ class PairCourse:
         query = open_sequence(pair.query, pair.poses, pair.select)
         truths = None
         if pair.truth is not None:
-            truths = open_sequence(pair.query, pair.truth, pair.select).poses
+            truths = poses_at(query, pair.query, pair.truth)
         positions = np.arange(len(query), dtype=np.int64)
         if pair.every_m is not None:
             way = query.poses if query.poses is not None else truths
