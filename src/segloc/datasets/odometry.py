@@ -78,10 +78,10 @@ def lidar_odometry(
     guard = _Guard()
     for i in range(len(recording)):
         scan = recording.raw(i)
+        if i == 0 and len(scan) and in_one_plane(scan.points):
+            raise DatasetError(f"{recording.where(i)}: odometry needs 3D, not one plane")
         if len(scan) < _FEWEST_POINTS:
             raise DatasetError(f"{recording.where(i)}: only {len(scan)} points: odometry is lost")
-        if i == 0 and in_one_plane(scan.points):
-            raise DatasetError(f"{recording.where(i)}: odometry needs 3D, not one plane")
         times, last = np.empty(0), 0.0
         if clock is not None and scan.times is not None and times_fit(scan):
             times, last = scan.times, float(scan.times.max())
