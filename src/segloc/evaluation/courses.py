@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..datasets import NO_POSES, Recording, Swathes, open_sequence
+from ..datasets import NO_POSES, Recording, Swathes, open_sequence, poses_at
 from ..errors import ConfigError, DatasetError
 from ..local_cloud import LocalCloudConfig
 from ..simulation.suites import SIX, TestSet
@@ -202,7 +202,9 @@ class PairCourse:
         pair = self.pair
         site = open_sequence(pair.map, pair.map_poses, pair.map_select, topic=pair.topic)
         query = open_sequence(pair.query, pair.poses, pair.select, topic=pair.topic)
-        truths = None if pair.truth is None else _truths(pair, query)
+        truths = None
+        if pair.truth is not None:
+            truths = poses_at(query, pair.query, pair.truth, topic=pair.topic)
         way = query.poses if query.poses is not None else truths
         positions = np.arange(len(query), dtype=np.int64)
         if way is not None:
@@ -211,15 +213,6 @@ class PairCourse:
             raise ConfigError(f"{query.name} has no stretch of {pair.every_m:g} m")
         ask = Ask(query, positions, None if truths is None else truths[positions])
         return Opened(site, None, {"query": ask})
-
-
-def _truths(pair: Pair, query: Recording) -> Float64:
-    """The true poses of the queries' scans, which may have others to be accumulated by."""
-    known = open_sequence(pair.query, pair.truth, pair.select, topic=pair.topic)
-    if known.poses is None or not np.array_equal(known.indices, query.indices):
-        missing = np.setdiff1d(query.indices, known.indices)
-        raise DatasetError(f"{pair.truth}: no pose for scan {missing[0] if len(missing) else 0}")
-    return known.poses
 
 
 def _size(path: Path) -> int:
