@@ -9,20 +9,18 @@ timed against PyTorch and ONNX Runtime.
 
 import argparse
 import io
-import tempfile
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from segloc import Config, _native
-from segloc.descriptors import Descriptor, available, create, segmap
-from segloc.errors import WeightsError
+from segloc.descriptors import available, segmap
 from segloc.evaluation.bench.harness import OURS, Row, in_process, interleaved, optional, row
 from segloc.evaluation.bench.report import machine, show
+from segloc.evaluation.random_weights import any_descriptor, voxel_tensors
 from segloc.matching import Matcher
 from segloc.training.shapes import shapes_dataset
 from segloc.types import Segments
@@ -64,7 +62,7 @@ def main() -> None:
 
 def measured(method: str, query: int, size: int, threads: int, repeats: int) -> str:
     """One line of the table."""
-    segments, descriptor = scene(query), described(method, threads)
+    segments, descriptor = scene(query), any_descriptor(method, threads)[0]
     vectors = descriptor.describe(scene(size, seed=1)).vectors
     site = SimpleNamespace(vectors=vectors, quality=None)
     config = Config.preset(method).matching
@@ -88,41 +86,6 @@ def scene(count: int, seed: int = 0) -> Segments:
     """That many segments of 30 to some thousand points."""
     dataset = shapes_dataset(-(-count // VIEWS), VIEWS, seed)
     return dataset.segments(np.arange(count))
-
-
-def described(method: str, threads: int) -> Descriptor:
-    """The method's descriptor; with random weights where there are no others."""
-    try:
-        return create(method, threads)
-    except WeightsError:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "random.safetensors"
-            if method == "segmap":
-                segmap.save_weights(path, voxel_tensors(), {})
-                return segmap.SegMapDescriptor(path, threads)
-            from segloc.descriptors.pointset import ESM_LAYERS, PointSetDescriptor, save_weights
-            from segloc.evaluation.bench.network import random_tensors
-
-            save_weights(path, random_tensors(ESM_LAYERS), ESM_LAYERS, "pca2d", {})
-            return PointSetDescriptor(method, path, threads=threads)
-
-
-def voxel_tensors(seed: int = 0) -> dict[str, np.ndarray]:
-    """Weights of the right shapes and sizes of value."""
-    rng = np.random.default_rng(seed)
-    shapes = {
-        "conv1": (3, 3, 3, 1, 32),
-        "conv2": (3, 3, 3, 32, 64),
-        "conv3": (3, 3, 3, 64, 64),
-        "fc1": (16387, 512),
-        "fc2": (512, 64),
-    }
-    tensors = {}
-    for name, shape in shapes.items():
-        bound = np.sqrt(6 / np.prod(shape[:-1]))
-        tensors[f"{name}.weight"] = rng.uniform(-bound, bound, shape).astype(np.float32)
-        tensors[f"{name}.bias"] = np.full(shape[-1], 0.05, np.float32)
-    return tensors
 
 
 def voxel_network(count: int, threads: int, repeats: int) -> Row:

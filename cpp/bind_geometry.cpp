@@ -60,21 +60,26 @@ void require_matches(const In1<std::int64_t>& match_query, std::size_t queries,
   }
 }
 
-auto pair_consensus_(const In2<double>& query, const In2<double>& map,
-                     const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
-                     double edge_tolerance, double inlier_tolerance, double height_tolerance,
-                     double min_edge, double distinct_radius, double separation,
-                     std::size_t max_pivots, std::size_t max_hypotheses, int threads) {
+auto consensus_(const In2<double>& query, const In2<double>& map,
+                const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                double inlier_tolerance, double height_tolerance, double distinct_radius,
+                double separation, std::size_t max_refined, std::size_t max_hypotheses,
+                int threads) {
   require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
   require_matches(match_query, query.shape(0), match_map, map.shape(0));
   const std::size_t n = match_query.shape(0);
-  const ConsensusOptions options{edge_tolerance,  inlier_tolerance, height_tolerance, min_edge,
-                                 distinct_radius, separation,       max_pivots,       max_hypotheses};
+  ConsensusOptions options;
+  options.inlier_tolerance = inlier_tolerance;
+  options.height_tolerance = height_tolerance;
+  options.distinct_radius = distinct_radius;
+  options.separation = separation;
+  options.max_refined = max_refined;
+  options.max_hypotheses = max_hypotheses;
   std::vector<PoseHypothesis> found;
   {
     nb::gil_scoped_release release;
-    found = pair_consensus(query.data(), query.shape(0), map.data(), match_query.data(),
-                           match_map.data(), n, options, threads);
+    found = consensus(query.data(), query.shape(0), map.data(), match_query.data(),
+                      match_map.data(), n, options, threads);
   }
   std::vector<double> poses, scores;
   std::vector<std::int64_t> inliers;
@@ -157,11 +162,10 @@ void bind_geometry(nb::module_& m) {
         nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));
   m.def("euclidean_clusters", &euclidean_clusters_, nb::arg("points").noconvert(),
         nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
-  m.def("pair_consensus", &pair_consensus_, nb::arg("query").noconvert(),
-        nb::arg("map").noconvert(), nb::arg("match_query").noconvert(),
-        nb::arg("match_map").noconvert(), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
-        nb::arg("height_tolerance"), nb::arg("min_edge"), nb::arg("distinct_radius"),
-        nb::arg("separation"), nb::arg("max_pivots"), nb::arg("max_hypotheses"),
+  m.def("consensus", &consensus_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
+        nb::arg("inlier_tolerance"), nb::arg("height_tolerance"), nb::arg("distinct_radius"),
+        nb::arg("separation"), nb::arg("max_refined"), nb::arg("max_hypotheses"),
         nb::arg("threads"));
 
   m.def("prosac", &prosac_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),

@@ -91,6 +91,41 @@ nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int thread
                         to_numpy(std::move(distances), {Q, columns}));
 }
 
+// An index and the array that it reads.
+struct BoundIndex {
+  BoundIndex(In2<float> rows, std::size_t lists, int threads, const std::string& isa)
+      : database(rows),
+        index(rows.data(), rows.shape(0), rows.shape(1), lists, parse_isa(isa), threads) {}
+
+  In2<float> database;
+  DescriptorIndex index;
+};
+
+void construct_index(BoundIndex* self, In2<float> database, std::size_t lists, int threads,
+                     const std::string& isa) {
+  require(database.shape(1) > 0, "descriptors must have at least one column");
+  require(lists > 0, "there must be at least one list");
+  require(database.shape(0) < (std::size_t{1} << 31), "the database is too large");
+  require_usable(database.data(), database.size(), "database");
+  new (self) BoundIndex(database, lists, threads, isa);
+}
+
+nb::tuple search(const BoundIndex& bound, In2<float> queries, std::size_t k, std::size_t probes,
+                 int threads) {
+  const DescriptorIndex& index = bound.index;
+  require(queries.shape(1) == index.dim(), "queries and database differ in their number of columns");
+  const std::size_t Q = queries.shape(0), columns = std::min(k, index.size());
+  std::vector<int64_t> indices(Q * columns);
+  std::vector<float> distances(Q * columns);
+  {
+    nb::gil_scoped_release release;
+    require_usable(queries.data(), queries.size(), "queries");
+    index.search(queries.data(), Q, columns, probes, threads, indices.data(), distances.data());
+  }
+  return nb::make_tuple(to_numpy(std::move(indices), {Q, columns}),
+                        to_numpy(std::move(distances), {Q, columns}));
+}
+
 using LayerRow = std::tuple<int, int, int, int>;
 
 void construct(Network* self, const std::vector<LayerRow>& layers,
@@ -144,6 +179,12 @@ void bind_network(nb::module_& m) {
         "neighbors"_a, "dilation"_a, "threads"_a = 0, "isa"_a = "auto");
   m.def("knn", &knn, "queries"_a.noconvert(), "database"_a.noconvert(), "k"_a, "threads"_a = 0,
         "isa"_a = "auto");
+  nb::class_<BoundIndex>(m, "DescriptorIndex")
+      .def("__init__", &construct_index, "database"_a.noconvert(), "lists"_a, "threads"_a = 0,
+           "isa"_a = "auto")
+      .def("search", &search, "queries"_a.noconvert(), "k"_a, "probes"_a, "threads"_a = 0)
+      .def("__len__", [](const BoundIndex& bound) { return bound.index.size(); })
+      .def_prop_ro("lists", [](const BoundIndex& bound) { return bound.index.lists(); });
   nb::class_<Network>(m, "Network")
       .def("__init__", &construct, "layers"_a, "tensors"_a, "points"_a = 256, "isa"_a = "auto")
       .def("describe", &describe, "prepared"_a.noconvert(), "threads"_a = 0)

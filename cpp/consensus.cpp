@@ -3,57 +3,22 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <numeric>
 
-#include "cells.h"
 #include "kernels.h"
+#include "match_field.h"
 #include "parallel.h"
+#include "pose_votes.h"
 
 namespace segloc {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr int kBins = 240;
-constexpr double kBinWidth = 2.0 * kPi / kBins;
-constexpr double kMaxVoteHalfWidth = 10.0 * kPi / 180.0;
+constexpr int kFineSteps = 6;    // that a step of yaw is divided into
+constexpr double kTypical = 0.7;  // share of the tolerance that most matches keep
 constexpr double kSameYaw = 15.0 * kPi / 180.0;
+constexpr double kSameStart = 0.75 * kPi / 180.0;
 constexpr std::size_t kBlock = 256;
-constexpr std::size_t kMaxWidth = 16;
-
-double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }
-
-// Query segments that lie close together (the same object cut at two heights) are one witness.
-std::vector<std::uint32_t> group_by_distance(const double* points, std::size_t n, double radius) {
-  std::vector<std::uint32_t> group(n);
-  std::uint32_t groups = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    group[i] = groups;
-    for (std::size_t j = 0; j < i; ++j) {
-      const double dx = points[3 * i] - points[3 * j], dy = points[3 * i + 1] - points[3 * j + 1];
-      if (dx * dx + dy * dy < radius * radius) {
-        group[i] = group[j];
-        break;
-      }
-    }
-    if (group[i] == groups) ++groups;
-  }
-  return group;
-}
-
-// Matches sorted by cell of the map plane; structure of arrays for the pair test.
-struct Field {
-  std::vector<float> qx, qy, qz, mx, my, mz;  // a vector's width longer than the matches
-  std::vector<std::uint32_t> group, map_index;
-  std::vector<std::uint64_t> keys;
-  std::int64_t stride = 0;
-  std::size_t groups = 0;
-  double farthest = 0.0;  // largest coordinate
-
-  std::size_t size() const { return group.size(); }
-  MatchField columns() const {
-    return {qx.data(), qy.data(), qz.data(), mx.data(), my.data(), mz.data()};
-  }
-};
+constexpr double kShare = 0.4;  // of the most votes: emptier cells are not looked into
 
 double longest_edge(const double* query, std::size_t q) {
   double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
@@ -66,140 +31,129 @@ double longest_edge(const double* query, std::size_t q) {
   return std::hypot(high[0] - low[0], high[1] - low[1]);
 }
 
-Field make_field(const double* query, std::size_t q, const double* map, const std::int64_t* mq,
-                 const std::int64_t* mm, std::size_t n, const double* origin, double distinct,
-                 double reach) {
-  std::vector<float> plane(3 * n, 0.0f);
-  for (std::size_t k = 0; k < n; ++k) {
-    for (int a = 0; a < 2; ++a) plane[3 * k + a] = static_cast<float>(map[3 * mm[k] + a] - origin[a]);
-  }
-  CellOrder cells = sort_into_cells(plane.data(), n, reach);
-  const std::vector<std::uint32_t> group = group_by_distance(query, q, distinct);
-  Field f;
-  f.keys = std::move(cells.keys);
-  f.stride = cells.stride_y;
-  f.groups = q == 0 ? 0 : 1 + *std::max_element(group.begin(), group.end());
-  for (const std::uint32_t k : cells.order) {
-    const double *a = query + 3 * mq[k], *b = map + 3 * mm[k];
-    f.qx.push_back(static_cast<float>(a[0]));
-    f.qy.push_back(static_cast<float>(a[1]));
-    f.qz.push_back(static_cast<float>(a[2]));
-    f.mx.push_back(static_cast<float>(b[0] - origin[0]));
-    f.my.push_back(static_cast<float>(b[1] - origin[1]));
-    f.mz.push_back(static_cast<float>(b[2] - origin[2]));
-    f.group.push_back(group[static_cast<std::size_t>(mq[k])]);
-    f.map_index.push_back(static_cast<std::uint32_t>(mm[k]));
-  }
-  for (std::vector<float>* column : {&f.qx, &f.qy, &f.qz, &f.mx, &f.my, &f.mz}) {
-    for (const float v : *column) f.farthest = std::max<double>(f.farthest, std::fabs(v));
-    column->resize(n + kMaxWidth, 0.0f);
-  }
-  return f;
-}
+double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }
 
-struct Range {
-  std::size_t begin, end;
+// Where refinement starts.
+struct Start {
+  std::size_t index = 0;  // of a match that agrees
+  std::size_t support = 0;
+  PoseHypothesis pose;
 };
 
-// The matches in the three by three cells around a key: three ranges of the sorted field.
-void ranges_around(const Field& f, std::uint64_t key, Range ranges[3]) {
-  for (int dy = -1; dy <= 1; ++dy) {
-    const auto row = key + static_cast<std::uint64_t>(dy * f.stride);
-    const auto begin = std::lower_bound(f.keys.begin(), f.keys.end(), row - 1);
-    const auto end = std::upper_bound(begin, f.keys.end(), row + 1);
-    ranges[dy + 1] = {static_cast<std::size_t>(begin - f.keys.begin()),
-                      static_cast<std::size_t>(end - f.keys.begin())};
+// The matches that a cell of poses gathers, one object after another.
+std::vector<std::uint32_t> gather(const Field& f, const PoseCell& cell, double width,
+                                  const Kernels& kernels) {
+  MatchRange ranges[3];
+  ranges_around(f, f.keys[cell.index], ranges);
+  const PoseTest test{static_cast<float>(std::cos(cell.yaw)),
+                      static_cast<float>(std::sin(cell.yaw)), static_cast<float>(cell.x),
+                      static_cast<float>(cell.y), static_cast<float>(1.5 * width * width)};
+  std::vector<std::uint32_t> gathered;
+  std::uint32_t close[kBlock];
+  for (const MatchRange& range : ranges) {
+    for (std::size_t begin = range.begin; begin < range.end; begin += kBlock) {
+      const std::size_t end = std::min(begin + kBlock, range.end);
+      const std::size_t count = kernels.near_pose(f.columns(), test, begin, end, close);
+      gathered.insert(gathered.end(), close, close + count);
+    }
   }
+  std::stable_sort(gathered.begin(), gathered.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return f.group[a] < f.group[b];
+  });
+  return gathered;
 }
 
-// Distinct objects for every bin of yaw, as bit sets.
-class YawVotes {
+// Votes on a few square metres of translations at one yaw. Voters come one object after another.
+class FineVotes {
  public:
-  explicit YawVotes(std::size_t groups) : words_((groups + 63) / 64), bits_(kBins * words_) {}
+  FineVotes(double x, double y, double reach, double width)
+      : x_(x - reach), y_(y - reach), width_(width),
+        side_(static_cast<int>(2.0 * reach / width) + 2),
+        counters_(static_cast<std::size_t>(side_ * side_)) {}
 
-  void clear() {
-    for (const int bin : touched_) {
-      counts_[bin] = 0;
-      std::fill_n(bits_.begin() + static_cast<std::ptrdiff_t>(bin * words_), words_, 0);
-    }
-    touched_.clear();
-  }
+  void clear() { std::fill(counters_.begin(), counters_.end(), Counter{}); }
 
-  void add(double yaw, double half_width, std::uint32_t group) {
-    const int low = static_cast<int>(std::floor((yaw - half_width + kPi) / kBinWidth));
-    const int high = static_cast<int>(std::floor((yaw + half_width + kPi) / kBinWidth));
-    for (int b = low; b <= high; ++b) {
-      const int bin = (b + kBins) % kBins;
-      std::uint64_t& word = bits_[static_cast<std::size_t>(bin) * words_ + group / 64];
-      const std::uint64_t bit = std::uint64_t{1} << (group % 64);
-      if ((word & bit) != 0) continue;
-      word |= bit;
-      if (counts_[bin]++ == 0) touched_.push_back(bin);
+  void add(double x, double y, std::uint32_t group, std::uint32_t match) {
+    const int column = cell(x - x_), row = cell(y - y_);
+    for (int corner = 0; corner < 4; ++corner) {
+      const int i = column + (corner & 1), j = row + (corner >> 1);
+      if (i < 0 || j < 0 || i >= side_ || j >= side_) continue;
+      Counter& counter = counters_[static_cast<std::size_t>(j * side_ + i)];
+      if (counter.votes != 0 && counter.group == group) continue;
+      counter = {counter.votes + 1, group, match};
     }
   }
 
-  // The middle of the first longest run of best bins.
-  double best(std::size_t& count) const {
-    const int top = *std::max_element(counts_.begin(), counts_.end());
-    int at = 0, length = 0;
-    for (const int b : touched_) {
-      const bool starts = counts_[b] == top && counts_[(b + kBins - 1) % kBins] != top;
-      if (!starts) continue;
-      int run = 1;
-      while (counts_[(b + run) % kBins] == top) ++run;
-      if (run > length || (run == length && b < at)) {
-        at = b;
-        length = run;
-      }
+  // Whether some cell has more votes than the start; which then is moved there.
+  bool improve(Start& start) const {
+    std::size_t best = start.support, at = counters_.size();
+    for (std::size_t k = 0; k < counters_.size(); ++k) {
+      if (counters_[k].votes <= best) continue;
+      best = counters_[k].votes;
+      at = k;
     }
-    count = static_cast<std::size_t>(top);
-    if (length == 0) length = kBins;  // all bins are best: there is no start
-    return wrap((at + 0.5 * length) * kBinWidth - kPi);
+    if (at == counters_.size()) return false;
+    start.support = best;
+    start.index = counters_[at].match;
+    start.pose.t[0] = x_ + width_ * static_cast<double>(at % static_cast<std::size_t>(side_));
+    start.pose.t[1] = y_ + width_ * static_cast<double>(at / static_cast<std::size_t>(side_));
+    return true;
   }
 
  private:
-  std::size_t words_;
-  std::vector<std::uint64_t> bits_;
-  std::array<int, kBins> counts_{};
-  std::vector<int> touched_;
+  struct Counter {
+    std::uint32_t votes = 0, group = 0, match = 0;  // the last voter
+  };
+
+  int cell(double offset) const { return static_cast<int>(std::floor(offset / width_)); }
+
+  double x_, y_, width_;
+  int side_;
+  std::vector<Counter> counters_;
 };
 
-struct Pivot {
-  std::size_t index = 0, support = 0;
-  double yaw = 0.0;
-};
-
-Pivot vote(const Field& f, std::size_t i, const ConsensusOptions& o, const Kernels& kernels,
-           YawVotes& votes) {
-  Range ranges[3];
-  ranges_around(f, f.keys[i], ranges);
-  const EdgeTest test{i, static_cast<float>(o.edge_tolerance * o.edge_tolerance),
-                      static_cast<float>(o.min_edge * o.min_edge),
-                      static_cast<float>(o.height_tolerance)};
-  const MatchField columns = f.columns();
-  std::uint32_t agreeing[kBlock];
-  votes.clear();
-  bool any = false;
-  for (const Range& range : ranges) {
-    for (std::size_t begin = range.begin; begin < range.end; begin += kBlock) {
-      const std::size_t end = std::min(begin + kBlock, range.end);
-      const std::size_t count = kernels.equal_edges(columns, test, begin, end, agreeing);
-      for (std::size_t k = 0; k < count; ++k) {
-        const std::size_t j = agreeing[k];
-        if (f.group[j] == f.group[i]) continue;
-        any = true;
-        const double ax = f.qx[j] - f.qx[i], ay = f.qy[j] - f.qy[i];
-        const double bx = f.mx[j] - f.mx[i], by = f.my[j] - f.my[i];
-        const double yaw = std::atan2(ax * by - ay * bx, ax * bx + ay * by);
-        const double half = std::atan(o.edge_tolerance / std::sqrt(ax * ax + ay * ay));
-        votes.add(yaw, std::min(half, kMaxVoteHalfWidth), f.group[j]);
-      }
-    }
+double median_height(const Field& f, const std::vector<std::uint32_t>& matches,
+                     const PoseHypothesis& pose, double reach) {
+  const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
+  std::vector<float> heights;
+  for (const std::uint32_t k : matches) {
+    const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
+    const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
+    if (dx * dx + dy * dy <= reach * reach) heights.push_back(f.mz[k] - f.qz[k]);
   }
-  Pivot pivot;
-  pivot.index = i;
-  if (any) pivot.yaw = votes.best(pivot.support);
-  return pivot;
+  if (heights.empty()) return 0.0;
+  const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2);
+  std::nth_element(heights.begin(), middle, heights.end());
+  return *middle;
+}
+
+// The pose of a cell that most matches agree on: the cell is divided and voted for again.
+Start best_start(const Field& f, const PoseCell& cell, const PoseVotes& votes,
+                 const ConsensusOptions& o, const Kernels& kernels) {
+  const std::vector<std::uint32_t> matches = gather(f, cell, votes.width, kernels);
+  const double turn = votes.turn / kFineSteps;
+  const double width = 2.0 * (kTypical * o.inlier_tolerance + 0.5 * turn * votes.radius);
+  // The query turns about its middle, as it did in the coarse vote.
+  const double c0 = std::cos(cell.yaw), s0 = std::sin(cell.yaw);
+  const double middle[2] = {c0 * votes.middle[0] - s0 * votes.middle[1] + cell.x,
+                            s0 * votes.middle[0] + c0 * votes.middle[1] + cell.y};
+  FineVotes fine(middle[0], middle[1], votes.width, width);
+  Start start;
+  for (int step = 0; step <= kFineSteps; ++step) {
+    const double yaw = cell.yaw + (step - 0.5 * kFineSteps) * turn;
+    const double c = std::cos(yaw), s = std::sin(yaw);
+    fine.clear();
+    for (const std::uint32_t k : matches) {
+      const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
+      fine.add(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y), f.group[k], k);
+    }
+    if (fine.improve(start)) start.pose.yaw = yaw;
+  }
+  const double c = std::cos(start.pose.yaw), s = std::sin(start.pose.yaw);
+  start.pose.t[0] -= c * votes.middle[0] - s * votes.middle[1];
+  start.pose.t[1] -= s * votes.middle[0] + c * votes.middle[1];
+  start.pose.t[2] = median_height(f, matches, start.pose, width);
+  return start;
 }
 
 struct Inlier {
@@ -208,7 +162,7 @@ struct Inlier {
 };
 
 // One match for each object of the query and each segment of the map, nearest first.
-std::vector<Inlier> distinct_inliers(const Field& f, const Range ranges[3],
+std::vector<Inlier> distinct_inliers(const Field& f, const MatchRange ranges[3],
                                      const PoseHypothesis& pose, double tolerance, double height,
                                      const Kernels& kernels) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
@@ -239,12 +193,12 @@ std::vector<Inlier> distinct_inliers(const Field& f, const Range ranges[3],
     return a.squared != b.squared ? a.squared < b.squared : a.match < b.match;
   });
   std::vector<Inlier> kept;
+  std::vector<bool> groups(f.groups), sites(f.sites);
   for (const Inlier& candidate : near) {
-    const bool taken = std::any_of(kept.begin(), kept.end(), [&](const Inlier& other) {
-      return f.group[other.match] == f.group[candidate.match] ||
-             f.map_index[other.match] == f.map_index[candidate.match];
-    });
-    if (!taken) kept.push_back(candidate);
+    const std::uint32_t group = f.group[candidate.match], site = f.site[candidate.match];
+    if (groups[group] || sites[site]) continue;
+    groups[group] = sites[site] = true;
+    kept.push_back(candidate);
   }
   return kept;
 }
@@ -270,13 +224,11 @@ void fit(const Field& f, const std::vector<Inlier>& inliers, PoseHypothesis& pos
   pose.t[2] = m[2] - q[2];
 }
 
-PoseHypothesis refine(const Field& f, const Pivot& pivot, const ConsensusOptions& o,
+PoseHypothesis refine(const Field& f, const Start& start, const ConsensusOptions& o,
                       const Kernels& kernels) {
-  Range ranges[3];
-  ranges_around(f, f.keys[pivot.index], ranges);
-  PoseHypothesis pose;
-  pose.yaw = pivot.yaw;
-  fit(f, {{pivot.index, 0.0}}, pose);
+  MatchRange ranges[3];
+  ranges_around(f, f.keys[start.index], ranges);
+  PoseHypothesis pose = start.pose;
   // Far inliers are off by the error of the first yaw: the tolerance starts wide.
   for (const double factor : {2.0, 1.5, 1.0, 1.0}) {
     const auto inliers = distinct_inliers(f, ranges, pose, factor * o.inlier_tolerance,
@@ -292,13 +244,13 @@ PoseHypothesis refine(const Field& f, const Pivot& pivot, const ConsensusOptions
   return pose;
 }
 
-bool explains(const PoseHypothesis& pose, const Field& f, const Pivot& pivot, double tolerance) {
-  const std::size_t k = pivot.index;
+bool explains(const PoseHypothesis& pose, const Field& f, const Start& start, double tolerance) {
+  const std::size_t k = start.index;
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
   const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
   const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
   return dx * dx + dy * dy <= tolerance * tolerance &&
-         std::fabs(wrap(pose.yaw - pivot.yaw)) < kSameYaw;
+         std::fabs(wrap(pose.yaw - start.pose.yaw)) < kSameStart;
 }
 
 bool same_place(const PoseHypothesis& a, const PoseHypothesis& b, double separation) {
@@ -308,34 +260,36 @@ bool same_place(const PoseHypothesis& a, const PoseHypothesis& b, double separat
 
 }  // namespace
 
-std::vector<PoseHypothesis> pair_consensus(const double* query, std::size_t q, const double* map,
-                                           const std::int64_t* mq, const std::int64_t* mm,
-                                           std::size_t matches, const ConsensusOptions& o,
-                                           int threads) {
+std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const double* map,
+                                      const std::int64_t* mq, const std::int64_t* mm,
+                                      std::size_t matches, const ConsensusOptions& o, int threads) {
   if (matches < 2) return {};
   // Map coordinates may be as large as UTM's: floats are taken relative to one of the matches.
   const double* origin = map + 3 * mm[0];
-  const double reach = std::max(longest_edge(query, q) + o.edge_tolerance, 1.0);
-  const Field f = make_field(query, q, map, mq, mm, matches, origin, o.distinct_radius, reach);
+  const double reach = std::max(longest_edge(query, q) + o.inlier_tolerance, 1.0);
+  const Field f = make_field({query, q, map, mq, mm, matches}, origin, o.distinct_radius, reach);
 
   const Kernels& kernel_table = kernels(parse_isa("auto"));
-  std::vector<Pivot> pivots(f.size());
-  std::vector<YawVotes> votes(static_cast<std::size_t>(resolve_threads(threads)), YawVotes(f.groups));
-  parallel_for(f.size(), 64, threads, [&](std::size_t begin, std::size_t end, int worker) {
+  PoseVotes votes = vote_for_poses(f, {o.inlier_tolerance, o.max_votes, o.max_cells}, threads);
+  while (!votes.cells.empty() && votes.cells.back().votes < kShare * votes.cells.front().votes) {
+    votes.cells.pop_back();
+  }
+  std::vector<Start> starts(votes.cells.size());
+  parallel_for(starts.size(), 4, threads, [&](std::size_t begin, std::size_t end, int) {
     for (std::size_t i = begin; i < end; ++i) {
-      pivots[i] = vote(f, i, o, kernel_table, votes[static_cast<std::size_t>(worker)]);
+      starts[i] = best_start(f, votes.cells[i], votes, o, kernel_table);
     }
   });
-  std::stable_sort(pivots.begin(), pivots.end(),
-                   [](const Pivot& a, const Pivot& b) { return a.support > b.support; });
+  std::stable_sort(starts.begin(), starts.end(),
+                   [](const Start& a, const Start& b) { return a.support > b.support; });
 
   std::vector<PoseHypothesis> refined;
-  for (const Pivot& pivot : pivots) {
-    if (refined.size() >= o.max_pivots || pivot.support == 0) break;
+  for (const Start& start : starts) {
+    if (refined.size() >= o.max_refined || start.support == 0) break;
     const bool known = std::any_of(refined.begin(), refined.end(), [&](const PoseHypothesis& pose) {
-      return explains(pose, f, pivot, 2.0 * o.inlier_tolerance);
+      return explains(pose, f, start, o.inlier_tolerance);
     });
-    if (!known) refined.push_back(refine(f, pivot, o, kernel_table));
+    if (!known) refined.push_back(refine(f, start, o, kernel_table));
   }
   std::stable_sort(refined.begin(), refined.end(), [](const auto& a, const auto& b) {
     return a.score > b.score;

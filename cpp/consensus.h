@@ -1,4 +1,4 @@
-// Pose from centroid matches when gravity is known: exhaustive consensus over pairs of matches.
+// Pose from centroid matches when gravity is known: consensus of votes.
 #pragma once
 
 #include <cstddef>
@@ -8,14 +8,14 @@
 namespace segloc {
 
 struct ConsensusOptions {
-  double edge_tolerance = 0.5;    // two matches agree if their edges differ by less, metres
   double inlier_tolerance = 0.6;  // a match agrees with a pose if it lies closer, metres
-  double height_tolerance = 1.0;  // the same two tests along z, metres
-  double min_edge = 3.0;          // shorter edges say nothing about yaw, metres
+  double height_tolerance = 1.0;  // the same along z, metres
   double distinct_radius = 1.0;   // query segments closer than this count as one object, metres
   double separation = 3.0;        // hypotheses closer than this (and than 15 degrees) are one
-  std::size_t max_pivots = 128;   // candidates that are refined
+  std::size_t max_refined = 128;  // candidates that are refined
   std::size_t max_hypotheses = 8;
+  std::size_t max_votes = 32768;  // matches that vote; the first ones
+  std::size_t max_cells = 512;    // cells of poses that are looked into
 };
 
 struct PoseHypothesis {
@@ -27,15 +27,13 @@ struct PoseHypothesis {
 
 // query: (q, 3) and map: (p, 3) centroids; match k pairs query[mq[k]] with map[mm[k]].
 //
-// Every match in turn is a pivot. The matches around it whose edge to the pivot has the same length
-// in both frames vote for the yaw that turns one edge onto the other; distinct objects are counted
-// in bins of yaw, so the best bin of a pivot is the best pose through it. The best pivots are
-// refined on all their inliers. Nothing is drawn at random. Matches are sorted into cells as wide as
-// the longest edge, so that far ones never meet: the cost grows with the density of matches in the
-// map, not with their number squared. Returns distinct hypotheses, best score first.
-std::vector<PoseHypothesis> pair_consensus(const double* query, std::size_t q, const double* map,
-                                           const std::int64_t* mq, const std::int64_t* mm,
-                                           std::size_t matches, const ConsensusOptions& options,
-                                           int threads);
+// All matches vote for cells of yaw and translation (pose_votes.h): whatever pose many agree on lies
+// in a full cell. The fullest cells are divided and voted for again, and the best parts of them are
+// refined on all their inliers. Nothing is drawn at random, and the cost grows with the number of
+// matches, not with its square. Returns distinct hypotheses, best score first.
+std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const double* map,
+                                      const std::int64_t* mq, const std::int64_t* mm,
+                                      std::size_t matches, const ConsensusOptions& options,
+                                      int threads);
 
 }  // namespace segloc

@@ -1,4 +1,4 @@
-// The pair test of the consensus, and the search for the matches near a pose.
+// The search of the consensus for the matches near a pose.
 #pragma once
 
 #include "kernels.h"
@@ -13,28 +13,6 @@ inline size_t append(uint32_t hits, size_t first, size_t end, uint32_t* found, s
   if (end - first < kWidth) hits &= (1u << (end - first)) - 1u;
   for (; hits != 0; hits &= hits - 1) {
     found[count++] = static_cast<uint32_t>(first) + static_cast<uint32_t>(__builtin_ctz(hits));
-  }
-  return count;
-}
-
-// |lm - lq| <= tol is tested without roots: (lm^2 - lq^2)^2 <= tol^2 (2 (lm^2 + lq^2) - tol^2).
-size_t equal_edges(const MatchField& f, const EdgeTest& test, size_t begin, size_t end,
-                   uint32_t* found) {
-  const Vec qx = broadcast(f.qx[test.pivot]), mx = broadcast(f.mx[test.pivot]);
-  const Vec qy = broadcast(f.qy[test.pivot]), my = broadcast(f.my[test.pivot]);
-  const Vec qz = broadcast(f.qz[test.pivot]), mz = broadcast(f.mz[test.pivot]);
-  const Vec tolerance2 = broadcast(test.tolerance2), min2 = broadcast(test.min2);
-  const Vec height = broadcast(test.height), two = broadcast(2.0f);
-  size_t count = 0;
-  for (size_t i = begin; i < end; i += kWidth) {
-    const Vec ax = load(f.qx + i) - qx, ay = load(f.qy + i) - qy;
-    const Vec bx = load(f.mx + i) - mx, by = load(f.my + i) - my;
-    const Vec dz = (load(f.qz + i) - qz) - (load(f.mz + i) - mz);
-    const Vec lq2 = ax * ax + ay * ay, lm2 = bx * bx + by * by;
-    const Vec d = lm2 - lq2;
-    const uint32_t hits = less_equal(d * d, tolerance2 * (two * (lm2 + lq2) - tolerance2)) &
-                          less_equal(min2, lq2) & less_equal(max(dz, -dz), height);
-    if (hits != 0) count = append(hits, i, end, found, count);
   }
   return count;
 }

@@ -15,7 +15,7 @@ namespace SEGLOC_ISA {
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth, kBlock, kPanel,   &fps,
                         &neighbors,      &xconv, &dense, &conv,    &knn_scan,
-                        &equal_edges,    &near_pose,     kTraining};
+                        &near_pose,      kTraining};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

@@ -68,18 +68,8 @@ struct KnnScan {
 struct MatchField {
   const float* qx;
   const float* qy;
-  const float* qz;
   const float* mx;
   const float* my;
-  const float* mz;
-};
-
-// Which matches agree with a pivot match on the length of the edge between them.
-struct EdgeTest {
-  size_t pivot;
-  float tolerance2;  // squared difference of the lengths
-  float min2;        // squared length
-  float height;      // difference along z
 };
 
 // Which matches lie near each other in the plane under a pose, in single precision.
@@ -148,9 +138,7 @@ struct Kernels {
                 float* output, size_t output_stride);
   void (*conv)(const ConvTask& task);
   void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
-  // Both write the indices of the matches in [begin, end) that pass, and return how many.
-  size_t (*equal_edges)(const MatchField& f, const EdgeTest& test, size_t begin, size_t end,
-                        uint32_t* found);
+  // Writes the indices of the matches in [begin, end) that pass, and returns how many.
   size_t (*near_pose)(const MatchField& f, const PoseTest& test, size_t begin, size_t end,
                       uint32_t* found);
   TrainKernels training;

@@ -3,9 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <vector>
+#include <utility>
 
-#include "aligned.h"
 #include "parallel.h"
 
 namespace segloc {
@@ -15,33 +14,29 @@ constexpr std::size_t kGroup = 4;            // queries that a scan takes togeth
 constexpr std::size_t kQueryBatch = 16;      // queries that share a tile while it is in cache
 constexpr std::size_t kTileFloats = 2048;    // 8 KiB: thresholds fall soon, and all stays in L1
 
-// The points of a tile as the scan reads them: one dimension after another. The last vectors are
-// filled up with points at infinity.
-void pack(const float* points, std::size_t count, std::size_t dim, std::size_t lanes,
-          float* tile) {
-  for (std::size_t i = 0; i < count; ++i) {
-    float* column = tile + i / lanes * dim * lanes + i % lanes;
-    for (std::size_t d = 0; d < dim; ++d) column[d * lanes] = points[i * dim + d];
+constexpr std::size_t kSampled = 32;         // points a centre that k-means looks at
+constexpr int kRounds = 8;                   // of k-means
+
+double squared_distance(const float* a, const float* b, std::size_t dim) {
+  double sum = 0.0;
+  for (std::size_t d = 0; d < dim; ++d) {
+    const double difference = double{a[d]} - double{b[d]};
+    sum += difference * difference;
   }
-  for (std::size_t i = count; i < padded(count, lanes); ++i) {
-    float* column = tile + i / lanes * dim * lanes + i % lanes;
-    for (std::size_t d = 0; d < dim; ++d) {
-      column[d * lanes] = std::numeric_limits<float>::infinity();
-    }
-  }
+  return sum;
 }
 
 struct Points {
   const float* values;  // (count, dim)
-  std::size_t count;
-  std::size_t dim;
+  std::size_t count, dim;
+  const uint32_t* ids;  // row at each packed position
 };
 
 struct Candidate {
   double distance2;
-  uint32_t index;
+  uint32_t id, position;
   bool operator<(const Candidate& other) const {
-    return distance2 < other.distance2 || (distance2 == other.distance2 && index < other.index);
+    return distance2 < other.distance2 || (distance2 == other.distance2 && id < other.id);
   }
 };
 
@@ -89,7 +84,7 @@ class Selection {
     rank(database);
     std::sort(ranked_.begin(), ranked_.begin() + static_cast<std::ptrdiff_t>(count_));
     for (std::size_t c = 0; c < count_; ++c) {
-      indices[c] = ranked_[c].index;
+      indices[c] = ranked_[c].id;
       distances[c] = static_cast<float>(std::sqrt(ranked_[c].distance2));
     }
   }
@@ -103,14 +98,10 @@ class Selection {
   void rank(const Points& database) {
     std::size_t n = 0;
     for (std::size_t c = 0; c < count_; ++c) {
-      if (indices_[c] >= database.count) continue;  // padding of the last tile
-      const float* point = database.values + indices_[c] * database.dim;
-      double sum = 0;
-      for (std::size_t d = 0; d < database.dim; ++d) {
-        const double difference = double{query_[d]} - double{point[d]};
-        sum += difference * difference;
-      }
-      ranked_[n++] = {sum, indices_[c]};
+      const uint32_t id = database.ids[indices_[c]];
+      if (id >= database.count) continue;  // padding of a list
+      const float* point = database.values + id * database.dim;
+      ranked_[n++] = {squared_distance(query_, point, database.dim), id, indices_[c]};
     }
     const auto begin = ranked_.begin(), end = begin + static_cast<std::ptrdiff_t>(n);
     if (n > columns_) {
@@ -119,7 +110,7 @@ class Selection {
     }
     count_ = std::min(n, columns_);
     for (std::size_t c = 0; c < count_; ++c) {
-      indices_[c] = ranked_[c].index;
+      indices_[c] = ranked_[c].position;
       distances2_[c] = static_cast<float>(ranked_[c].distance2);
     }
   }
@@ -134,46 +125,151 @@ class Selection {
 
 }  // namespace
 
-void nearest_descriptors(const float* queries, std::size_t query_count, const float* database,
-                         std::size_t database_count, std::size_t dim, std::size_t columns, Isa isa,
-                         int threads, int64_t* indices, float* distances) {
-  if (query_count == 0 || columns == 0) return;
-  const Kernels& k = kernels(isa);
-  const std::size_t lanes = 2 * k.width;
-  const std::size_t tile_points = std::max(lanes, kTileFloats / dim / lanes * lanes);
-  const std::size_t tiles = (database_count + tile_points - 1) / tile_points;
-  const std::size_t tile_size = tile_points * dim;
-  AlignedFloats packed(tiles * tile_size);
-  parallel_for(tiles, 4, threads, [&](std::size_t begin, std::size_t end, int) {
-    for (std::size_t t = begin; t < end; ++t) {
-      const std::size_t first = t * tile_points;
-      pack(database + first * dim, std::min(tile_points, database_count - first), dim, lanes,
-           packed.data() + t * tile_size);
+DescriptorIndex::DescriptorIndex(const float* database, std::size_t count, std::size_t dim,
+                                 std::size_t lists, Isa isa, int threads)
+    : database_(database), count_(count), dim_(dim), kernels_(kernels(isa)),
+      lanes_(2 * kernels_.width) {
+  divide(std::max<std::size_t>(1, std::min(lists, count)), threads);
+}
+
+// k-means on evenly spaced rows, and then every row to the centre that is nearest to it.
+void DescriptorIndex::divide(std::size_t lists, int threads) {
+  std::vector<uint32_t> list_of(count_, 0);
+  if (lists == 1) {
+    centres_.assign(dim_, 0.0f);
+    return pack(list_of, threads);
+  }
+  const std::size_t sampled = std::min(count_, kSampled * lists);
+  std::vector<float> sample(sampled * dim_);
+  for (std::size_t i = 0; i < sampled; ++i) {
+    std::copy_n(database_ + i * count_ / sampled * dim_, dim_, sample.data() + i * dim_);
+  }
+  centres_.resize(lists * dim_);
+  for (std::size_t c = 0; c < lists; ++c) {
+    std::copy_n(sample.data() + c * sampled / lists * dim_, dim_, centres_.data() + c * dim_);
+  }
+  const auto nearest = [&](const float* rows, std::size_t n) {
+    std::vector<int64_t> at(n);
+    std::vector<float> distance(n);
+    nearest_descriptors(rows, n, centres_.data(), lists, dim_, 1, kernels_.isa, threads, at.data(),
+                        distance.data());
+    return at;
+  };
+  for (int round = 0; round < kRounds; ++round) {
+    const std::vector<int64_t> at = nearest(sample.data(), sampled);
+    std::vector<double> sums(lists * dim_, 0.0);
+    std::vector<std::size_t> members(lists, 0);
+    for (std::size_t i = 0; i < sampled; ++i) {
+      const auto c = static_cast<std::size_t>(at[i]);
+      ++members[c];
+      for (std::size_t d = 0; d < dim_; ++d) sums[c * dim_ + d] += sample[i * dim_ + d];
+    }
+    for (std::size_t c = 0; c < lists; ++c) {
+      for (std::size_t d = 0; d < dim_ && members[c] != 0; ++d) {
+        centres_[c * dim_ + d] = static_cast<float>(sums[c * dim_ + d] / double(members[c]));
+      }
+    }
+  }
+  const std::vector<int64_t> at = nearest(database_, count_);
+  for (std::size_t i = 0; i < count_; ++i) list_of[i] = static_cast<uint32_t>(at[i]);
+  pack(list_of, threads);
+}
+
+// Rows as the scan reads them: blocks of `lanes_` rows, one dimension after another. Lists are
+// filled up with rows at infinity.
+void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
+  const std::size_t lists = centres_.size() / dim_;
+  sizes_.assign(lists, 0);
+  for (const uint32_t list : list_of) ++sizes_[list];
+  starts_.assign(1, 0);
+  for (const std::size_t size : sizes_) starts_.push_back(starts_.back() + padded(size, lanes_));
+  ids_.assign(starts_.back(), static_cast<uint32_t>(count_));
+  std::vector<std::size_t> next(starts_.begin(), starts_.end() - 1);
+  for (std::size_t i = 0; i < count_; ++i) ids_[next[list_of[i]]++] = static_cast<uint32_t>(i);
+  packed_ = AlignedFloats(starts_.back() * dim_);
+  parallel_for(starts_.back() / lanes_, 64, threads, [&](std::size_t begin, std::size_t end, int) {
+    for (std::size_t i = begin * lanes_; i < end * lanes_; ++i) {
+      float* column = packed_.data() + i / lanes_ * dim_ * lanes_ + i % lanes_;
+      const float* row = ids_[i] < count_ ? database_ + ids_[i] * dim_ : nullptr;
+      for (std::size_t d = 0; d < dim_; ++d) {
+        column[d * lanes_] = row ? row[d] : std::numeric_limits<float>::infinity();
+      }
     }
   });
-  const Points points{database, database_count, dim};
-  parallel_for(query_count, kQueryBatch, threads, [&](std::size_t begin, std::size_t end, int) {
+}
+
+// The lists to be read for a query, the nearest first.
+std::vector<uint32_t> DescriptorIndex::probed(const float* query, std::size_t columns,
+                                              std::size_t probes) const {
+  if (lists() == 1) return {0};
+  std::vector<std::pair<double, uint32_t>> order(lists());
+  for (uint32_t c = 0; c < lists(); ++c) {
+    order[c] = {squared_distance(query, centres_.data() + c * dim_, dim_), c};
+  }
+  std::sort(order.begin(), order.end());
+  std::vector<uint32_t> chosen;
+  std::size_t held = 0;
+  for (const auto& [distance2, list] : order) {
+    if (chosen.size() >= probes && held >= columns) break;
+    chosen.push_back(list);
+    held += sizes_[list];
+  }
+  return chosen;
+}
+
+void DescriptorIndex::search(const float* queries, std::size_t query_count, std::size_t columns,
+                             std::size_t probes, int threads, int64_t* indices,
+                             float* distances) const {
+  if (query_count == 0 || columns == 0) return;
+  const std::size_t tile_points = std::max(lanes_, kTileFloats / dim_ / lanes_ * lanes_);
+  const Points points{database_, count_, dim_, ids_.data()};
+  const auto workers = static_cast<std::size_t>(resolve_threads(threads));
+  // Queries that probe the same list share its tiles while they are in cache.
+  const std::size_t batch =
+      lists() == 1 ? kQueryBatch : std::max(kQueryBatch, (query_count + workers - 1) / workers);
+  parallel_for(query_count, batch, threads, [&](std::size_t begin, std::size_t end, int) {
     std::vector<Selection> selections(end - begin, Selection(columns, tile_points));
-    for (std::size_t q = begin; q < end; ++q) selections[q - begin].start(queries + q * dim);
-    for (std::size_t t = 0; t < tiles; ++t) {
-      const std::size_t first = t * tile_points;
-      const std::size_t blocks =
-          (std::min(tile_points, database_count - first) + lanes - 1) / lanes;
-      for (std::size_t group = 0; group < selections.size(); group += kGroup) {
-        const std::size_t count = std::min(kGroup, selections.size() - group);
-        KnnScan scan;
-        for (std::size_t i = 0; i < kGroup; ++i) {  // a short group repeats its last query
-          selections[group + std::min(i, count - 1)].offer(scan, i);
-          if (i >= count) scan.thresholds[i] = -1.0f;
+    // For each list who probes it: those that are nearest to it, in a first pass, so that later
+    // candidates meet a bound; then the others.
+    std::vector<std::vector<uint32_t>> visits(2 * lists());
+    for (std::size_t q = begin; q < end; ++q) {
+      selections[q - begin].start(queries + q * dim_);
+      const std::vector<uint32_t> chosen = probed(queries + q * dim_, columns, probes);
+      for (std::size_t rank = 0; rank < chosen.size(); ++rank) {
+        visits[chosen[rank] + (rank == 0 ? 0 : lists())].push_back(uint32_t(q - begin));
+      }
+    }
+    for (std::size_t visit = 0; visit < visits.size(); ++visit) {
+      const std::size_t list = visit % lists();
+      for (std::size_t at = starts_[list]; at < starts_[list + 1]; at += tile_points) {
+        const std::size_t blocks = std::min(tile_points, starts_[list + 1] - at) / lanes_;
+        for (std::size_t group = 0; group < visits[visit].size(); group += kGroup) {
+          const uint32_t* members = visits[visit].data() + group;
+          const std::size_t count = std::min(kGroup, visits[visit].size() - group);
+          KnnScan scan;
+          for (std::size_t i = 0; i < kGroup; ++i) {  // a short group repeats its last query
+            selections[members[std::min(i, count - 1)]].offer(scan, i);
+            if (i >= count) scan.thresholds[i] = -1.0f;
+          }
+          kernels_.knn_scan(packed_.data() + at * dim_, blocks, dim_, static_cast<uint32_t>(at),
+                            scan);
+          for (std::size_t i = 0; i < count; ++i) {
+            selections[members[i]].take(scan.counts[i], points);
+          }
         }
-        k.knn_scan(packed.data() + t * tile_size, blocks, dim, static_cast<uint32_t>(first), scan);
-        for (std::size_t i = 0; i < count; ++i) selections[group + i].take(scan.counts[i], points);
       }
     }
     for (std::size_t q = begin; q < end; ++q) {
       selections[q - begin].finish(points, indices + q * columns, distances + q * columns);
     }
   });
+}
+
+void nearest_descriptors(const float* queries, std::size_t query_count, const float* database,
+                         std::size_t database_count, std::size_t dim, std::size_t columns, Isa isa,
+                         int threads, int64_t* indices, float* distances) {
+  const DescriptorIndex index(database, database_count, dim, 1, isa, threads);
+  index.search(queries, query_count, columns, 1, threads, indices, distances);
 }
 
 }  // namespace segloc

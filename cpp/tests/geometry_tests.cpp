@@ -57,8 +57,8 @@ void poses() {
       for (int a = 0; a < 3; ++a) map[3 * i + a] = i % 2 ? moved[a] : uniform(engine);
       index[i] = std::int64_t(i);
     }
-    const auto found = pair_consensus(query.data(), n, map.data(), index.data(), index.data(), n,
-                                      ConsensusOptions{}, 2);
+    const auto found = consensus(query.data(), n, map.data(), index.data(), index.data(), n,
+                                 ConsensusOptions{}, 2);
     const auto sampled = prosac(query.data(), map.data(), index.data(), index.data(), n, {});
     if (n < 200) continue;
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);

@@ -13,18 +13,16 @@ def heights_above_ground(
 def euclidean_clusters(
     points: NDArray[np.float32], radius: float, min_points: int, max_points: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.int64]]: ...
-def pair_consensus(
+def consensus(
     query: NDArray[np.float64],
     map: NDArray[np.float64],
     match_query: NDArray[np.int64],
     match_map: NDArray[np.int64],
-    edge_tolerance: float,
     inlier_tolerance: float,
     height_tolerance: float,
-    min_edge: float,
     distinct_radius: float,
     separation: float,
-    max_pivots: int,
+    max_refined: int,
     max_hypotheses: int,
     threads: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]: ...
@@ -85,6 +83,18 @@ def knn(
     threads: int = 0,
     isa: str = "auto",
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
+
+class DescriptorIndex:
+    def __init__(
+        self, database: NDArray[np.float32], lists: int, threads: int = 0, isa: str = "auto"
+    ) -> None: ...
+    def search(
+        self, queries: NDArray[np.float32], k: int, probes: int, threads: int = 0
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
+    def __len__(self) -> int: ...
+    @property
+    def lists(self) -> int: ...
+
 def segment_moments(
     points: NDArray[np.float32], offsets: NDArray[np.int64], threads: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...

@@ -14,8 +14,8 @@ from .local_cloud import Accumulator
 from .map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
-from .segmentation import Segmenter
-from .types import LocalCloud, Localization, Scan
+from .segmentation import Segmentation, Segmenter
+from .types import Descriptors, LocalCloud, Localization, Scan
 from .verification import Verdict, Verifier
 
 
@@ -73,6 +73,17 @@ class Localizer:
             prepared = self.descriptor.prepare(scene.segments)
         with watch("descriptor"):
             descriptors = self.descriptor.encode(prepared)
+        return self.locate(cloud, scene, descriptors, watch)
+
+    def locate(
+        self,
+        cloud: LocalCloud,
+        scene: Segmentation,
+        descriptors: Descriptors,
+        watch: Stopwatch | None = None,
+    ) -> Localization:
+        """The second half of :meth:`localize`, for a cloud that is segmented and described."""
+        watch = watch or Stopwatch()
         with watch("matching"):
             candidates = self.matcher.match(descriptors)
         with watch("pruning"):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,8 @@ from .descriptors import create
 from .errors import DatasetError
 from .local_cloud import Accumulator, window
 from .map import SegmentMap
-from .segmentation import Segmenter
+from .segmentation import Segmentation, Segmenter
+from .types import Float64, Pose
 
 if TYPE_CHECKING:
     from .config import Config
@@ -66,11 +68,8 @@ def build_map(
     DatasetError
         If there are no poses, or nothing that could be segmented.
     """
-    poses = sequence.poses
-    if poses is None or len(poses) == 0:
-        raise DatasetError(f"{sequence.name}: building a map needs a pose for every scan")
+    poses = _poses(sequence)
     descriptor = create(config.method, config.threads)
-    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
     site = SegmentMap.empty(
         descriptor.name,
         descriptor.fingerprint,
@@ -78,29 +77,65 @@ def build_map(
         poses[0, :3, 3],
         cloud_voxel=config.mapping.cloud_voxel,
     )
-    plan = _plan(poses, config, every_m)
-    # Neighbouring views share most of their scans: each is read once.
-    read = lru_cache(maxsize=max(len(scans) for _, scans in plan))(sequence.scan)
-    for done, (index, scans) in enumerate(plan):
-        cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
-        scene = segmenter.segment(cloud)
-        T_map_local = geometry.levelled(poses[index])
+    for view in map_views(sequence, config, every_m=every_m, progress=progress):
+        segments = view.scene.segments
         site.add(
-            descriptor.describe(scene.segments),
-            geometry.transform(T_map_local, scene.segments.centroids),
-            scene.segments.sizes,
+            descriptor.describe(segments),
+            geometry.transform(view.T_map_local, segments.centroids),
+            segments.sizes,
             session=0,
-            stamp=float(sequence.indices[index]),
-            cloud=geometry.transform(T_map_local, scene.surface),
+            stamp=view.stamp,
+            cloud=geometry.transform(view.T_map_local, view.scene.surface),
         )
-        if progress:
-            progress(done + 1, len(plan))
     if len(site) == 0:
         raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
     site.add_trajectory(poses)
     site.metadata["config"] = config.to_yaml()
     site.metadata["sequence"] = sequence.name
     return site
+
+
+@dataclass(frozen=True)
+class View:
+    """One local cloud of a map, segmented."""
+
+    T_map_local: Pose
+    stamp: float
+    scene: Segmentation
+
+
+def map_views(
+    sequence: Recording,
+    config: Config,
+    *,
+    every_m: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[View]:
+    """The views that :func:`build_map` describes, along the way; they depend on no descriptor.
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses.
+    """
+    poses = _poses(sequence)
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    plan = _plan(poses, config, every_m)
+    # Neighbouring views share most of their scans: each is read once.
+    read = lru_cache(maxsize=max(len(scans) for _, scans in plan))(sequence.scan)
+    for done, (index, scans) in enumerate(plan):
+        cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
+        scene = segmenter.segment(cloud)
+        yield View(geometry.levelled(poses[index]), float(sequence.indices[index]), scene)
+        if progress:
+            progress(done + 1, len(plan))
+
+
+def _poses(sequence: Recording) -> Float64:
+    poses = sequence.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{sequence.name}: building a map needs a pose for every scan")
+    return poses
 
 
 def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tuple[int, range]]:

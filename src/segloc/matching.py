@@ -17,6 +17,16 @@ class MatchingConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     neighbours: int = Field(25, ge=1, description="map segments proposed for each query segment")
+    growth: float = Field(
+        0.6, ge=0, description="they grow with this power of the map's size; 0: they do not"
+    )
+    grows_from: int = Field(50_000, ge=1, description="segments of a map from which they grow")
+    max_neighbours: int = Field(200, ge=1, description="up to so many")
+    indexed_from: int = Field(
+        100_000, ge=1, description="larger maps are searched through an index, not exactly"
+    )
+    list_size: int = Field(1000, ge=1, description="segments in a list of the index")
+    probes: int = Field(48, ge=1, description="lists that are read for each query segment")
     min_probability: float = Field(
         0.5,
         ge=0,
@@ -24,10 +34,22 @@ class MatchingConfig(BaseModel):
         description="matches that the method's forest finds less likely are dropped",
     )
 
+    def neighbours_in(self, segments: int) -> int:
+        """Neighbours proposed in a map of so many segments.
+
+        The more segments a map holds, the more of them look alike by chance, and the true
+        neighbour falls behind.
+        """
+        share = max(1.0, segments / self.grows_from)
+        grown = min(round(self.neighbours * share**self.growth), self.max_neighbours)
+        return max(self.neighbours, grown)
+
 
 class Matcher:
-    """Finds, for every query descriptor, its nearest map descriptors (exactly).
+    """Finds, for every query descriptor, its nearest map descriptors.
 
+    The search is exact, except in maps large enough for an index, where it reads the lists of
+    descriptors around the nearest centres (an inverted file).
     Methods with a ``pruner`` then keep the matches that it finds likely.
     """
 
@@ -42,6 +64,10 @@ class Matcher:
         self.config = config or MatchingConfig()
         self._quality = site.quality
         self._vectors = np.ascontiguousarray(site.vectors)
+        self.neighbours = self.config.neighbours_in(len(site))
+        large = len(site) > self.config.indexed_from
+        lists = len(site) // self.config.list_size if large else 1
+        self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
 
@@ -51,8 +77,8 @@ class Matcher:
         A match's score is the likelihood exp(-distance), times the quality of both descriptors
         where they have one.
         """
-        indices, distances = _native.knn(
-            query.vectors, self._vectors, self.config.neighbours, threads=self._threads
+        indices, distances = self._index.search(
+            query.vectors, self.neighbours, self.config.probes, self._threads
         )
         rows = np.repeat(np.arange(len(query), dtype=np.int64), indices.shape[1])
         columns, distance = indices.reshape(-1), distances.reshape(-1)

@@ -16,17 +16,21 @@ class PoseConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     estimator: Literal["consensus", "prosac", "ransac"] = Field(
-        "consensus", description="consensus: yaw and translation, exhaustive; the others: SE(3)"
+        "consensus", description="consensus: yaw and translation, by votes; the others: SE(3)"
     )
-    edge_tolerance: float = Field(0.5, gt=0, description="two matches agree below this, metres")
+    edge_tolerance: float = Field(
+        0.5, gt=0, description="edges of a sample differ by less, metres (prosac, ransac)"
+    )
     inlier_tolerance: float = Field(0.6, gt=0, description="a match fits a pose below this, metres")
     height_tolerance: float = Field(1.0, gt=0, description="the same along z, metres")
-    min_edge: float = Field(3.0, gt=0, description="pairs closer than this are not used, metres")
+    min_edge: float = Field(
+        3.0, gt=0, description="samples closer than this are not used, metres (prosac, ransac)"
+    )
     distinct_radius: float = Field(
         1.0, ge=0, description="segments closer than this count as one inlier, metres"
     )
     separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
-    max_pivots: int = Field(128, ge=1, description="candidates refined by consensus")
+    max_refined: int = Field(128, ge=1, description="candidates refined by consensus")
     max_draws: int = Field(2_000_000, ge=1, description="samples of prosac and ransac at most")
     chance: float = Field(
         0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"
@@ -61,18 +65,16 @@ class PoseEstimator:
 
     def _consensus(self, query: Float64, site: Float64, matches: Matches) -> tuple[Float64, Int64]:
         config = self.config
-        poses, inliers, _ = _native.pair_consensus(
+        poses, inliers, _ = _native.consensus(
             query,
             site,
             matches.query,
             matches.map,
-            edge_tolerance=config.edge_tolerance,
             inlier_tolerance=config.inlier_tolerance,
             height_tolerance=config.height_tolerance,
-            min_edge=config.min_edge,
             distinct_radius=config.distinct_radius,
             separation=config.separation,
-            max_pivots=config.max_pivots,
+            max_refined=config.max_refined,
             max_hypotheses=config.max_hypotheses,
             threads=self._threads,
         )

@@ -13,11 +13,14 @@ from . import (
     bench,
     config,
     demo,
+    evaluate,
+    info,
     localize,
     map_build,
     map_info,
     map_merge,
     map_update,
+    odometry,
     simulate,
 )
 from .train import train
@@ -38,9 +41,12 @@ app.add_typer(train, name="train", context_settings=_CONTEXT)
 app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
+app.command("info")(info.info)
+app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
+app.command("evaluate")(evaluate.evaluate)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)

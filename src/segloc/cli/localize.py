@@ -9,11 +9,14 @@ import typer
 
 from .options import (
     ConfigFile,
+    Deskew,
     Every,
+    Odometry,
     Poses,
     Recording,
     Select,
     Threads,
+    Topic,
     check_every,
     load_config,
 )
@@ -35,26 +38,32 @@ def localize(
     ] = None,
     tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 3.0,
     tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 5.0,
+    topic: Topic = None,
+    deskew: Deskew = True,
+    odometry: Odometry = False,
     config: ConfigFile = None,
     threads: Threads = 0,
 ) -> None:
     """Find the scans of a recording in a map, each by itself and without an initial guess.
 
-    With --poses, a query is a cloud gathered over the way behind it; otherwise one scan.
+    With poses, a query is a cloud gathered over the way behind it; otherwise one scan.
     """
-    from ..datasets import open_sequence
+    from ..datasets import poses_at
     from ..evaluation.localization import Evaluation, Tolerance, localize_sequence
     from ..localizer import Localizer
     from ..map import SegmentMap
     from .console import progress
+    from .recording import open_recording
     from .results import check_folder, write_results
 
     check_every(every)
     check_folder(out)
     prior = SegmentMap.load(site)
     localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
-    recording = open_sequence(sequence, poses, select)
-    truths = None if truth is None else open_sequence(sequence, truth, select).poses
+    recording = open_recording(
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
+    )
+    truths = None if truth is None else poses_at(recording, sequence, truth, topic)
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
     with progress("Localizing") as update:

@@ -8,12 +8,15 @@ import typer
 
 from .options import (
     ConfigFile,
+    Deskew,
     Every,
     MapOut,
+    Odometry,
     Poses,
     Recording,
     Select,
     Threads,
+    Topic,
     check_every,
     load_config,
 )
@@ -28,20 +31,31 @@ def build(
     poses: Poses = None,
     select: Select = None,
     every: Every = None,
+    topic: Topic = None,
+    deskew: Deskew = True,
+    odometry: Odometry = False,
     config: ConfigFile = None,
     threads: Threads = 0,
 ) -> None:
     """Build a map from a recording with poses."""
-    from ..datasets import open_sequence
+    from ..errors import DatasetError
     from ..files import checked_target
     from ..mapping import build_map
     from .console import progress
     from .map_info import show
+    from .recording import open_recording
 
     check_every(every)
     checked_target(out)
     settings = load_config(config, method, threads)
-    recording = open_sequence(sequence, poses, select)
+    recording = open_recording(
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
+    )
+    if recording.poses is None:
+        raise DatasetError(
+            f"{sequence}: a map needs a pose for every scan: name a file by --poses, "
+            "or use --odometry"
+        )
     with progress("Building the map") as update:
         site = build_map(recording, settings, every_m=every, progress=update)
     site.save(out)

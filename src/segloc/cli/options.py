@@ -15,11 +15,20 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 
 Recording = Annotated[
-    Path, typer.Argument(metavar="SEQUENCE", help="A folder of scans, numbered by their names.")
+    Path, typer.Argument(metavar="SEQUENCE", help="A dataset's sequence, a bag, a folder of scans.")
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option(help="Poses of the scans (TUM or KITTI), by which they are accumulated."),
+    typer.Option(help="TUM or KITTI; by default the recording's own, `none` for none."),
+]
+Topic = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Which of several topics, sensors or scenes.")
+]
+Deskew = Annotated[
+    bool, typer.Option(help="Undo the motion during a scan, where points have times.")
+]
+Odometry = Annotated[
+    bool, typer.Option("--odometry", help="Poses from the scans alone (`segloc odometry`).")
 ]
 Select = Annotated[
     str | None, typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.")

@@ -36,6 +36,9 @@ def extract(
         list[str] | None,
         typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
     ] = None,
+    topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which of several topics or sensors.")
+    ] = None,
     place: Annotated[str, typer.Option(help="A name for the place.")] = "place",
     sensor: Annotated[str, typer.Option(help="A name for the sensor.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
@@ -85,7 +88,7 @@ def extract(
             config,
         )
     else:
-        named = _Recordings(sequences or [], poses or [], select or [], place, sensor)
+        named = _Recordings(sequences or [], poses or [], select or [], topic, place, sensor)
         done = named.collect(out, settings, register, config)
     if not done:
         note("nothing was extracted")
@@ -111,7 +114,13 @@ class _Recordings:
     """The recordings that a command line names."""
 
     def __init__(
-        self, sequences: list[Path], poses: list[Path], select: list[str], place: str, sensor: str
+        self,
+        sequences: list[Path],
+        poses: list[Path],
+        select: list[str],
+        topic: str | None,
+        place: str,
+        sensor: str,
     ) -> None:
         from ..errors import ConfigError
 
@@ -126,7 +135,7 @@ class _Recordings:
                 strict=True,
             )
         )
-        self.place, self.sensor = place, sensor
+        self.topic, self.place, self.sensor = topic, place, sensor
 
     def collect(
         self, out: Path, settings: ExtractConfig, register: bool, config: Path | None
@@ -139,7 +148,7 @@ class _Recordings:
         items = [
             Posed(
                 Session(self.place, f"{k:02d}-{path.resolve().name}", self.sensor),
-                open_sequence(path, poses, select),
+                open_sequence(path, poses, select, topic=self.topic),
             )
             for k, (path, poses, select) in enumerate(self.rows)
         ]

@@ -4,49 +4,112 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import DatasetError
+from ..types import Float64
 from .base import Recording as Recording
 from .base import Selection as Selection
 from .base import Sequence as Sequence
 from .base import parse_select as parse_select
 from .folder import FolderSequence as FolderSequence
+from .recorded import RecordedSequence as RecordedSequence
+from .recorded import assembled
 from .swathes import Swathes as Swathes
 from .swathes import swathes as swathes
+
+NO_POSES = "none"
+"""In place of a pose file: leave out the poses that a recording comes with."""
 
 
 def open_sequence(
     path: str | Path,
     poses: str | Path | None = None,
     select: str | Selection | None = None,
+    *,
+    topic: str | None = None,
+    deskew: bool = True,
 ) -> Sequence:
-    """Open a recording as the command line names it.
+    """Open a recording as the command line names it; its format is recognised. No scan is read.
 
     Parameters
     ----------
     path : path
-        A folder of scans.
+        A dataset's sequence, a bag, or a folder of scans.
     poses : path, optional
-        A TUM or KITTI file. Where it does not exist as given, it is looked for inside the
-        sequence's folder, then beside that folder.
+        A TUM or KITTI file, or one in the dataset's own format. Where it does not exist as given,
+        it is looked for inside the sequence's folder, then beside that folder. By default the
+        poses that the recording comes with, if any; "none" for none at all.
     select : str or Selection, optional
         Which indices to keep, as :func:`parse_select` reads them.
+    topic : str, optional
+        Which of several sensors, topics or scenes.
+    deskew : bool
+        Whether points with times of their own are moved, along the poses, to where they would be
+        at the scan's stamp.
 
     Raises
     ------
     DatasetError
-        If there are no scans, the poses are not found or do not cover the selected scans, or
-        nothing is selected.
+        If there are no scans, the poses are not found or do not cover the selected scans, there
+        are several sensors and no ``topic``, or nothing is selected.
     ConfigError
         If the selection cannot be parsed.
+    MissingDependency
+        If the format needs a package that is not installed.
     """
-    folder = Path(path)
+    from .formats import identify
+
+    where = Path(path)
     selection = parse_select(select) if isinstance(select, str) else select
-    found = None if poses is None else _find_poses(Path(poses), folder)
-    sequence = FolderSequence(folder, found)
+    without = poses is not None and str(poses) == NO_POSES
+    file = None if poses is None or without else _find_poses(Path(poses), where)
+    known = identify(where)
+    sequence: Sequence
+    if known is None:
+        if topic is not None:
+            raise DatasetError(f"{where}: a folder of scans has no topics, so no {topic!r}")
+        sequence = FolderSequence(where, file, deskew=deskew)
+    else:
+        layout, root, sensor = known
+        found = layout.find(root, topic or sensor)
+        if topic is not None and found.topic is None:
+            raise DatasetError(f"{where}: {found.format} has no topics, so no {topic!r}")
+        sequence = assembled(found, file, own_poses=not without, deskewed=deskew)
     if selection is not None:
         sequence = sequence.select(selection)
     _ = sequence.poses  # raises where they do not cover the scans
     return sequence
+
+
+def poses_at(
+    recording: Recording, path: str | Path, poses: str | Path, topic: str | None = None
+) -> Float64:
+    """Other poses of a recording's scans, scan for scan: the true ones, to score against.
+
+    Parameters
+    ----------
+    recording : Recording
+        Opened from ``path``, perhaps a selection of it.
+    path, poses, topic
+        As for :func:`open_sequence`.
+
+    Returns
+    -------
+    (N, 4, 4) float64
+
+    Raises
+    ------
+    DatasetError
+        If a scan has none.
+    """
+    same = Selection(tuple((int(i), int(i)) for i in recording.indices))
+    known = open_sequence(path, poses, same, topic=topic)
+    missing = np.setdiff1d(recording.indices, known.indices)
+    if known.poses is None or len(missing):
+        which = f"{len(missing)} scans, the first {missing[0]}" if len(missing) else "any scan"
+        raise DatasetError(f"{poses}: no pose for {which}")
+    return known.poses
 
 
 def _find_poses(poses: Path, folder: Path) -> Path:

@@ -12,8 +12,10 @@ import numpy as np
 from ..errors import DatasetError
 from ..io.scans import read_scan, scan_suffix
 from ..io.trajectory import read_trajectory_and_kind
+from ..motion import Motion
 from ..types import Float64, Int64, Pose, Scan
 from .base import Selection
+from .recorded import corrected
 
 _TEXT_SUFFIXES = frozenset({".csv", ".txt"})  # that poses and lists come in, too
 _DIGITS = re.compile(r"\d+", re.ASCII)
@@ -24,6 +26,7 @@ class _Item:
     path: Path
     index: int
     pose: Pose | None
+    stamp: float | None
 
 
 class FolderSequence:
@@ -40,9 +43,14 @@ class FolderSequence:
         whole numbers, and as many rows as there are scans, is taken in the order of the scans. Or
         a KITTI file whose row i is the pose of index i; one with fewer rows than the largest index
         is taken in the order of the scans, too.
+    deskew : bool
+        Whether points with times are moved, along the poses, to where they would be at the start
+        of the scan. Needs poses in seconds.
 
     Attributes
     ----------
+    format, frame, fields : str
+        For tables, as other recordings have them.
     indices : (N,) int64
         The last number in each file's name; where there is none, the file's position.
 
@@ -54,14 +62,23 @@ class FolderSequence:
         for, so that a selection can leave out what is not covered.
     """
 
-    def __init__(self, folder: str | Path, poses: str | Path | None = None) -> None:
+    format = "folder of scans"
+    frame = "as recorded"
+    fields = ""
+    notes: tuple[str, ...] = ()
+
+    def __init__(
+        self, folder: str | Path, poses: str | Path | None = None, *, deskew: bool = False
+    ) -> None:
         folder = Path(folder)
         self.name = folder.resolve().name
         self._poses_path = None if poses is None else Path(poses)
         paths = _scan_paths(folder, self._poses_path)
         indices = _indices(paths, folder)
-        found = _find_poses(self._poses_path, indices)
-        self._items = [_Item(*item) for item in zip(paths, indices, found, strict=True)]
+        found, stamps = _find_poses(self._poses_path, indices)
+        self._items = [_Item(*item) for item in zip(paths, indices, found, stamps, strict=True)]
+        track = self.poses if deskew and len(paths) > 1 and stamps[0] is not None else None
+        self._motion = None if track is None else Motion(np.array(stamps, np.float64), track)
 
     def __len__(self) -> int:
         return len(self._items)
@@ -84,19 +101,39 @@ class FolderSequence:
             return None
         return np.array([self._pose(item) for item in self._items])
 
+    @property
+    def stamps(self) -> Float64 | None:
+        """When the scans start, (N,) float64 seconds, or None where the poses do not say."""
+        stamps = [item.stamp for item in self._items]
+        return None if None in stamps else np.array(stamps, dtype=np.float64)
+
+    @property
+    def track(self) -> str | None:
+        """The file that the poses come from."""
+        return None if self._poses_path is None else str(self._poses_path)
+
+    def raw(self, i: int) -> Scan:
+        """The scan at position i as it was recorded, without pose."""
+        if not 0 <= i < len(self):
+            raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")
+        return read_scan(self._items[i].path)
+
+    def where(self, i: int) -> str:
+        """The file of the scan at position i."""
+        return str(self._items[i].path)
+
     def scan(self, i: int) -> Scan:
-        """Read the scan at position i.
+        """Read the scan at position i, de-skewed where that is possible.
 
         Raises
         ------
         DatasetError
             If there is no such position, the file cannot be read, or its pose is missing.
         """
-        if not 0 <= i < len(self):
-            raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")
+        scan = self.raw(i)
         item = self._items[i]
         pose = None if self._poses_path is None else self._pose(item)
-        scan = read_scan(item.path)
+        scan = corrected(scan, self._motion, item.stamp)
         scan.stamp = float(item.index)
         scan.T_odom_sensor = None if pose is None else pose.copy()
         return scan
@@ -170,11 +207,16 @@ def _indices(paths: list[Path], folder: Path) -> list[int]:
     return list(seen)
 
 
-def _find_poses(path: Path | None, indices: list[int]) -> list[Pose | None]:
+def _find_poses(
+    path: Path | None, indices: list[int]
+) -> tuple[list[Pose | None], list[float | None]]:
+    """The scans' poses, and their stamps where the poses have seconds."""
+    nothing: list[None] = [None] * len(indices)
     if path is None:
-        return [None] * len(indices)
+        return [*nothing], [*nothing]
     trajectory, kind = read_trajectory_and_kind(path)
     if kind == "tum" and len(trajectory) == len(indices) and (trajectory.stamps % 1).any():
-        return list(np.array(trajectory.poses))
+        return list(np.array(trajectory.poses)), trajectory.stamps.tolist()
     by_position = kind == "kitti" and len(trajectory) <= max(indices)
-    return [trajectory.at(key) for key in (range(len(indices)) if by_position else indices)]
+    keys = range(len(indices)) if by_position else indices
+    return [trajectory.at(key) for key in keys], [*nothing]

@@ -7,13 +7,13 @@ from .pointset import PointSetDescriptor
 from .weightfile import shipped_weights
 
 
-@register("dsm")
+@register("dsm", preset={"matching": {"growth": 0.0}})
 def dsm(threads: int = 0) -> PointSetDescriptor:
     """The 16-number learned descriptor."""
     return PointSetDescriptor("dsm", shipped_weights("dsm.safetensors"), threads=threads)
 
 
-@register("dsm-fq")
+@register("dsm-fq", preset={"matching": {"growth": 0.0}})
 def dsm_fq(threads: int = 0) -> PointSetDescriptor:
     """The same with a quality for each descriptor."""
     return PointSetDescriptor("dsm-fq", shipped_weights("dsm.safetensors"), True, threads)

@@ -156,7 +156,7 @@ class SegMapDescriptor(Descriptor):
         )
 
 
-@register("segmap")
+@register("segmap", preset={"matching": {"growth": 0.0}})
 def segmap(threads: int = 0) -> SegMapDescriptor:
     """With the shipped weights."""
     return SegMapDescriptor(shipped_weights("segmap.safetensors"), threads)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .. import geometry
-from ..local_cloud import window
-from ..types import Float64, Int64, Localization, Pose
+from ..local_cloud import LocalCloudConfig, window
+from ..types import Float64, Int64, Localization, Pose, Scan
 
 if TYPE_CHECKING:
     from ..datasets import Recording
@@ -90,18 +90,26 @@ def localize_sequence(
     DatasetError
         If a scan cannot be read. A scan that is empty or shows nothing is "not localized".
     """
-    read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)  # windows overlap
-    poses, config = sequence.poses, localizer.config.local_cloud
     results = []
-    for done, position in enumerate(map(int, positions)):
+    for scans in query_scans(sequence, positions, localizer.config.local_cloud):
+        results.append(localizer.localize(scans))
+        if progress:
+            progress(len(results), len(positions))
+    return results
+
+
+def query_scans(
+    sequence: Recording, positions: Int64, config: LocalCloudConfig
+) -> Iterator[list[Scan]]:
+    """The scans that each query gathers; see :func:`localize_sequence`."""
+    read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)  # windows overlap
+    poses = sequence.poses
+    for position in map(int, positions):
         scans = range(position, position + 1)
         if poses is not None:
             length, gap = config.window_m, config.max_gap_m
             scans = window(poses, position, length, centred=False, max_gap_m=gap)
-        results.append(localizer.localize([read(i) for i in scans]))
-        if progress:
-            progress(done + 1, len(positions))
-    return results
+        yield [read(i) for i in scans]
 
 
 def pose_errors(estimates: Float64, truths: Float64) -> tuple[Float64, Float64]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from ..motion import Motion, deskew
 from .drives import demo_sessions, simulate_sessions
 from .forest import forest
 from .industrial import industrial
 from .lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
 from .linescan import LineLidar, lms151
 from .meadow import meadow
-from .motion import Motion, deskew
 from .odometry import OdometryNoise
 from .park import park
 from .platforms import PLATFORMS, Gait, Platform, car, handheld, legged, wheeled

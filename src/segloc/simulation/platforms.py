@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import ConfigError
 from ..geometry import arc_length
+from ..motion import Motion
 from ..types import Float64
-from .motion import Motion
 from .paths import Footprint, on_ground
 from .roads import along
 from .terrain import Terrain

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..geometry import arc_length
+from ..motion import Motion
 from ..types import Float64
-from .motion import Motion
 from .paths import driven_line, on_ground
 from .platforms import Platform
 from .roads import along

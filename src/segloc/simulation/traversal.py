@@ -8,8 +8,8 @@ import numpy as np
 
 from ..datasets.base import Selection
 from ..errors import ConfigError, DatasetError
+from ..motion import Motion
 from ..types import Float64, Int64, Scan
-from .motion import Motion
 from .objects import Int32
 from .odometry import OdometryNoise
 from .platforms import Platform, car

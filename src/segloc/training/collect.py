@@ -110,7 +110,7 @@ def collect_worlds(
     """
     done: list[Session] = []
     tasks = [(spec, k) for spec in worlds for k in range(len(spec.drives))]
-    with _pool(workers) if executor is None else nullcontext(executor) as pool:
+    with single_threaded_pool(workers) if executor is None else nullcontext(executor) as pool:
         futures = [pool.submit(_world, folder, spec, k, config, segmentation) for spec, k in tasks]
         try:
             for future in as_completed(futures):
@@ -123,7 +123,7 @@ def collect_worlds(
 
 
 @contextmanager
-def _pool(workers: int) -> Iterator[Executor]:
+def single_threaded_pool(workers: int) -> Iterator[Executor]:
     """Processes with one thread each for linear algebra: more would wait for each other."""
     before = os.environ.get(_BLAS_THREADS)
     os.environ[_BLAS_THREADS] = "1"

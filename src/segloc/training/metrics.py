@@ -147,32 +147,61 @@ def auc_interval(
     seed : int
     """
     rng = np.random.default_rng(seed)
-    places = _bootstrap_places(dataset)
+    places = bootstrap_places(dataset)
     (a, b), (c, d) = matching_pairs(dataset), _different_pairs(dataset, rng)
-    if len(a) == 0 or len(c) == 0:
+    right = -np.linalg.norm(vectors[a] - vectors[b], axis=1)
+    wrong = -np.linalg.norm(vectors[c] - vectors[d], axis=1)
+    return area_interval(right, wrong, places[a], places[c], rng, resamples=resamples)
+
+
+def area_interval(
+    right: NDArray[np.floating],
+    wrong: NDArray[np.floating],
+    right_places: NDArray[np.int64],
+    wrong_places: NDArray[np.int64],
+    rng: np.random.Generator,
+    *,
+    resamples: int = 500,
+) -> Interval:
+    """Area under the ROC of any score, with a bootstrap interval over places.
+
+    Parameters
+    ----------
+    right, wrong : (R,), (W,)
+        Scores of pairs that match and of pairs that do not; high ones say that a pair matches.
+    right_places, wrong_places : (R,), (W,) int64
+        The place of each pair, from 0 on; see :func:`bootstrap_places`.
+    rng : numpy.random.Generator
+    resamples : int
+
+    Returns
+    -------
+    Interval
+        0.5 within 0 and 1 where there are no pairs of one kind.
+    """
+    if len(right) == 0 or len(wrong) == 0:
         return Interval(0.5, 0.0, 1.0)
-    positive = np.linalg.norm(vectors[a] - vectors[b], axis=1)
-    negative = np.linalg.norm(vectors[c] - vectors[d], axis=1)
-    order = np.argsort(negative, kind="stable")
-    low = np.searchsorted(negative[order], positive, side="left")
-    high = np.searchsorted(negative[order], positive, side="right")
+    order = np.argsort(wrong, kind="stable")
+    low = np.searchsorted(wrong[order], right, side="left")
+    high = np.searchsorted(wrong[order], right, side="right")
 
     def area(weights: NDArray[np.float64]) -> float:
-        below = np.concatenate([[0.0], np.cumsum(weights[places[c[order]]])])
-        own = weights[places[a]]
-        return float(1.0 - own @ (below[low] + below[high]) / (2 * below[-1] * own.sum()))
+        below = np.concatenate([[0.0], np.cumsum(weights[wrong_places[order]])])
+        own = weights[right_places]
+        return float(own @ (below[low] + below[high]) / (2 * below[-1] * own.sum()))
 
-    count = int(places.max()) + 1
+    count = int(max(right_places.max(), wrong_places.max())) + 1
     drawn = [
         area(weights)
         for weights in rng.multinomial(count, np.full(count, 1 / count), resamples).astype(float)
-        if weights[places[a]].any() and weights[places[c]].any()
+        if weights[right_places].any() and weights[wrong_places].any()
     ]
     lower, upper = np.quantile(drawn, [0.025, 0.975]) if drawn else (0.0, 1.0)
     return Interval(area(np.ones(count)), float(lower), float(upper))
 
 
-def _bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
+def bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
+    """(P,) the place of each segment: its world, or its square of 100 m where worlds are few."""
     keys = dataset.places[:, None].astype(np.float64)
     if len(np.unique(dataset.places)) < 5:
         keys = np.column_stack([keys, np.floor(dataset.centroids[:, :2] / 100.0)])

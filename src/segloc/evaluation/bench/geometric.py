@@ -21,8 +21,11 @@ from .inputs import MatchProblem
 
 CLUSTER_RADIUS_M = 0.5
 QUERIES, DATABASE, DIM = 300, 50_000, 16
-PAIR_PRODUCTS = 7
-"""Products of one pair test of the consensus."""
+VOTE_PRODUCTS = 6
+"""Products of one match that votes for a translation at one yaw."""
+
+YAW_STEP_M = 1.6
+"""How far a step of yaw moves a segment at the root mean square distance, in the consensus."""
 
 
 def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
@@ -115,15 +118,15 @@ def pose(threads: int, repeats: int) -> Row:
     details = {f"{name}, found": float(problem.found(run())) for name, run in runs.items()}
     if not details[f"{OURS}, found"]:
         raise SeglocError("the consensus missed the true pose")
-    flops = "the products of its pair tests", 2.0 * _pairs(problem) * PAIR_PRODUCTS
+    flops = "the products of its votes", 2.0 * _votes(problem) * VOTE_PRODUCTS
     skipped = () if kiss else ("kiss-matcher",)
     return row("pose", threads, repeats, runs, flops=flops, details=details, skipped=skipped)
 
 
 def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
-    """Poses by consensus of pairs with the defaults of the configuration."""
+    """Poses by consensus with the defaults of the configuration."""
     options = PoseConfig().model_dump(include=_CONSENSUS_OPTIONS)
-    return _native.pair_consensus(
+    return _native.consensus(
         problem.query,
         problem.site,
         problem.match_query,
@@ -134,13 +137,11 @@ def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
 
 
 _CONSENSUS_OPTIONS = {
-    "edge_tolerance",
     "inlier_tolerance",
     "height_tolerance",
-    "min_edge",
     "distinct_radius",
     "separation",
-    "max_pivots",
+    "max_refined",
     "max_hypotheses",
 }
 _SAMPLING_OPTIONS = {
@@ -180,16 +181,8 @@ def prune_and_solve(kiss: Any, problem: MatchProblem) -> Float64:
     return T[None]
 
 
-def _pairs(problem: MatchProblem) -> float:
-    """Pairs of matches close enough in the map to be tested."""
-    places = problem.site[problem.match_site, :2]
-    reach = float(np.linalg.norm(np.ptp(problem.query[:, :2], axis=0)))
-    cells = np.floor((places - places.min(axis=0)) / reach).astype(np.int64) + 1
-    counts = np.zeros(cells.max(axis=0) + 2)
-    np.add.at(counts, tuple(cells.T), 1)
-    around = sum(
-        counts[1 + dx : counts.shape[0] - 1 + dx, 1 + dy : counts.shape[1] - 1 + dy]
-        for dx in (-1, 0, 1)
-        for dy in (-1, 0, 1)
-    )
-    return float((counts[1:-1, 1:-1] * around).sum())
+def _votes(problem: MatchProblem) -> float:
+    """Matches times steps of yaw: how often a translation is voted for."""
+    voters = problem.query[problem.match_query, :2]
+    radius = float(np.sqrt(((voters - voters.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return len(voters) * float(np.ceil(2.0 * np.pi * radius / YAW_STEP_M))

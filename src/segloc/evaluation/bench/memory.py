@@ -1,4 +1,4 @@
-"""Memory of inference, and of training one batch (Linux)."""
+"""Memory of inference, and memory and time of training one batch (Linux)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...descriptors.pointset import Layer
-from .harness import optional
+from .harness import interleaved, optional
 from .network import DIM, build, prepared_segments, random_tensors
 
 _RESET_PEAK = "5"
@@ -59,6 +59,33 @@ def training_peak_mb(layers: Sequence[Layer], batch: int = 100) -> float:
     """Peak of one forward and backward pass, by the memory of the process."""
     _, model, points = _training(layers, batch)
     return peak_mb(lambda: model(points).square().sum().backward())
+
+
+def step_ms(layers: Sequence[Layer], batch: int = 100, repeats: int = 3) -> float:
+    """Milliseconds of one forward and backward pass on one thread, the median."""
+    torch, model, points = _training(layers, batch)
+    torch.set_num_threads(1)
+    work = {"step": lambda: model(points).square().sum().backward()}
+    return interleaved(work, 1, repeats)["step"]
+
+
+def has_gpu() -> bool:
+    """Whether PyTorch finds a CUDA device."""
+    found = optional("torch")
+    return found is not None and bool(found[0].cuda.is_available())
+
+
+def training_gpu_mb(layers: Sequence[Layer], batch: int = 100) -> float:
+    """Peak of the tensors on a CUDA device in one forward and backward pass, beyond the model."""
+    from ...training.models import neighbors_of
+
+    torch, model, points = _training(layers, batch)
+    neighbors = [index.cuda() for index in neighbors_of(points.numpy(), layers)]
+    model, points = model.cuda(), points.cuda()
+    torch.cuda.reset_peak_memory_stats()
+    before = torch.cuda.memory_allocated()
+    model(points, *neighbors).square().sum().backward()
+    return float(torch.cuda.max_memory_allocated() - before) / 1e6
 
 
 def _training(layers: Sequence[Layer], batch: int) -> tuple[Any, Any, Any]:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..errors import ConfigError, InvalidScan
-from ..geometry import travelled
-from ..types import Float64, Scan
+from .errors import ConfigError, InvalidScan
+from .geometry import travelled
+from .types import Float64, Scan
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,47 @@ class Motion:
         """When the sensor has travelled given distances (N,), metres."""
         way = travelled(self.poses) if self.way is None else self.way
         return np.asarray(np.interp(distances, way, self.stamps), dtype=np.float64)
+
+
+def interpolated(
+    stamps: Float64, poses: Float64, times: ArrayLike, max_gap_s: float = np.inf
+) -> Float64:
+    """Poses at given times between the poses of a track: linear in position, slerp in rotation.
+
+    Parameters
+    ----------
+    stamps : (K,) float64
+        Seconds, strictly rising.
+    poses : (K, 4, 4) float64
+    times : (N,) array
+        Seconds, in any order.
+    max_gap_s : float
+        Nothing is made up between two stamps that are farther apart.
+
+    Returns
+    -------
+    (N, 4, 4) float64
+        All NaN where there is no pose: before the first stamp, after the last, inside a gap, or
+        at a time that is not finite.
+
+    Raises
+    ------
+    ConfigError
+        If shapes do not fit or stamps do not rise.
+    """
+    asked = np.asarray(times, dtype=np.float64).reshape(-1)
+    found = np.full((len(asked), 4, 4), np.nan)
+    if len(stamps) == 1:
+        found[asked == stamps[0]] = poses[0]
+        return found
+    motion = Motion(stamps, poses)
+    after = np.clip(np.searchsorted(stamps, asked), 1, len(stamps) - 1)  # NaN sorts last
+    exact = (asked == stamps[after - 1]) | (asked == stamps[after])
+    inside = (asked >= stamps[0]) & (asked <= stamps[-1])
+    inside &= exact | (stamps[after] - stamps[after - 1] <= max_gap_s)
+    if inside.any():
+        found[inside] = motion.at(asked[inside])
+    return found
 
 
 def deskew(scan: Scan, motion: Motion, start: float) -> Scan:

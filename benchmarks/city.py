@@ -1,0 +1,151 @@
+"""Found, and never wrongly, in a map of a million segments.
+
+The real maps of ``kitti00.sh`` are padded with simulated towns, and the real queries are asked
+again. Towns are built by ``segloc.simulation``, each simulated and described once; to reach a
+million segments without simulating for hours, each is then placed many times: turned, far from the
+real map and from one another, with every descriptor moved by noise of a fifth of the spread of
+its dimensions and every centroid by noise of 0.2 m. So the padding is made of a few hundred
+thousand different views at most, not of a million. The cloud of a town, against which a pose would
+be verified, is there in its first place only.
+
+    python benchmarks/city.py DATA OUT --method profile      # OUT as filled by kitti00.sh
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from segloc import Config, Localization, Localizer, SegmentMap, build_map, geometry
+from segloc.datasets import open_sequence, parse_select
+from segloc.evaluation.localization import Evaluation, distances_to_path, query_positions
+from segloc.local_cloud import Accumulator, window
+from segloc.simulation import demo_sessions
+from segloc.types import Descriptors, Float64, LocalCloud
+
+FAR_M = 20_000.0
+APART_M = 2_000.0
+PROTOCOLS = {
+    "accumulated": ("keyframes", "keyframes.tum", "948:1820", 10.0, "first"),
+    "sparse": ("keyframes", None, "948:1820", 10.0, "first"),
+    "single": ("scans", None, None, None, "later"),
+}
+
+
+def towns(out: Path, method: str, count: int, first_seed: int) -> list[SegmentMap]:
+    """Maps of simulated towns; kept in ``out``."""
+    maps = []
+    for seed in range(first_seed, first_seed + count):
+        path = out / f"town-{seed}-{method}.segmap"
+        if not path.exists():
+            build_map(demo_sessions(seed)["map"], Config.preset(method)).save(path)
+        maps.append(SegmentMap.load(path))
+    return maps
+
+
+def padded(site: SegmentMap, padding: list[SegmentMap], size: int) -> SegmentMap:
+    """The map with towns around it, up to ``size`` segments."""
+    city = site.crop(site.trajectory[:, :2, 3].mean(axis=0), math.inf)
+    centre = site.centroids.mean(axis=0)
+    rng = np.random.default_rng(size)
+    place = 0
+    while len(city) < size:
+        town = padding[place % len(padding)]
+        take = min(len(town), size - len(city))
+        at = (FAR_M + APART_M * (place % 8), APART_M * (place // 8), 0.0)
+        turn = rng.uniform(-math.pi, math.pi)
+        T = geometry.yaw_transform(turn, tuple((centre + at).tolist()))
+        middle = np.append(town.centroids[:, :2].mean(axis=0), 0.0)
+        spread = 0.2 * town.vectors.std(axis=0)
+        vectors = town.vectors[:take] + rng.normal(0, spread, (take, town.dim))
+        centroids = geometry.transform(T, town.centroids[:take] - middle)
+        cloud = np.empty((0, 3))
+        if place < len(padding):
+            cloud = geometry.transform(T, town.cloud + town.origin - middle)
+        quality = None if town.quality is None else town.quality[:take]
+        city.add(
+            Descriptors(vectors.astype(np.float32), quality),
+            centroids + rng.normal(0, 0.2, centroids.shape),
+            town.sizes[:take],
+            session=place + 1,
+            stamp=0.0,
+            cloud=cloud,
+        )
+        place += 1
+    return city
+
+
+def queries(data: Path, protocol: str, config: Config) -> Iterator[tuple[LocalCloud, Float64]]:
+    """Local clouds of a protocol of kitti00.sh, and their true poses."""
+    folder, poses, select, every, _ = PROTOCOLS[protocol]
+    selection = None if select is None else parse_select(select)
+    truth = Path(f"{folder}.tum")
+    recording = open_sequence(data / folder, None if poses is None else Path(poses), selection)
+    truths = open_sequence(data / folder, truth, selection).poses
+    assert truths is not None
+    local, read = config.local_cloud, lru_cache(64)(recording.scan)
+    positions = range(len(recording))
+    if every is not None:
+        positions = query_positions(truths, every, local.max_gap_m).tolist()
+    for i in positions:
+        scans = range(i, i + 1)
+        if recording.poses is not None:
+            length, gap = local.window_m, local.max_gap_m
+            scans = window(recording.poses, i, length, centred=False, max_gap_m=gap)
+        yield Accumulator(local).gather([read(k) for k in scans]), truths[i]
+
+
+def run(data: Path, protocol: str, cities: list[SegmentMap], config: Config) -> None:
+    """Ask every city the queries of a protocol, and print a row for each."""
+    localizers = [Localizer(city, config) for city in cities]
+    results: list[list[Localization]] = [[] for _ in cities]
+    truths = []
+    for cloud, truth in queries(data, protocol, config):
+        truths.append(truth)
+        for answers, localizer in zip(results, localizers, strict=True):
+            answers.append(localizer.localize(cloud))
+    path, poses = cities[0].trajectory, np.array(truths)
+    nowhere = distances_to_path(poses, path) > 50.0
+    for city, localizer, answers in zip(cities, localizers, results, strict=True):
+        e = Evaluation(np.arange(len(answers)), answers, path, poses)
+        wrong = max((r.inliers for r, n in zip(answers, nowhere, strict=True) if n), default=0)
+        stages = ("matching", "pose", "verification", "total")
+        ms = [statistics.median(r.times_ms[stage] for r in answers) for stage in stages]
+        print(
+            f"| {protocol} | {len(city)} | {localizer.matcher.neighbours} | "
+            f"{int((e.with_place & e.correct).sum())} of {int(e.with_place.sum())} | "
+            f"{int(e.false.sum())} | {wrong} | " + " | ".join(f"{v:.1f}" for v in ms) + " |",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--method", default="profile")
+    parser.add_argument("--sizes", type=int, nargs="*", default=[100_000, 300_000, 1_000_000])
+    parser.add_argument("--towns", type=int, default=6)
+    parser.add_argument("--first-seed", type=int, default=7000)
+    parser.add_argument("--protocols", nargs="*", default=list(PROTOCOLS))
+    parser.add_argument("--config", type=Path)
+    args = parser.parse_args()
+    config = Config.load(args.config, args.method).model_copy(update={"threads": 1})
+    padding = towns(args.out, args.method, args.towns, args.first_seed)
+    print(f"{args.towns} towns of {sum(map(len, padding))} segments together")
+    print("| run | segments | K | found | false | wrong inliers | matching | pose | verif. | ms |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for protocol in args.protocols:
+        site = SegmentMap.load(args.out / f"{PROTOCOLS[protocol][-1]}-{args.method}.segmap")
+        cities = [site, *(padded(site, padding, size) for size in args.sizes)]
+        run(args.data, protocol, cities, config)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,37 @@
+// Where in the space of poses the matches crowd: votes in cells of yaw and translation.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "match_field.h"
+
+namespace segloc {
+
+struct PoseCell {
+  std::uint32_t votes = 0;  // distinct objects of the query
+  std::uint32_t index = 0;  // of one match of the cell, in the field
+  double yaw = 0.0, x = 0.0, y = 0.0;  // p_map = Rz(yaw) p_query + (x, y): the middle of the cell
+};
+
+struct VoteOptions {
+  double tolerance = 0.6;          // how far a match may be from where its pose puts it, metres
+  std::size_t max_votes = 32768;   // the best matches vote
+  std::size_t max_cells = 512;     // fullest cells that are returned
+};
+
+struct PoseVotes {
+  std::vector<PoseCell> cells;  // most votes first
+  double width = 0.0;           // of a cell, metres
+  double turn = 0.0;            // step of yaw
+  double middle[2] = {0.0, 0.0};  // of the query; cells are taken about it
+  double radius = 0.0;          // root mean square distance of the voters to it
+};
+
+// For every step of yaw each match says which translation it asks for; it votes for the four cells
+// around it, which overlap by half, so that no pose falls between cells. Objects are counted, not
+// matches. Which cells come first does not depend on the number of threads.
+PoseVotes vote_for_poses(const Field& f, const VoteOptions& options, int threads);
+
+}  // namespace segloc

@@ -1,0 +1,54 @@
+"""``segloc info``"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import Poses, Recording, Select, Topic
+
+if TYPE_CHECKING:
+    from ..datasets.inspection import Inspectable, Inspection
+
+
+def info(
+    sequence: Recording,
+    poses: Poses = None,
+    select: Select = None,
+    topic: Topic = None,
+    sample: Annotated[int, typer.Option(min=1, help="How many scans to read.")] = 20,
+) -> None:
+    """Show what a recording is and what is wrong with it."""
+    from typing import cast
+
+    from ..datasets import open_sequence
+    from ..datasets.inspection import Inspectable, inspect
+
+    recording = cast(Inspectable, open_sequence(sequence, poses, select, topic=topic))
+    show(recording, inspect(recording, sample))
+
+
+def show(recording: Inspectable, found: Inspection) -> None:
+    """Print a recording's facts as one table, and its problems below."""
+    from .console import number, table
+
+    first, last = int(recording.indices[0]), int(recording.indices[-1])
+    rows = [
+        ("format", recording.format),
+        ("sensor", found.sensor),
+        ("frame of points", recording.frame),
+        ("fields", recording.fields or "-"),
+        ("times of points", "yes" if found.timed else "no"),
+        ("scans", f"{len(recording)} ({first} to {last})"),
+        ("rate", number(found.rate_hz, "Hz", 1)),
+        ("duration", number(found.duration_s, "s", 1)),
+        ("poses", found.poses),
+        ("way", number(found.length_m, "m", 1)),
+        ("points of a scan, median", f"{found.points} ({found.sampled} scans read)"),
+        ("points not finite", f"{100 * found.dropped:.2f} %"),
+        ("problems", str(len(found.problems)) if found.problems else "none found"),
+    ]
+    table(recording.name, ("", ""), rows)
+    for line in found.problems:
+        print(f"- {line}")

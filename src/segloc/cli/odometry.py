@@ -1,0 +1,41 @@
+"""``segloc odometry``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import Recording, Topic
+
+
+def odometry(
+    sequence: Recording,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="POSES.tum", help="By default beside the recording."),
+    ] = None,
+    topic: Topic = None,
+) -> None:
+    """Compute the poses of a recording from its scans alone, by kiss-icp."""
+    from typing import cast
+
+    from .. import geometry
+    from ..datasets import NO_POSES, open_sequence
+    from ..datasets.odometry import Raw, compute_odometry, odometry_path
+    from ..files import checked_target
+    from .console import number, progress, table
+
+    file = checked_target(out) if out is not None else odometry_path(sequence, topic)
+    recording = cast(Raw, open_sequence(sequence, NO_POSES, topic=topic))
+    with progress("Odometry") as update:
+        poses = compute_odometry(recording, file, update).poses
+    way = geometry.travelled(poses)[-1]
+    apart = float(((poses[-1, :3, 3] - poses[0, :3, 3]) ** 2).sum() ** 0.5)
+    rows = [
+        ("scans", str(len(poses))),
+        ("way", number(way, "m", 1)),
+        ("end to start", number(apart, "m", 1)),
+    ]
+    table(str(file), ("", ""), rows)

@@ -1,0 +1,56 @@
+"""How verbs open a recording: its notes are shown, and odometry is run where it is wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..datasets import Sequence
+
+
+def open_recording(
+    path: Path,
+    poses: Path | None = None,
+    select: str | None = None,
+    *,
+    topic: str | None = None,
+    deskew: bool = True,
+    odometry: bool = False,
+) -> Sequence:
+    """Open a recording as :func:`~segloc.datasets.open_sequence` does.
+
+    With ``odometry`` its poses are those of the odometry file beside it, which is written where
+    there is none yet.
+    """
+    from ..datasets import open_sequence
+    from ..errors import ConfigError
+    from .console import note
+
+    if odometry:
+        if poses is not None:
+            raise ConfigError("--odometry and --poses exclude each other")
+        poses = odometry_of(path, topic)
+    sequence = open_sequence(path, poses, select, topic=topic, deskew=deskew)
+    for line in getattr(sequence, "notes", ()):
+        note(line)
+    return sequence
+
+
+def odometry_of(path: Path, topic: str | None = None) -> Path:
+    """The file with the recording's odometry, computed where it is not kept yet."""
+    from typing import cast
+
+    from ..datasets import NO_POSES, open_sequence
+    from ..datasets.odometry import Raw, compute_odometry, kept_odometry, odometry_path
+    from .console import note, progress
+
+    file = odometry_path(path, topic)
+    recording = cast(Raw, open_sequence(path, NO_POSES, topic=topic))
+    if kept_odometry(file, recording):
+        note(f"odometry from {file}")
+        return file
+    with progress("Odometry") as update:
+        compute_odometry(recording, file, update)
+    note(f"odometry written to {file}")
+    return file

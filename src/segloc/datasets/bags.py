@@ -1,0 +1,252 @@
+"""ROS 1 bags, ROS 2 bags (SQLite, MCAP) and MCAP files, read without ROS.
+
+Formats: wiki.ros.org/Bags/Format/2.0, github.com/ros2/rosbag2, mcap.dev/spec. They are opened by
+the package rosbags; here is which messages are scans, and how one of them is found again.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import DatasetError, MissingDependency
+from ..io._columns import one_line
+from ..types import Scan
+from .bag_headers import Headers, read_headers, seconds
+from .pointcloud2 import to_scan
+from .recorded import Found
+from .tracks import rising
+from .velodyne import decode
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+NAME = "bag"
+INNER: tuple[str, ...] = ()
+_SUFFIXES = (".bag", ".db3", ".mcap")
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_PACKETS = "velodyne_msgs/msg/VelodyneScan"
+_KINDS = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag, SQLite", ".mcap": "MCAP"}
+
+
+def recognises(path: Path) -> bool:
+    """Whether the path is a bag, or a folder that holds one."""
+    return bool(bag_paths(path))
+
+
+def bag_paths(path: Path) -> tuple[Path, ...]:
+    """What has to be opened: a file, a ROS 2 bag's folder, or all ROS 1 bags of a folder."""
+    if path.is_file():
+        return (path,) if path.suffix in _SUFFIXES else ()
+    if not path.is_dir():
+        return ()
+    if (path / "metadata.yaml").is_file():
+        return (path,) if _stored(path) else ()
+    for suffix in _SUFFIXES:
+        if found := sorted(path.glob(f"*{suffix}")):
+            return tuple(found)
+    return ()
+
+
+def _stored(path: Path) -> list[Path]:
+    names = [f"*{suffix}{packed}" for suffix in _SUFFIXES[1:] for packed in ("", ".zstd")]
+    return sorted(file for name in names for file in path.glob(name))
+
+
+def find(path: Path, topic: str | None) -> Found:
+    """Read the headers of the clouds, and the poses."""
+    from .bag_poses import find_track
+
+    paths = bag_paths(path)
+    with opened(paths) as reader:
+        chosen = _choose(path, reader, topic)
+        headers = read_headers(reader, paths, chosen)
+        if not len(headers):
+            raise DatasetError(f"{path}: no message on {chosen}")
+        headers, notes = _in_order(headers, str(path), chosen)
+        track, remarks = find_track(reader, headers.frames[0])
+        fields = _fields(reader, chosen)
+    return Found(
+        name=path.resolve().stem if path.is_file() else path.resolve().name,
+        format=_kind(paths[0]),
+        source=BagSource(paths, chosen, headers),
+        indices=np.arange(len(headers)),
+        stamps=headers.stamps,
+        own_track=lambda: track,
+        topic=chosen,
+        frame=headers.frames[0],
+        fields=fields,
+        notes=(*notes, *remarks),
+    )
+
+
+def _kind(path: Path) -> str:
+    if path.is_file():
+        return _KINDS[path.suffix]
+    return f"ROS 2 bag, {'MCAP' if '.mcap' in _stored(path)[0].name else 'SQLite'}"
+
+
+@contextmanager
+def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
+    """A reader of the bag; whatever goes wrong with it is a fault of the bag.
+
+    Raises
+    ------
+    DatasetError
+        If it is cut off, damaged or of a kind that cannot be read.
+    MissingDependency
+        If the package rosbags is not installed.
+    """
+    with faults_of(paths[0]), _reader(paths) as reader:
+        yield reader
+
+
+def _reader(paths: tuple[Path, ...]) -> AnyReader:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingDependency("rosbags", "ros", "reading bags") from error
+    # Older ROS 2 bags do not hold the definitions of their messages.
+    return AnyReader(list(paths), default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+
+@contextmanager
+def faults_of(path: Path) -> Iterator[None]:
+    """Turn any error into one of the file's: damaged bytes show in any way."""
+    try:
+        yield
+    except (DatasetError, MissingDependency):
+        raise
+    except Exception as error:
+        raise DatasetError(f"{path}: cannot be read as a bag: {one_line(error)}") from error
+
+
+def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
+    counts = _counts(reader, _CLOUD) or _counts(reader, _PACKETS)
+    counts |= _counts(reader, _PACKETS) if topic is not None else {}
+    clouds = {name: count for name, count in counts.items() if count} or counts
+    others = sorted({f"{item.topic} ({item.msgtype})" for item in reader.connections})
+    if not clouds:
+        raise DatasetError(
+            f"{path}: no topic of PointCloud2, only {', '.join(others) or 'nothing'}"
+        )
+    if topic is not None:
+        if topic not in counts:
+            raise DatasetError(f"{path}: {topic!r} is no topic of PointCloud2: {_listed(clouds)}")
+        return topic
+    if len(clouds) > 1:
+        raise DatasetError(f"{path}: several topics, choose one by --topic: {_listed(clouds)}")
+    return next(iter(clouds))
+
+
+def _counts(reader: AnyReader, kind: str) -> dict[str, int]:
+    """How many messages there are on each topic of a type."""
+    counts: dict[str, int] = {}
+    for item in reader.connections:
+        if item.msgtype == kind:
+            counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
+    return counts
+
+
+def _listed(topics: dict[str, int]) -> str:
+    return ", ".join(f"{name} ({count})" for name, count in sorted(topics.items()))
+
+
+def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[str]]:
+    """The messages whose stamps rise, all of one frame."""
+    frames = sorted(set(headers.frames))
+    if len(frames) > 1:
+        second = next(k for k, name in enumerate(headers.frames) if name != headers.frames[0])
+        raise DatasetError(
+            f"{path}: message {second} of {topic} is in frame {headers.frames[second]!r}, those "
+            f"before it in {headers.frames[0]!r}: two sensors on one topic?"
+        )
+    if not headers.stamps.any():
+        note = f"{topic} has no stamps: times are those of recording"
+        return headers.with_stamps(np.asarray(headers.logged * 1e-9, np.float64)), [note]
+    later = rising(headers.stamps)
+    lost = len(later) - int(later.sum())
+    if not lost:
+        return headers, []
+    return headers.part(later), [f"{lost} of {len(later)} messages left out: stamps do not rise"]
+
+
+def _fields(reader: AnyReader, topic: str) -> str:
+    for item, _, data in reader.messages([c for c in reader.connections if c.topic == topic]):
+        message: Any = reader.deserialize(data, item.msgtype)
+        if item.msgtype == _PACKETS:
+            return "x y z intensity ring time"
+        return " ".join(field.name for field in message.fields)
+    return ""
+
+
+class BagSource:
+    """The clouds of one topic, found again by the time at which they were recorded.
+
+    Parameters
+    ----------
+    paths : tuple of path
+    topic : str
+    headers : Headers
+        Of the messages that are scans.
+    """
+
+    def __init__(self, paths: tuple[Path, ...], topic: str, headers: Headers) -> None:
+        self._paths, self._topic, self._headers = paths, topic, headers
+        self._reader: AnyReader | None = None
+
+    def __len__(self) -> int:
+        return len(self._headers)
+
+    def where(self, k: int) -> str:
+        """The message, as errors name it."""
+        return f"{self._paths[0]}: message {k} of {self._topic}"
+
+    def read(self, k: int) -> Scan:
+        """The cloud at position k."""
+        with faults_of(self._paths[0]):
+            data, kind = self._message(k)
+            message: Any = self._open().deserialize(data, kind)
+        stamp = float(self._headers.stamps[k])
+        try:
+            if kind == _PACKETS:
+                return _unpacked(message, stamp, self.where(k))
+            return to_scan(message, stamp)
+        except DatasetError as error:
+            raise DatasetError(f"{self.where(k)}: {error}") from error
+
+    def _message(self, k: int) -> tuple[bytes, str]:
+        reader = self._open()
+        logged, rank = int(self._headers.logged[k]), int(self._headers.ranks[k])
+        wanted = [item for item in reader.connections if item.topic == self._topic]
+        messages = reader.messages(wanted, start=logged, stop=logged + 1)
+        for position, (item, _, data) in enumerate(messages):
+            if position == rank:
+                return data, item.msgtype
+        raise DatasetError(f"{self.where(k)}: is not there any more")
+
+    def _open(self) -> AnyReader:
+        if self._reader is None:
+            reader = _reader(self._paths)
+            reader.open()
+            weakref.finalize(self, reader.close)
+            self._reader = reader
+        return self._reader
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_reader": None}  # a process opens the bag for itself
+
+
+def _unpacked(message: Any, stamp: float, where: str) -> Scan:
+    """The points of a velodyne_msgs/VelodyneScan, whose stamp is its first packet's or its last."""
+    packets = [(seconds(packet.stamp), bytes(packet.data)) for packet in message.packets]
+    scan = decode(packets, where)
+    if scan.times is not None and packets:
+        scan.times = scan.times + (packets[0][0] - stamp)
+    return scan

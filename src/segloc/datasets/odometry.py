@@ -1,0 +1,179 @@
+"""Poses for a recording that has none: LiDAR odometry by kiss-icp.
+
+I. Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP", RA-L 2023.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import DatasetError, MissingDependency
+from ..io.trajectory import Trajectory, read_trajectory, write_tum
+from ..types import Float64, Int64, Scan
+from .inspection import in_one_plane
+from .recorded import times_fit
+
+_FEWEST_POINTS = 50
+_LONGEST_STEP_M = 20.0
+_MOST_IN_A_ROW = 5
+
+
+class Raw(Protocol):
+    """A recording whose scans can be read as they were recorded."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def indices(self) -> Int64: ...
+    @property
+    def stamps(self) -> Float64 | None: ...
+    def __len__(self) -> int: ...
+    def raw(self, i: int) -> Scan: ...
+    def where(self, i: int) -> str: ...
+
+
+def lidar_odometry(
+    recording: Raw,
+    *,
+    max_range_m: float = 100.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Poses of the sensor from its scans alone; the frame is that of the first scan.
+
+    Runs on one thread, so that the same scans give the same poses. Points with times are de-skewed,
+    and a pose then holds at the end of its scan: its stamp is that moment, not the scan's own.
+
+    Parameters
+    ----------
+    recording : Raw
+        Any sequence that :func:`~segloc.datasets.open_sequence` opens.
+    max_range_m : float
+        Points farther away are not used.
+    progress : callable, optional
+        Called with (scans done, scans in all).
+
+    Returns
+    -------
+    Trajectory
+        Stamps are seconds where the recording has stamps, and else the scans' numbers.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read or is empty or of one plane, or the odometry was lost: a pose is
+        not finite, or jumps, or falls back to where it began, or several scans in a row were not
+        registered.
+    MissingDependency
+        If kiss-icp is not installed.
+    """
+    odometry = _kiss_icp(max_range_m)
+    timed = recording.stamps is not None and bool((recording.stamps % 1).any())
+    clock = recording.stamps if timed else None
+    keys, poses = [], []
+    guard = _Guard()
+    for i in range(len(recording)):
+        scan = recording.raw(i)
+        if i == 0 and len(scan) and in_one_plane(scan.points):
+            raise DatasetError(f"{recording.where(i)}: odometry needs 3D, not one plane")
+        if len(scan) < _FEWEST_POINTS:
+            raise DatasetError(f"{recording.where(i)}: only {len(scan)} points: odometry is lost")
+        times, last = np.empty(0), 0.0
+        if clock is not None and scan.times is not None and times_fit(scan):
+            times, last = scan.times, float(scan.times.max())
+        odometry.register_frame(scan.points.astype(np.float64), times)
+        pose = np.array(odometry.last_pose, dtype=np.float64)
+        guard.check(pose, recording.where(i))
+        keys.append(float(recording.indices[i]) if clock is None else float(clock[i]) + last)
+        poses.append(pose)
+        if progress:
+            progress(i + 1, len(recording))
+    return Trajectory(np.array(keys), np.array(poses))
+
+
+def _kiss_icp(max_range_m: float) -> Any:
+    try:
+        from kiss_icp.config.parser import load_config
+        from kiss_icp.kiss_icp import KissICP
+    except ImportError as error:
+        raise MissingDependency("kiss-icp", "odometry", "LiDAR odometry") from error
+    config = load_config(None)
+    config.data.max_range = max_range_m
+    config.mapping.voxel_size = max_range_m / 100.0
+    config.registration.max_num_threads = 1
+    return KissICP(config)
+
+
+class _Guard:
+    """Tells when odometry was lost: it says so itself by odd poses, never by an error."""
+
+    def __init__(self) -> None:
+        self._poses: list[Float64] = []
+        self._idle = 0
+
+    def check(self, pose: Float64, where: str) -> None:
+        fault = self._fault(pose)
+        if fault:
+            raise DatasetError(f"{where}: odometry is lost: {fault}")
+        self._poses = [*self._poses[-2:], pose]
+
+    def _fault(self, pose: Float64) -> str:
+        if not np.isfinite(pose).all():
+            return "a pose that is not finite"
+        if not self._poses:
+            return ""
+        last = self._poses[-1]
+        step = float(np.linalg.norm(pose[:3, 3] - last[:3, 3]))
+        if step > _LONGEST_STEP_M:
+            return f"a step of {step:.1f} m"
+        if np.array_equal(pose, np.eye(4)) and np.linalg.norm(last[:3, 3]) > 0.1:
+            return "back at the beginning"
+        if len(self._poses) < 3 or step < 1e-3:
+            return ""
+        # Without correspondences the pose is the one that was predicted: the last step again.
+        before = self._poses[-2]
+        predicted = last @ np.linalg.inv(before) @ last
+        self._idle = self._idle + 1 if np.abs(predicted - pose).max() < 1e-9 else 0
+        return "scans do not fit each other" if self._idle >= _MOST_IN_A_ROW else ""
+
+
+def odometry_path(path: Path, topic: str | None = None) -> Path:
+    """Where the odometry of the recording at ``path`` is kept: beside it."""
+    place = path.resolve()
+    part = f".{topic.strip('/').replace('/', '_')}" if topic else ""
+    return place.parent / f"{place.name}{part}.odometry.tum"
+
+
+def kept_odometry(file: Path, recording: Raw) -> bool:
+    """Whether a file holds the odometry of the recording's scans: as many, at the same times."""
+    if not file.is_file():
+        return False
+    try:
+        stamps = read_trajectory(file).stamps
+    except DatasetError:
+        return False
+    wanted = recording.stamps
+    if wanted is None or not (wanted % 1).any():
+        wanted = recording.indices.astype(np.float64)
+    return len(stamps) == len(wanted) and bool(np.abs(stamps - wanted).max() <= 1.0)
+
+
+def compute_odometry(
+    recording: Raw, file: Path, progress: Callable[[int, int], None] | None = None
+) -> Trajectory:
+    """Run :func:`lidar_odometry` and keep its poses in a TUM file.
+
+    Raises
+    ------
+    DatasetError
+        If the file's folder cannot be written to, before the work; or as the odometry does.
+    """
+    if not os.access(file.parent, os.W_OK):
+        raise DatasetError(f"{file}: its folder cannot be written to: name another file by --out")
+    trajectory = lidar_odometry(recording, progress=progress)
+    write_tum(file, trajectory)
+    return trajectory

@@ -1,0 +1,256 @@
+"""A recording in the format of some dataset or logger, behind the interface of all recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..io.scans import read_file
+from ..motion import Motion, deskew
+from ..types import Float64, Int64, Scan
+from .base import Selection
+from .tracks import Track, read_track
+
+_LONGEST_SCAN_S = 1.0  # point times that stray farther from the scan's stamp are on another clock
+
+
+class Source(Protocol):
+    """Where scans are read from; can be pickled."""
+
+    def __len__(self) -> int: ...
+
+    def read(self, k: int) -> Scan:
+        """The scan at position k; times, if any, in seconds after the scan's stamp."""
+        ...
+
+    def where(self, k: int) -> str:
+        """What the scan at position k is called in messages: its file or message."""
+        ...
+
+
+@dataclass(frozen=True)
+class FileSource:
+    """One file a scan.
+
+    Attributes
+    ----------
+    paths : tuple of path
+    parse : callable
+        From the bytes of a file to a scan; raises DatasetError.
+    """
+
+    paths: tuple[Path, ...]
+    parse: Callable[[bytes], Scan]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def where(self, k: int) -> str:
+        return str(self.paths[k])
+
+    def read(self, k: int) -> Scan:
+        try:
+            return self.parse(read_file(self.paths[k]))
+        except DatasetError as error:
+            raise DatasetError(f"{self.paths[k]}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the reader of a format finds at a path, before poses are chosen.
+
+    Attributes
+    ----------
+    name : str
+        Of the recording.
+    format : str
+    source : Source
+    indices : (N,) int64
+        Numbers of the source's scans.
+    stamps : (N,) float64 or None
+        When they were taken, seconds.
+    frame : str
+        The frame of the points.
+    fields : str
+        What the format has of each point.
+    notes : tuple of str
+        Faults that were met, one line each.
+    topic : str or None
+        Of several sensors, topics or scenes; None in formats that have one.
+    own_track : callable
+        Reads the poses that come with the recording; None where there are none.
+    own_poses : callable
+        A track from a file in the dataset's own format; None for a file of another format.
+    """
+
+    name: str
+    format: str
+    source: Source
+    indices: Int64
+    stamps: Float64 | None
+    frame: str
+    fields: str
+    notes: tuple[str, ...] = ()
+    topic: str | None = None
+    own_track: Callable[[], Track | None] = field(default=lambda: None, repr=False)
+    own_poses: Callable[[Path], Track | None] = field(default=lambda path: None, repr=False)
+
+
+@dataclass(frozen=True)
+class RecordedSequence:
+    """The scans of a recording; a ``Sequence``. Scans are read when they are asked for.
+
+    Attributes
+    ----------
+    name, format, frame, fields : str
+        Of the recording, as in :class:`Found`.
+    source : Source
+    rows : (N,) int64
+        Positions in the source.
+    indices : (N,) int64
+    stamps : (N,) float64 or None
+        Seconds.
+    poses : (N, 4, 4) float64 or None
+        T_world_sensor.
+    track : Track or None
+        What the poses were interpolated from.
+    motion : Motion or None
+        What points with times are corrected by, to where they would be at the scan's stamp.
+    notes : tuple of str
+    """
+
+    name: str
+    format: str
+    frame: str
+    fields: str
+    source: Source
+    rows: Int64
+    indices: Int64
+    stamps: Float64 | None
+    poses: Float64 | None
+    track: Track | None
+    motion: Motion | None
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def scan(self, i: int) -> Scan:
+        """Read the scan at position i, de-skewed where points have times and poses are known.
+
+        Raises
+        ------
+        DatasetError
+            If there is no such position or the scan cannot be read.
+        """
+        scan = self.raw(i)
+        scan = corrected(scan, self.motion, None if self.stamps is None else float(self.stamps[i]))
+        scan.stamp = float(self.indices[i])
+        scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
+        return scan
+
+    def raw(self, i: int) -> Scan:
+        """The scan at position i as it was recorded, without pose."""
+        if not 0 <= i < len(self):
+            raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")
+        return self.source.read(int(self.rows[i]))
+
+    def where(self, i: int) -> str:
+        """The file or message of the scan at position i."""
+        return self.source.where(int(self.rows[i]))
+
+    def select(self, selection: Selection) -> RecordedSequence:
+        """The scans whose indices are in the selection, in the same order.
+
+        Raises
+        ------
+        DatasetError
+            If there are none.
+        """
+        mask = selection.mask(self.indices)
+        if not mask.any():
+            span = f"{self.indices.min()} to {self.indices.max()}"
+            raise DatasetError(f"{self.name}: {selection} selects none of the scans {span}")
+        return self._part(mask)
+
+    def _part(self, mask: np.ndarray) -> RecordedSequence:
+        return replace(
+            self,
+            rows=self.rows[mask],
+            indices=self.indices[mask],
+            stamps=None if self.stamps is None else self.stamps[mask],
+            poses=None if self.poses is None else self.poses[mask],
+        )
+
+
+def corrected(scan: Scan, motion: Motion | None, stamp: float | None) -> Scan:
+    """The scan as it would be if all points had been measured at its stamp.
+
+    As it is where its points have no times, or times on another clock.
+    """
+    if motion is None or stamp is None or not times_fit(scan):
+        return scan
+    still = deskew(scan, motion, stamp)
+    still.times, still.dropped = None, scan.dropped  # all points are of one moment now
+    return still
+
+
+def times_fit(scan: Scan) -> bool:
+    """Whether points have times that can be seconds after the scan's stamp."""
+    times = scan.times
+    if times is None or not len(times):
+        return False
+    return bool(np.isfinite(times).all() and np.abs(times).max() <= _LONGEST_SCAN_S)
+
+
+def assembled(
+    found: Found, poses: Path | None, *, own_poses: bool = True, deskewed: bool = True
+) -> RecordedSequence:
+    """A sequence of the scans that a reader found, with the poses that were asked for.
+
+    Scans that lie outside the poses in time, or in a gap of theirs, are left out and noted.
+
+    Parameters
+    ----------
+    found : Found
+    poses : path, optional
+        A file to take the poses from.
+    own_poses : bool
+        Whether to take the recording's own where no file is given.
+    deskewed : bool
+
+    Raises
+    ------
+    DatasetError
+        If there are no scans, the poses cannot be read, or no scan has one.
+    """
+    if not len(found.source):
+        raise DatasetError(f"{found.name}: {found.format} without any scan")
+    track = None
+    if poses is not None:
+        track = found.own_poses(poses) or read_track(poses, found.indices, found.stamps)
+    elif own_poses:
+        track = found.own_track()
+    at_scans, motion, notes = None, None, list(found.notes)
+    if track is not None:
+        at_scans = track.at(found.indices, found.stamps)
+        notes += [track.note] if track.note else []
+        if deskewed and track.clock == "seconds" and len(track.keys) > 1:
+            motion = Motion(track.keys, track.poses)
+    sequence = RecordedSequence(
+        found.name, found.format, found.frame, found.fields, found.source,
+        np.arange(len(found.source)), found.indices, found.stamps, at_scans, track, motion,
+        tuple(notes),
+    )  # fmt: skip
+    if track is None or at_scans is None:
+        return sequence
+    known = np.isfinite(at_scans[:, 0, 0])
+    if known.all():
+        return sequence
+    lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
+    return replace(sequence._part(known), notes=(*notes, lost))

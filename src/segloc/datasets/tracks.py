@@ -1,0 +1,221 @@
+"""Poses as recordings come with them: at stamps of their own, or by the number of the scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ..errors import DatasetError
+from ..io._columns import one_line
+from ..io.scans import read_file
+from ..io.trajectory import read_trajectory_and_kind
+from ..motion import interpolated
+from ..types import Float64, Int64, Pose
+
+LONGEST_GAP_S = 1.0
+"""Between poses farther apart in time, no pose is made up."""
+_ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where a sensor was.
+
+    Attributes
+    ----------
+    source : str
+        The file or topic that it comes from.
+    keys : (K,) float64
+        Strictly rising: seconds on the scans' clock, or numbers of scans.
+    poses : (K, 4, 4) float64
+        T_world_sensor, z up.
+    clock : str
+        What the keys are, "seconds" or "numbers".
+    note : str
+        What had to be left out, if anything.
+    """
+
+    source: str
+    keys: Float64
+    poses: Float64
+    clock: Literal["seconds", "numbers"] = "seconds"
+    note: str = ""
+
+    def at(self, indices: Int64, stamps: Float64 | None) -> Float64:
+        """T_world_sensor (N, 4, 4) of scans with these numbers and stamps; NaN where unknown.
+
+        Raises
+        ------
+        DatasetError
+            If there is no pose for any of them.
+        """
+        if self.clock == "seconds":
+            if stamps is None:
+                raise DatasetError(f"{self.source}: poses by time, but the scans have no times")
+            ends = np.clip(stamps, self.keys[0], self.keys[-1])
+            near = np.where(np.abs(ends - stamps) < _ROUNDING_S, ends, stamps)
+            found = interpolated(self.keys, self.poses, near, LONGEST_GAP_S)
+        else:
+            stamps = indices.astype(np.float64)
+            found = interpolated(self.keys, self.poses, stamps, 0.0)
+        if len(stamps) and np.isnan(found).all():
+            raise DatasetError(
+                f"{self.source}: no pose for any scan: poses are from {_span(self.keys)}, scans "
+                f"from {_span(stamps)} ({self.clock})"
+            )
+        return found
+
+    @property
+    def gaps(self) -> Float64:
+        """Lengths of the gaps that no pose is made up in, seconds, (G,)."""
+        steps = np.diff(self.keys)
+        return steps[steps > LONGEST_GAP_S] if self.clock == "seconds" else steps[:0]
+
+
+def _span(values: Float64) -> str:
+    return f"{values.min():.3f} to {values.max():.3f}"
+
+
+def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
+    """A track of poses in seconds without those that are not finite or do not come later.
+
+    Raises
+    ------
+    DatasetError
+        If none is left.
+    """
+    finite = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
+    good = finite.copy()
+    good[finite] = rising(stamps[finite])
+    if not good.any():
+        raise DatasetError(f"{source}: no poses")
+    lost = len(good) - int(good.sum())
+    note = (
+        f"{source}: {lost} of {len(good)} poses left out: not finite, or not later" if lost else ""
+    )
+    return Track(source, stamps[good], poses[good], note=note)
+
+
+def rising(stamps: Float64) -> NDArray[np.bool_]:
+    """Which stamps (N,) are later than all before them."""
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(stamps)[:-1]])
+    return np.asarray(stamps > before[: len(stamps)])
+
+
+def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
+    """A TUM or KITTI file as a track for scans with these numbers and stamps.
+
+    TUM stamps that are all whole are the scans' numbers, others are seconds; seconds for scans
+    without stamps are taken in the order of the scans if there are as many. Row i of a KITTI file
+    is the pose of scan number i if it has that many rows, and else of the scan at position i.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be read, or there are no poses in it.
+    """
+    trajectory, kind = read_trajectory_and_kind(path)
+    keys, poses = np.array(trajectory.stamps), np.array(trajectory.poses)
+    if not len(keys):
+        raise DatasetError(f"{path}: no poses")
+    seconds = kind == "tum" and bool((keys % 1).any())
+    if seconds and stamps is not None:
+        return Track(str(path), keys, poses)
+    if seconds and len(keys) == len(indices):
+        return Track(str(path), indices.astype(np.float64), poses, "numbers")
+    if kind == "kitti" and len(keys) <= indices.max():
+        count = min(len(keys), len(indices))
+        return Track(str(path), indices[:count].astype(np.float64), poses[:count], "numbers")
+    return Track(str(path), keys, poses, "seconds" if seconds else "numbers")
+
+
+def read_table(
+    path: Path, columns: Sequence[str | int], *, separator: str | None = ",", header: bool = False
+) -> Float64:
+    """Columns of a file of numbers, (N, C) float64.
+
+    Parameters
+    ----------
+    path : path
+    columns : sequence of str or int
+        By their names, where the first line is a header, or by position.
+    separator : str or None
+        None for white space.
+    header : bool
+        Whether to leave out the first line.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read or has no rows, a column is missing, or a value is no number.
+    """
+    try:
+        lines = read_file(path).decode("utf-8-sig", "replace").splitlines()
+        names = [name.strip() for name in lines[0].split(separator)] if lines and header else []
+        rows = [line for line in lines[header:] if line.strip() and not line.startswith("#")]
+        if not rows:
+            raise DatasetError("no rows")
+        for column in columns:
+            if isinstance(column, str) and column not in names:
+                raise DatasetError(f"no column {column!r} in its first line")
+        chosen = [names.index(c) if isinstance(c, str) else c for c in columns]
+        return np.loadtxt(rows, delimiter=separator, usecols=chosen, ndmin=2)
+    except (DatasetError, ValueError) as error:
+        raise DatasetError(f"{path}: {one_line(error)}") from error
+
+
+def euler_poses(xyz: Float64, angles: Float64) -> Float64:
+    """Poses (N, 4, 4) from positions (N, 3) and roll, pitch, yaw (N, 3) in radians.
+
+    R = Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    return _assembled(xyz, Rotation.from_euler("ZYX", angles[:, ::-1]))
+
+
+def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
+    """Poses (N, 4, 4) from positions (N, 3) and quaternions (N, 4) as x, y, z, w.
+
+    Raises
+    ------
+    DatasetError
+        If a quaternion is not near unit length; names ``where`` and the row.
+    """
+    with np.errstate(all="ignore"):
+        good = np.abs(np.linalg.norm(xyzw, axis=1) - 1) < 0.05
+    if not good.all():
+        raise DatasetError(
+            f"{where}: row {int(good.argmin()) + 1} has a quaternion not of length 1"
+        )
+    return _assembled(xyz, Rotation.from_quat(xyzw))
+
+
+def matrix_poses(rows: Float64) -> Float64:
+    """Poses (N, 4, 4) from their upper three rows, (N, 12); rotations made exact.
+
+    Positions of the size of UTM coordinates come with rotations that were rounded.
+    """
+    matrices = rows.reshape(-1, 3, 4)
+    return _assembled(matrices[:, :, 3], Rotation.from_matrix(matrices[:, :, :3]))
+
+
+def _assembled(xyz: Float64, rotations: Rotation) -> Float64:
+    poses = np.tile(np.eye(4), (len(xyz), 1, 1))
+    poses[:, :3, :3] = rotations.as_matrix()
+    poses[:, :3, 3] = xyz
+    return poses
+
+
+def mount(xyz: Sequence[float], angles: Sequence[float]) -> Pose:
+    """T_body_sensor from x, y, z in metres and roll, pitch, yaw in radians."""
+    poses = euler_poses(np.array([xyz], np.float64), np.array([angles], np.float64))
+    return np.asarray(poses[0], dtype=np.float64)
+
+
+Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Between a frame whose z axis points down and the same one turned about x to point it up."""

@@ -1,0 +1,266 @@
+"""Asking the queries of a course by several methods at once: each cloud is segmented once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from .. import geometry
+from ..config import Config
+from ..datasets import Recording
+from ..descriptors import Descriptor, create
+from ..errors import DatasetError
+from ..local_cloud import Accumulator
+from ..localizer import Localizer
+from ..map import SegmentMap
+from ..mapping import map_views
+from ..pose import PoseEstimator
+from ..segmentation import Segmenter
+from ..types import Float64, Localization, Pose
+from ..verification import Verifier
+from .courses import Course, Opened
+from .localization import Evaluation, query_scans
+
+ESTIMATORS = ("consensus", "prosac")
+"""Ours, and the one of the paper."""
+
+PLACES = ("map", "stranger")
+
+_CELL_M, _TALL_M = 0.5, 1.0
+
+Answer = dict[str, Any]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Site:
+    """One place as every method has it in its map, over one cloud.
+
+    Attributes
+    ----------
+    localizers : dict of method to dict of estimator to Localizer
+    trajectory : (V, 4, 4) float64
+    cloud : (N, 3) float64
+        Map frame.
+    """
+
+    localizers: Mapping[str, Mapping[str, Localizer]]
+    trajectory: Float64
+    cloud: Float64
+
+
+def shared_config(method: str, threads: int) -> Config:
+    """A method's preset, with the segmentation that all methods share: the default one."""
+    preset, default = Config.preset(method), Config()
+    shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}
+    return preset.model_copy(update={**shared, "threads": threads})
+
+
+def build_maps(
+    recording: Recording,
+    descriptors: Mapping[str, Descriptor],
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, SegmentMap]:
+    """The maps of several methods, made of the same segments; the first has the cloud of all.
+
+    Raises
+    ------
+    DatasetError
+        If the recording has no poses, or nothing that could be segmented.
+    """
+    config = Config(threads=threads)
+    sites: dict[str, SegmentMap] = {}
+    poses = recording.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
+    first, nothing = next(iter(descriptors)), np.empty((0, 3))
+    for view in map_views(recording, config, progress=progress):
+        segments = view.scene.segments
+        centroids = geometry.transform(view.T_map_local, segments.centroids)
+        surface = geometry.transform(view.T_map_local, view.scene.surface)
+        for name, descriptor in descriptors.items():
+            site = sites.setdefault(name, _empty(name, descriptor, poses[0], config))
+            site.add(
+                descriptor.describe(segments),
+                centroids,
+                segments.sizes,
+                session=0,
+                stamp=view.stamp,
+                cloud=surface if name == first else nothing,
+            )
+    if not len(sites[first]):
+        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
+    for site in sites.values():
+        site.add_trajectory(poses)
+    return sites
+
+
+def _empty(name: str, descriptor: Descriptor, near: Pose, config: Config) -> SegmentMap:
+    voxel = config.mapping.cloud_voxel
+    return SegmentMap.empty(
+        name, descriptor.fingerprint, descriptor.dim, near[:3, 3], cloud_voxel=voxel
+    )
+
+
+def build_site(
+    recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
+) -> Site:
+    """The maps of :func:`build_maps`, ready to be asked."""
+    sites = build_maps(recording, descriptors, threads)
+    whole = next(iter(sites.values()))
+    # The cloud is the same for all methods, and so is what verification prepares of it.
+    verifier = Verifier(whole.cloud, whole.origin, Config().verification)
+    localizers = {
+        name: _localizers(site, shared_config(name, threads), verifier)
+        for name, site in sites.items()
+    }
+    return Site(localizers, whole.trajectory, whole.cloud + whole.origin)
+
+
+def _localizers(site: SegmentMap, config: Config, verifier: Verifier) -> dict[str, Localizer]:
+    base = Localizer(site, config)
+    base.verifier = verifier
+    found = {}
+    for name in ESTIMATORS:
+        pose = config.pose.model_copy(update={"estimator": name})
+        localizer = copy(base)
+        localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+        found[name] = localizer
+    return found
+
+
+def ask_all(
+    opened: Opened,
+    methods: tuple[str, ...],
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], dict[str, Float64]]:
+    """Ask every query of a course in its map and in the stranger's, by every method.
+
+    Returns
+    -------
+    answers : dict
+        ``answers[method][ask][place][estimator]`` is a list of one dict a query, in values that
+        JSON can hold.
+    arrays : dict of str to array
+        "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each ask "indices-ASK"
+        and "truths-ASK".
+    """
+    descriptors = {name: create(name, threads) for name in methods}
+    places = {"map": build_site(opened.map, descriptors, threads)}
+    if opened.stranger is not None:
+        places["stranger"] = build_site(opened.stranger, descriptors, threads)
+    answers: dict[str, Any] = {
+        method: {
+            ask: {place: {name: [] for name in ESTIMATORS} for place in places}
+            for ask in opened.asks
+        }
+        for method in methods
+    }
+    total = sum(len(ask.positions) for ask in opened.asks.values())
+    for done, (ask, found) in enumerate(_answered(opened, descriptors, places)):
+        for (method, place, estimator), result in found.items():
+            answers[method][ask][place][estimator].append(_record(result))
+        if progress:
+            progress(done + 1, total)
+    return answers, _arrays(opened, places["map"])
+
+
+def _answered(
+    opened: Opened, descriptors: Mapping[str, Descriptor], places: Mapping[str, Site]
+) -> Iterator[tuple[str, dict[tuple[str, str, str], Localization]]]:
+    config = Config()
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    queries = chain.from_iterable(
+        ((name, scans) for scans in query_scans(ask.recording, ask.positions, config.local_cloud))
+        for name, ask in opened.asks.items()
+    )
+    for name, scans in queries:
+        cloud = accumulator.gather(scans)
+        scene = segmenter.segment(cloud)
+        found = {}
+        for method, descriptor in descriptors.items():
+            described = descriptor.describe(scene.segments)
+            for place, site in places.items():
+                for estimator, localizer in site.localizers[method].items():
+                    answer = localizer.locate(cloud, scene, described)
+                    found[method, place, estimator] = answer
+        yield name, found
+
+
+def _record(result: Localization) -> Answer:
+    pose = result.T_map_sensor
+    return {
+        "reason": result.reason,
+        "T_map_sensor": None if pose is None else pose.ravel().tolist(),
+        "inliers": result.inliers,
+        "overlap": result.overlap,
+        "confidence": result.confidence,
+    }
+
+
+def _arrays(opened: Opened, site: Site) -> dict[str, Float64]:
+    arrays = {
+        "trajectory": site.trajectory[:, :2, 3],
+        "cloud": _standing(site.cloud),
+    }
+    for name, ask in opened.asks.items():
+        arrays[f"indices-{name}"] = ask.recording.indices[ask.positions].astype(np.float64)
+        if ask.truths is not None:
+            arrays[f"truths-{name}"] = ask.truths
+    return arrays
+
+
+def _standing(cloud: Float64) -> Float64:
+    """Where something stands, (N, 2): cells whose points differ in height by a metre or more."""
+    if not len(cloud):
+        return np.empty((0, 2))
+    cells, group = np.unique(np.round(cloud[:, :2] / _CELL_M), axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    starts = np.flatnonzero(np.diff(group.ravel()[order], prepend=-1))
+    z = cloud[order, 2]
+    tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts) >= _TALL_M
+    standing: Float64 = cells[tall] * _CELL_M
+    return standing
+
+
+def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], ask: str) -> Evaluation:
+    """The answers to one ask, scored against the truth where it is known."""
+    results = [
+        Localization(
+            localized=answer["T_map_sensor"] is not None,
+            reason=answer["reason"],
+            T_map_sensor=None
+            if answer["T_map_sensor"] is None
+            else np.array(answer["T_map_sensor"]).reshape(4, 4),
+            inliers=answer["inliers"],
+            overlap=answer["overlap"],
+            confidence=answer["confidence"],
+        )
+        for answer in answers
+    ]
+    path = np.tile(np.eye(4), (len(arrays["trajectory"]), 1, 1))
+    path[:, :2, 3] = arrays["trajectory"]
+    indices = arrays[f"indices-{ask}"].astype(np.int64)
+    return Evaluation(indices, results, path, arrays.get(f"truths-{ask}"))
+
+
+@dataclass(frozen=True)
+class Job:
+    """A course to be asked by some methods, in a process of its own."""
+
+    course: Course
+    methods: tuple[str, ...]
+    threads: int
+
+
+def done(job: Job) -> tuple[Job, dict[str, Any], dict[str, Float64]]:
+    """The job, and what :func:`ask_all` found."""
+    answers, arrays = ask_all(job.course.open(), job.methods, job.threads)
+    return job, answers, arrays

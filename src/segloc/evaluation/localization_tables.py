@@ -1,0 +1,183 @@
+"""Counts of localizations as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..types import Float64
+from . import asking
+from .asking import ESTIMATORS, Answer
+from .courses import Course
+from .localization import Evaluation
+from .methods import Methods
+from .study import Cell, Table
+
+_TITLES = {"consensus": "our estimator (consensus)", "prosac": "the paper's estimator (PROSAC)"}
+
+
+@dataclass(frozen=True)
+class Result:
+    """The answers on one course.
+
+    Attributes
+    ----------
+    course : Course
+    answers : dict
+        ``answers[method][ask][place][estimator]``; see :func:`~segloc.evaluation.asking.ask_all`.
+    arrays : dict of str to array
+    """
+
+    course: Course
+    answers: Mapping[str, Any]
+    arrays: Mapping[str, Float64]
+
+    def asks(self) -> list[str]:
+        """Names of the groups of queries."""
+        return [key.removeprefix("indices-") for key in self.arrays if key.startswith("indices-")]
+
+    def scored(self, method: str, ask: str, estimator: str) -> Evaluation:
+        """The answers to one ask, against the truth."""
+        answers = self.answers[method][ask]["map"][estimator]
+        return asking.evaluation(answers, self.arrays, ask)
+
+    def strangers(self, method: str, ask: str, estimator: str) -> list[Answer]:
+        """What was answered where nothing may be found."""
+        answers: list[Answer] = self.answers[method][ask].get("stranger", {}).get(estimator, [])
+        return answers
+
+
+def summaries(results: list[Result], methods: Methods, estimator: str) -> Iterator[Table]:
+    """One row a course and ask: how many were found and, in brackets, how many falsely."""
+    how = _TITLES[estimator]
+    rows: list[tuple[Cell, ...]] = []
+    strangers: list[tuple[Cell, ...]] = []
+    for result in results:
+        facts = result.course.facts()
+        for ask in groups(result):
+            first = _sums(result, methods.names[0], ask, estimator)
+            described = (label_of(result, ask), facts.kind, facts.sensor)
+            found = [_sums(result, name, ask, estimator) for name in methods.names]
+            rows.append((*described, first.queries, first.places, *(s.cell() for s in found)))
+            if first.asked_elsewhere:
+                false = [s.false_elsewhere for s in found]
+                strangers.append((label_of(result, ask), first.asked_elsewhere, *false))
+    columns = ("set", "type", "sensor", "queries", "places", *methods.names)
+    note = (
+        "Queries that were localized rightly; in brackets, where there are any, those that were "
+        "localized falsely. Places: queries that the map's way passes within 3 m; some that it "
+        "passes farther off are found, too. "
+    )
+    yield Table(
+        f"localizations-{estimator}",
+        f"Number of localizations, {how}",
+        columns,
+        tuple(rows),
+        (note + methods.note()).strip(),
+    )
+    if strangers:
+        yield Table(
+            f"negatives-{estimator}",
+            f"False localizations in the map of another place, {how}",
+            ("set", "queries", *methods.names),
+            (*strangers, _total(strangers)),
+            "The same queries in a map that does not hold them: every answer is false.",
+        )
+
+
+def _total(rows: list[tuple[Cell, ...]]) -> tuple[Cell, ...]:
+    sums = [sum(int(row[k] or 0) for row in rows) for k in range(1, len(rows[0]))]
+    return ("all", *sums)
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Counts of one method and estimator over a group of queries; None where truth is unknown."""
+
+    queries: int
+    places: int | None
+    localized: int
+    right: int | None
+    right_at_places: int | None
+    false: int | None
+    asked_elsewhere: int
+    false_elsewhere: int
+    error_m: float | None
+
+    def cell(self) -> str | int:
+        if self.right is None:
+            return self.localized
+        return f"{self.right} ({self.false})" if self.false else self.right
+
+
+def _sums(result: Result, method: str, group: tuple[str, ...], estimator: str) -> _Sums:
+    scored = [result.scored(method, ask, estimator) for ask in group]
+    strangers = [a for ask in group for a in result.strangers(method, ask, estimator)]
+    known = all(e.truths is not None for e in scored)
+    errors = np.concatenate([e.translation_error[e.correct] for e in scored])
+
+    def count(what: str) -> int | None:
+        return sum(int(getattr(e, what).sum()) for e in scored) if known else None
+
+    return _Sums(
+        sum(map(len, scored)),
+        count("with_place"),
+        sum(int(e.localized.sum()) for e in scored),
+        count("correct"),
+        sum(int((e.correct & e.with_place).sum()) for e in scored) if known else None,
+        count("false"),
+        len(strangers),
+        sum(answer["T_map_sensor"] is not None for answer in strangers),
+        float(np.median(errors)) if len(errors) else None,
+    )
+
+
+def groups(result: Result) -> list[tuple[str, ...]]:
+    """The asks that share a row: later sessions of a simulated set do, protocols do not."""
+    asks = result.asks()
+    if all(ask.startswith("test_") for ask in asks):
+        return [tuple(asks)]
+    return [(ask,) for ask in asks]
+
+
+def label_of(result: Result, group: tuple[str, ...]) -> str:
+    name = result.course.name
+    return name if group[0].startswith("test_") else f"{name} {group[0]}"
+
+
+def details(results: list[Result], methods: Methods) -> Table:
+    """Everything that was counted, one row a method."""
+    rows: list[tuple[Cell, ...]] = []
+    for result in results:
+        for group in groups(result):
+            for name in methods.names:
+                for estimator in ESTIMATORS:
+                    sums = _sums(result, name, group, estimator)
+                    rows.append((label_of(result, group), name, estimator, *_values(sums)))
+    return Table(
+        "details",
+        "All counts",
+        (
+            "set", "method", "estimator", "queries", "places", "localized", "right",
+            "right, at a place", "false", "asked elsewhere", "false elsewhere", "median error m",
+        ),
+        tuple(rows),
+        "Right answers off the places are of queries that pass the map's way at more than 3 m.",
+    )  # fmt: skip
+
+
+def _values(sums: _Sums) -> tuple[Cell, ...]:
+    return (
+        sums.queries,
+        sums.places,
+        sums.localized,
+        sums.right,
+        sums.right_at_places,
+        sums.false,
+        sums.asked_elsewhere,
+        sums.false_elsewhere,
+        sums.error_m,
+    )

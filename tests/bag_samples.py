@@ -1,0 +1,157 @@
+"""Bags of a posed recording, written by the package rosbags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+from segloc.types import Float64
+
+KINDS = ("ros1", "sqlite3", "mcap")
+CLOUD = "sensor_msgs/msg/PointCloud2"
+TF = "tf2_msgs/msg/TFMessage"
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+@dataclass
+class BagWriter:
+    """Collects messages, then writes them in the order of time.
+
+    Attributes
+    ----------
+    kind : str
+        One of ``KINDS``.
+    late_s : float
+        How much later than its stamp a message is recorded.
+    """
+
+    kind: str
+    late_s: float = 0.03
+
+    def __post_init__(self) -> None:
+        ros1 = self.kind == "ros1"
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        if ros1:  # the store of ROS 1 lacks it
+            lines = "geometry_msgs/TransformStamped[] transforms\n"
+            self.store.register(get_types_from_msg(lines, TF))
+        self.messages: list[tuple[int, str, str, Any]] = []
+
+    def make(self, kind: str, /, **values: Any) -> Any:
+        return self.store.types[kind](**values)
+
+    def header(self, stamp: float, frame: str) -> Any:
+        seconds, rest = divmod(round(stamp * 1e9), 10**9)
+        time = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+        number = {"seq": 0} if self.kind == "ros1" else {}
+        return self.make("std_msgs/msg/Header", stamp=time, frame_id=frame, **number)
+
+    def add(self, topic: str, kind: str, stamp: float, message: Any) -> None:
+        self.messages.append((round((stamp + self.late_s) * 1e9), topic, kind, message))
+
+    def cloud(
+        self,
+        topic: str,
+        stamp: float,
+        points: Float64,
+        frame: str = "lidar",
+        *,
+        times: tuple[str, str, Float64] | None = None,
+        big: bool = False,
+        height: int = 1,
+        padding: int = 0,
+    ) -> None:
+        """A cloud of x, y, z, intensity and, in a field of this name and dtype, times."""
+        order = ">" if big else "<"
+        parts: list[tuple[str, str]] = [(axis, f"{order}f4") for axis in "xyz"]
+        parts += [("intensity", f"{order}f4")]
+        if times is not None:
+            parts.append((times[0], order + times[1]))
+        rows = np.zeros(len(points), dtype=parts)
+        for k, axis in enumerate("xyz"):
+            rows[axis] = points[:, k]
+        if times is not None:
+            rows[times[0]] = times[2]
+        codes = {"f4": 7, "f8": 8, "u4": 6, "i4": 5}
+        fields = [
+            self.make(
+                "sensor_msgs/msg/PointField",
+                name=name, offset=rows.dtype.fields[name][1], datatype=codes[kind[1:]], count=1,
+            )
+            for name, kind in parts
+        ]  # fmt: skip
+        step, width = rows.dtype.itemsize, len(rows) // height
+        lines = rows.reshape(height, width).view("u1").reshape(height, width * step)
+        data = np.pad(lines, ((0, 0), (0, padding))).reshape(-1)
+        message = self.make(
+            CLOUD,
+            header=self.header(stamp, frame), height=height, width=width, fields=fields,
+            is_bigendian=big, point_step=step, row_step=width * step + padding, data=data,
+            is_dense=True,
+        )  # fmt: skip
+        self.add(topic, CLOUD, stamp, message)
+
+    def _transform(self, T: Float64) -> tuple[dict[str, float], Any]:
+        x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+        quaternion = self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        return dict(zip("xyz", T[:3, 3].tolist(), strict=True)), quaternion
+
+    def odometry(self, topic: str, stamp: float, T: Float64, child: str) -> None:
+        xyz, quaternion = self._transform(T)
+        point = self.make("geometry_msgs/msg/Point", **xyz)
+        pose = self.make("geometry_msgs/msg/Pose", position=point, orientation=quaternion)
+        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        spread = "geometry_msgs/msg/"
+        message = self.make(
+            ODOMETRY,
+            header=self.header(stamp, "odom"), child_frame_id=child,
+            pose=self.make(f"{spread}PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=self.make(f"{spread}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )  # fmt: skip
+        self.add(topic, ODOMETRY, stamp, message)
+
+    def tf(self, topic: str, stamp: float, T: Float64, parent: str, child: str) -> None:
+        xyz, quaternion = self._transform(T)
+        vector = self.make("geometry_msgs/msg/Vector3", **xyz)
+        transform = self.make(
+            "geometry_msgs/msg/Transform", translation=vector, rotation=quaternion
+        )
+        entry = self.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(stamp, parent), child_frame_id=child, transform=transform,
+        )  # fmt: skip
+        self.add(topic, TF, stamp, self.make(TF, transforms=[entry]))
+
+    def write(self, path: Path, *, compress: bool = False) -> Path:
+        """Write ``path``.bag, or the folder ``path``."""
+        self.messages.sort(key=lambda item: item[0])
+        if self.kind == "ros1":
+            return self._write1(path.with_suffix(".bag"), compress)
+        plugin = StoragePlugin.SQLITE3 if self.kind == "sqlite3" else StoragePlugin.MCAP
+        with Writer2(path, version=9, storage_plugin=plugin) as writer:
+            topics: dict[str, Any] = {}
+            for time, topic, kind, message in self.messages:
+                if topic not in topics:
+                    topics[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                writer.write(topics[topic], time, self.store.serialize_cdr(message, kind))
+        return path
+
+    def _write1(self, path: Path, compress: bool) -> Path:
+        writer = Writer1(path)
+        if compress:
+            writer.set_compression(Writer1.CompressionFormat.LZ4)
+        with writer:
+            topics: dict[str, Any] = {}
+            for time, topic, kind, message in self.messages:
+                if topic not in topics:
+                    topics[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                writer.write(topics[topic], time, self.store.serialize_ros1(message, kind))
+        return path
