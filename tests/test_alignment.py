@@ -67,7 +67,8 @@ class Walk(PlazaSequence):
 @pytest.fixture(scope="module")
 def walks(plaza: Plaza) -> list[Walk]:
     """Two sessions of one plaza, one of another."""
-    return [Walk(plaza, 0.0, "first"), Walk(plaza, 2.0, "second"), Walk(Plaza(7), 0.0, "other")]
+    other = Walk(Plaza(7), 0.0, "other", steps=6)
+    return [Walk(plaza, 0.0, "first"), Walk(plaza, 2.0, "second"), other]
 
 
 @pytest.fixture(scope="module")
@@ -253,7 +254,7 @@ def test_simulated_seasons_against_the_exact_truth() -> None:
     pytest.importorskip("embreex")
     seasons = [Conditions(), Conditions(foliage=0.3, replaced=0.2)]
     drives = simulate_sessions(
-        town(5, size_m=220.0), hdl64e(400), seasons, length_m=110.0, spacing_m=2.5, seed=2
+        town(5, size_m=220.0), hdl64e(400), seasons, length_m=90.0, spacing_m=3.0, seed=2
     )
     recordings = [drifted(d, d.truth, k + 10) for k, d in enumerate(drives)]
     found = align_sessions(recordings, CONFIG, AlignConfig(every_m=10.0))

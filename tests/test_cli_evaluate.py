@@ -69,7 +69,7 @@ def test_without_truth_answers_are_counted_but_not_judged(recordings: Path, tmp_
         (("roc", "--scale", "huge"), ConfigError, "scale must be one of small, full, not 'huge'"),
         (("localization", "here"), ConfigError, "give two recordings"),
         (("timing", "a", "b"), ConfigError, "only localization takes recordings of your own"),
-        (("localization", "a", "b"), DatasetError, "a: no such folder"),
+        (("localization", "a", "b"), DatasetError, "a: no such file or folder"),
         (("localization", "--methods", "x"), ConfigError, "no method 'x'; there are dsm"),
         (("localization", "--kitti", "x"), DatasetError, "x: no such folder; --kitti needs"),
         (("localization", "--every", "0"), ConfigError, "--every must be a positive number"),

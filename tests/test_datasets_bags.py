@@ -219,7 +219,7 @@ def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
     file = next(path.glob("drive*.[dm]*[b3p]")) if path.is_dir() else path
     data = file.read_bytes()
     read = refused = 0
-    for share in np.linspace(0, 0.999, 25):
+    for share in np.linspace(0, 0.999, 12):
         file.write_bytes(data[: int(share * len(data))])
         for place in {path, file}:
             try:
@@ -233,4 +233,4 @@ def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
                 assert "\n" not in str(error)
                 assert str(path) in str(error)
                 refused += 1
-    assert refused > 20
+    assert refused >= 10

@@ -23,7 +23,7 @@ from dataset_samples import (
 )
 
 from segloc import geometry
-from segloc.datasets import RecordedSequence, open_sequence
+from segloc.datasets import RecordedSequence, open_sequence, poses_at
 from segloc.errors import DatasetError
 from segloc.io import Trajectory, write_tum
 
@@ -182,6 +182,23 @@ def test_poses_of_the_user_by_time_and_by_number(tmp_path: Path) -> None:
     )
 
 
+def test_truth_is_matched_scan_by_scan(tmp_path: Path) -> None:
+    """Though a recording's own poses leave out its first scan, and the truth its last."""
+    path = mulran(tmp_path, DRIVE)
+    file = path / "global_pose.csv"
+    rows = file.read_text().splitlines()
+    kept = [row for row in rows if int(row.split(",")[0]) * 1e-9 > START + 0.05]
+    file.write_text("\n".join(kept))
+    sequence = opened(path)
+    assert sequence.indices.tolist() == [1, 2, 3, 4]
+    truth = tmp_path / "truth.tum"
+    write_tum(truth, Trajectory(DRIVE.stamps[:4], DRIVE.poses[:4]))
+    with pytest.raises(DatasetError, match=r"truth\.tum: no pose for 1 scans, the first 4"):
+        poses_at(sequence, path, truth)
+    write_tum(truth, Trajectory(DRIVE.stamps, DRIVE.poses))
+    np.testing.assert_allclose(poses_at(sequence, path, truth), DRIVE.poses[1:], atol=1e-6)
+
+
 def test_poses_on_another_clock_are_refused(tmp_path: Path) -> None:
     path = mulran(tmp_path, DRIVE)
     write_tum(tmp_path / "gps.tum", Trajectory(DRIVE.stamps - START + 0.5, DRIVE.poses))
@@ -250,6 +267,7 @@ def test_pose_files_that_are_none(name: str, harm: bytes, tmp_path: Path) -> Non
     path = WRITERS[name][0](tmp_path, DRIVE)
     file = next(file for file in path.rglob("*") if file.suffix in (".csv", ".txt"))
     file.write_bytes(harm)
+    assert opened(path, poses="none").poses is None  # what is not asked for is not read
     with pytest.raises(DatasetError, match=file.name.replace(".", r"\.")) as caught:
         opened(path)
     assert "\n" not in str(caught.value)

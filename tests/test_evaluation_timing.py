@@ -16,7 +16,7 @@ from segloc.types import LocalCloud, Segments
 
 @pytest.fixture(scope="module")
 def segments() -> Segments:
-    return shapes_dataset(10, 2, 0).segments(np.arange(20))
+    return shapes_dataset(3, 2, 0).segments(np.arange(6))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_random_weights_are_for_networks_that_have_none(segments: Segments) -> N
     descriptor, _ = any_descriptor("esm", 1)
     again, _ = any_descriptor("esm", 1)
     assert descriptor.fingerprint == again.fingerprint
-    assert descriptor.describe(segments).vectors.shape == (20, 16)
+    assert descriptor.describe(segments).vectors.shape == (6, 16)
     assert any_descriptor("profile", 1)[1] is False
 
 

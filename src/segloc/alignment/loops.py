@@ -10,8 +10,7 @@ import numpy as np
 from .. import geometry
 from ..config import Config
 from ..localizer import Localizer
-from ..types import Float64, Int64, Pose
-from ..verification import Verdict
+from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
 from .register import Register
@@ -149,25 +148,17 @@ class _Search:
 
     def loop(self, source: int, register: Register, settings: AlignConfig) -> Loop | None:
         submap = self._chain.submaps[source]
-        verdict = self._localize(submap)
-        if verdict.reason or verdict.best is None:
+        level = LocalCloud(submap.scene.structure, np.eye(4))
+        answer = self._localizer.locate(level, submap.scene, submap.descriptors)
+        T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
+        if T_odom_local is None:
             return None
-        T_odom_local = verdict.best.T_map_local
         poses = self._chain.odometry[self._nodes]
         distances = np.linalg.norm(poses[:, :3, 3] - T_odom_local[:3, 3], axis=1)
         target = int(self._nodes[distances.argmin()])
         guess = geometry.inverse(self._chain.odometry[target]) @ T_odom_local
         loop = registered(target, source, guess, "found", register, settings)
-        return None if loop is None else replace(loop, inliers=verdict.best.inliers)
-
-    def _localize(self, submap: Submap) -> Verdict:
-        stages = self._localizer
-        candidates = stages.matcher.match(submap.descriptors)
-        matches = stages.matcher.prune(submap.descriptors, candidates)
-        hypotheses = stages.estimator.estimate(
-            submap.scene.segments.centroids, stages.site.centroids, matches
-        )
-        return stages.verifier.verify(submap.scene, hypotheses)
+        return None if loop is None else replace(loop, inliers=answer.inliers)
 
 
 def registered(

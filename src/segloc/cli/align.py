@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import ConfigFile, Threads, load_config
+from .options import ConfigFile, Deskew, Odometry, Threads, Topic, load_config
 
 if TYPE_CHECKING:
     from ..alignment import Alignment, Reposed
@@ -22,7 +22,7 @@ def align(
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
     poses: Annotated[
         list[Path] | None,
-        typer.Option(help="Odometry (TUM or KITTI): one for all, or one a sequence."),
+        typer.Option(help="TUM or KITTI, one for all or one a sequence; by default their own."),
     ] = None,
     select: Annotated[
         list[str] | None,
@@ -38,6 +38,9 @@ def align(
     pairs: Annotated[
         bool, typer.Option("--pairs", help="Also write a dataset to train on, and its pairs.")
     ] = False,
+    topic: Topic = None,
+    deskew: Deskew = True,
+    odometry: Odometry = False,
     config: ConfigFile = None,
     threads: Threads = 0,
 ) -> None:
@@ -48,9 +51,9 @@ def align(
     """
     from ..alignment import AlignConfig, Reposed, align_sessions
     from ..config import validated
-    from ..datasets import open_sequence
     from .console import progress
     from .options import each
+    from .recording import open_recording
     from .results import check_folder
 
     check_folder(out)
@@ -58,7 +61,7 @@ def align(
     chosen = load_config(config, method, threads)
     count = len(sequences)
     recordings = [
-        open_sequence(path, file, scans)
+        open_recording(path, file, scans, topic=topic, deskew=deskew, odometry=odometry)
         for path, file, scans in zip(
             sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
         )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..evaluation.study import Study
     from ..evaluation.workspace import Pair, Workspace
 
-_MAP_POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
+_POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
 _LONG_ROWS = 40
 
 
@@ -49,11 +49,15 @@ def evaluate(
     threads: Annotated[int, typer.Option(min=0, help="Of the engine; 0: all cores.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     map_poses: Annotated[
-        Path, typer.Option(help="Poses of MAP (TUM or KITTI), looked for in or beside it.")
-    ] = _MAP_POSES,
+        Path | None,
+        typer.Option(help="Poses of MAP; poses.tum where there is one, else the recording's own."),
+    ] = None,
     poses: Annotated[
         Path | None,
-        typer.Option(help="Odometry of QUERY; odometry.tum where there is one, else the truth."),
+        typer.Option(
+            help="Odometry of QUERY; odometry.tum where there is one, else the truth, else the "
+            "recording's own."
+        ),
     ] = None,
     truth: Annotated[
         Path | None,
@@ -64,6 +68,9 @@ def evaluate(
     ] = None,
     select: Annotated[
         str | None, typer.Option(metavar="A:B[,C:D]", help="Only these scans of QUERY.")
+    ] = None,
+    topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which of several topics or sensors.")
     ] = None,
     every: Annotated[
         float, typer.Option(metavar="METRES", help="Ask once in so many metres of travel.")
@@ -85,13 +92,9 @@ def evaluate(
         raise ConfigError(f"the study must be one of {', '.join(names)}, not {study!r}")
     check_every(every)
     check_folder(out)
-    pair = None
-    if mapped is not None:
-        if query is None:
-            raise ConfigError("give two recordings, one to map and one to localize in it")
-        if study != "localization":
-            raise ConfigError(f"only localization takes recordings of your own, not {study}")
-        pair = _pair(mapped, query, map_poses, poses, truth, map_select, select, every)
+    files = (map_poses, poses, truth, map_select, select, topic)
+    pair = None if mapped is None else _pair(study, mapped, query, *files, every)
+    chosen = None if methods is None else tuple(name.strip() for name in methods.split(","))
     workspace = Workspace(
         out,
         suite,
@@ -101,7 +104,7 @@ def evaluate(
         seed,
         threads,
         workers,
-        None if methods is None else tuple(name.strip() for name in methods.split(",")),
+        chosen,
         progress,
         note,
         _command(),
@@ -111,12 +114,7 @@ def evaluate(
         _run_all(workspace)
     elif study != "report":
         _show(studies.run(study, workspace))
-    try:
-        _report(out)
-    except MissingDependency as error:
-        if study == "report":
-            raise
-        note(f"no report.html: {error}")
+    _report(out, asked=study == "report")
 
 
 def _run_all(workspace: Workspace) -> None:
@@ -132,37 +130,51 @@ def _run_all(workspace: Workspace) -> None:
             note(f"{name} is left out: {error}")
 
 
-def _report(out: Path) -> None:
+def _report(out: Path, asked: bool) -> None:
+    """Draw what is stored; where nobody asked for it, a missing package is but a remark."""
     from ..evaluation.report import write
     from ..evaluation.studies import STORED
     from ..evaluation.study import stored
+    from .console import note
 
     found = list(stored(out, STORED))
     if not found:
         raise SeglocError(f"{out}: holds no study; run one first")
-    write(out, found)
+    try:
+        write(out, found)
+    except MissingDependency as error:
+        if asked:
+            raise
+        note(f"no report.html: {error}")
+        return
     print(f"{out / 'report.html'} shows {', '.join(study.name for study in found)}")
 
 
 def _pair(
+    study: str,
     mapped: Path,
-    query: Path,
-    map_poses: Path,
+    query: Path | None,
+    map_poses: Path | None,
     poses: Path | None,
     truth: Path | None,
     map_select: str | None,
     select: str | None,
+    topic: str | None,
     every: float,
 ) -> Pair:
     from ..evaluation.workspace import Pair
 
-    for folder in (mapped, query):
-        if not folder.is_dir():
-            raise DatasetError(f"{folder}: no such folder")
-    truth = truth or _lying_in(query, _MAP_POSES)
+    if query is None:
+        raise ConfigError("give two recordings, one to map and one to localize in it")
+    if study != "localization":
+        raise ConfigError(f"only localization takes recordings of your own, not {study}")
+    for path in (mapped, query):
+        if not path.exists():
+            raise DatasetError(f"{path}: no such file or folder")
+    map_poses = map_poses or _lying_in(mapped, _POSES)
+    truth = truth or _lying_in(query, _POSES)
     poses = poses or _lying_in(query, _ODOMETRY) or truth
-    way = None if poses is None and truth is None else every
-    return Pair(mapped, query, map_poses, poses, truth, map_select, select, way)
+    return Pair(mapped, query, map_poses, poses, truth, map_select, select, topic, every)
 
 
 def _lying_in(folder: Path, name: Path) -> Path | None:

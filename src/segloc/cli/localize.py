@@ -48,6 +48,7 @@ def localize(
 
     With poses, a query is a cloud gathered over the way behind it; otherwise one scan.
     """
+    from ..datasets import poses_at
     from ..evaluation.localization import Evaluation, Tolerance, localize_sequence
     from ..localizer import Localizer
     from ..map import SegmentMap
@@ -62,7 +63,7 @@ def localize(
     recording = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
     )
-    truths = None if truth is None else _truths(recording, sequence, truth, topic)
+    truths = None if truth is None else poses_at(recording, sequence, truth, topic)
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
     with progress("Localizing") as update:
@@ -76,22 +77,6 @@ def localize(
     )
     write_results(out, prior, evaluation, f"{recording.name} in {site.stem}")
     show(evaluation.summary(), f"{recording.name} in {site.name}")
-
-
-def _truths(recording: Sequence, path: Path, truth: Path, topic: str | None) -> Float64:
-    """The true poses of the recording's scans, which may have others than its own."""
-    import numpy as np
-
-    from ..datasets import open_sequence
-    from ..datasets.base import Selection
-    from ..errors import DatasetError
-
-    same = Selection(tuple((int(i), int(i)) for i in recording.indices))
-    known = open_sequence(path, truth, same, topic=topic)
-    if known.poses is None or not np.array_equal(known.indices, recording.indices):
-        missing = np.setdiff1d(recording.indices, known.indices)
-        raise DatasetError(f"{truth}: no pose for scan {missing[0] if len(missing) else 0}")
-    return known.poses
 
 
 def _positions(

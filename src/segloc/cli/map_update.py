@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from .options import ConfigFile, MapOut, Recording, Select, Threads, load_config
+from .options import (
+    ConfigFile,
+    Deskew,
+    MapOut,
+    Recording,
+    Select,
+    Threads,
+    Topic,
+    load_config,
+)
 
 
 def update(
@@ -23,6 +32,8 @@ def update(
     ] = 2,
     max_views: Annotated[int, typer.Option(min=0, help="Newest views of an object; 0: all.")] = 0,
     max_segments: Annotated[int, typer.Option(min=0, help="Size of the map; 0: any.")] = 0,
+    topic: Topic = None,
+    deskew: Deskew = True,
     config: ConfigFile = None,
     threads: Threads = 0,
 ) -> None:
@@ -31,17 +42,17 @@ def update(
     An object that the session's rays passed through is remembered as missed; what was not in view
     stays.
     """
-    from ..datasets import open_sequence
     from ..files import checked_target
     from ..map import SegmentMap
     from ..map_update import UpdateConfig, update_map
     from .console import progress, table
+    from .recording import open_recording
 
     checked_target(out)
     prior = SegmentMap.load(site)
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
     chosen = load_config(config, prior.descriptor, threads)
-    recording = open_sequence(sequence, poses, select)
+    recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew)
     with progress("Looking at the map") as bar:
         updated, counts = update_map(prior, recording, chosen, settings, bar)
     updated.save(out)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import DatasetError
+from ..types import Float64
 from .base import Recording as Recording
 from .base import Selection as Selection
 from .base import Sequence as Sequence
@@ -77,6 +80,36 @@ def open_sequence(
         sequence = sequence.select(selection)
     _ = sequence.poses  # raises where they do not cover the scans
     return sequence
+
+
+def poses_at(
+    recording: Recording, path: str | Path, poses: str | Path, topic: str | None = None
+) -> Float64:
+    """Other poses of a recording's scans, scan for scan: the true ones, to score against.
+
+    Parameters
+    ----------
+    recording : Recording
+        Opened from ``path``, perhaps a selection of it.
+    path, poses, topic
+        As for :func:`open_sequence`.
+
+    Returns
+    -------
+    (N, 4, 4) float64
+
+    Raises
+    ------
+    DatasetError
+        If a scan has none.
+    """
+    same = Selection(tuple((int(i), int(i)) for i in recording.indices))
+    known = open_sequence(path, poses, same, topic=topic)
+    missing = np.setdiff1d(recording.indices, known.indices)
+    if known.poses is None or len(missing):
+        which = f"{len(missing)} scans, the first {missing[0]}" if len(missing) else "any scan"
+        raise DatasetError(f"{poses}: no pose for {which}")
+    return known.poses
 
 
 def _find_poses(poses: Path, folder: Path) -> Path:

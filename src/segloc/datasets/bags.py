@@ -77,7 +77,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=BagSource(paths, chosen, headers),
         indices=np.arange(len(headers)),
         stamps=headers.stamps,
-        track=track,
+        own_track=lambda: track,
         topic=chosen,
         frame=headers.frames[0],
         fields=fields,

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from ..types import Scan
 from .binary import float_rows
-from .recorded import FileSource, Found, holds_scans, in_seconds, scan_files
+from .layout import holds_scans, in_seconds, scan_files
+from .recorded import FileSource, Found
 from .tracks import Track, clean_track, read_table
 
 NAME = "Boreas"
@@ -39,7 +40,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(tuple(files), parse),
         indices=np.arange(len(files)),
         stamps=in_seconds(files, 1e-6),
-        track=_track(truth, "applanix/lidar_poses.csv") if truth.is_file() else None,
+        own_track=lambda: _track(truth, "applanix/lidar_poses.csv") if truth.is_file() else None,
         frame="lidar",
         fields="x y z intensity laser time",
         own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,

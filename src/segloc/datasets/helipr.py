@@ -14,7 +14,8 @@ import numpy as np
 
 from ..types import Scan
 from .binary import returned, rows_of
-from .recorded import FileSource, Found, choose, holds_scans, in_seconds, numbers, scan_files
+from .layout import choose, holds_scans, in_seconds, numbers, scan_files
+from .recorded import FileSource, Found
 from .tracks import Track, clean_track, quaternion_poses, read_table
 
 NAME = "HeLiPR"
@@ -55,7 +56,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(tuple(files), partial(parse, layout=layout)),
         indices=np.arange(len(files)),
         stamps=in_seconds(files, 1e-9),
-        track=_track(truth, f"LiDAR_GT/{truth.name}") if truth.is_file() else None,
+        own_track=lambda: _track(truth, f"LiDAR_GT/{truth.name}") if truth.is_file() else None,
         topic=sensor,
         frame=sensor,
         fields=" ".join(layout.names or ()),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import geometry
 from ..errors import DatasetError
@@ -193,16 +194,20 @@ def _sensor(clouds: list[Float32]) -> str:
     cloud = max(clouds, key=len, default=np.empty((0, 3), np.float32)).astype(np.float64)
     if len(cloud) < 3:
         return "unknown"
-    spread = np.linalg.svd(cloud[:: max(1, len(cloud) // 2000)], compute_uv=False)
-    centred = cloud - cloud.mean(axis=0)
-    thin = np.linalg.svd(centred[:: max(1, len(cloud) // 2000)], compute_uv=False)
-    if min(spread[-1], thin[-1]) / np.sqrt(min(len(cloud), 2000)) < _FLAT_M:
+    if in_one_plane(cloud):
         return "2D, one plane"
     count, low, high = beams(cloud)
     span = f"{low:.1f} to {high:.1f} deg"
     if count > _MOST_COUNTED:
         return f"3D, 64 or more beams, {span}"
     return f"3D, {count} beams, {span}" if count >= 4 else f"3D, no separate beams, {span}"
+
+
+def in_one_plane(cloud: NDArray[np.floating]) -> bool:
+    """Whether the points (N, 3) lie in one plane, as those of a sensor that sweeps a line do."""
+    few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
+    spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] < _FLAT_M * np.sqrt(len(few)))
 
 
 def beams(cloud: Float64) -> tuple[int, float, float]:

@@ -15,7 +15,8 @@ from ..errors import DatasetError
 from ..io.trajectory import read_trajectory_and_kind
 from ..types import Float64, Int64, Pose
 from .binary import parse_float4
-from .recorded import FileSource, Found, holds_scans, numbers, relative, scan_files
+from .layout import holds_scans, numbers, relative, scan_files
+from .recorded import FileSource, Found
 from .tracks import Track, matrix_poses, read_table
 
 NAME = "KITTI odometry"
@@ -34,14 +35,13 @@ def find(path: Path, topic: str | None) -> Found:
     indices = numbers(files)
     stamps, note = _stamps(path / "times.txt", indices)
     truth = next((file for file in _truths(path) if file.is_file()), None)
-    track = None if truth is None else camera_track(truth, path, relative(truth, path))
     return Found(
         name=path.resolve().name,
         format=NAME,
         source=FileSource(tuple(files), parse_float4),
         indices=indices,
         stamps=stamps,
-        track=track,
+        own_track=lambda: camera_track(truth, path, relative(truth, path)) if truth else None,
         frame="velodyne",
         fields="x y z reflectance",
         notes=(note,) if note else (),

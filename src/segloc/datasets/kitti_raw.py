@@ -15,7 +15,8 @@ from ..errors import DatasetError
 from ..types import Float64
 from .binary import parse_float4
 from .kitti import read_values
-from .recorded import FileSource, Found, holds_scans, numbers, scan_files
+from .layout import holds_scans, numbers, scan_files
+from .recorded import FileSource, Found
 from .tracks import Track, clean_track, euler_poses, matrix_poses
 
 NAME = "KITTI raw"
@@ -41,14 +42,13 @@ def find(path: Path, topic: str | None) -> Found:
         notes.append(f"velodyne_points/timestamps.txt has only {len(times)} rows: not used")
     else:
         stamps = times[indices]
-    track = _oxts_track(path, timed=stamps is not None)
     return Found(
         name=path.resolve().name,
         format=NAME,
         source=FileSource(tuple(files), parse_float4),
         indices=indices,
         stamps=stamps,
-        track=track,
+        own_track=lambda: _oxts_track(path, timed=stamps is not None),
         frame="velodyne",
         fields="x y z reflectance",
         notes=tuple(notes),

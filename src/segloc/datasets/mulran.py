@@ -13,7 +13,8 @@ import numpy as np
 
 from ..types import Scan
 from .binary import column_times, float_rows, returned
-from .recorded import FileSource, Found, holds_scans, in_seconds, scan_files
+from .layout import holds_scans, in_seconds, scan_files
+from .recorded import FileSource, Found
 from .tracks import Track, clean_track, matrix_poses, mount, read_table
 
 NAME = "MulRan"
@@ -37,7 +38,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(tuple(files), parse),
         indices=np.arange(len(files)),
         stamps=in_seconds(files, 1e-9),
-        track=_track(truth, "global_pose.csv") if truth.is_file() else None,
+        own_track=lambda: _track(truth, "global_pose.csv") if truth.is_file() else None,
         frame="ouster",
         fields="x y z intensity, times by column",
         own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,

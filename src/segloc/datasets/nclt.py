@@ -14,7 +14,8 @@ import numpy as np
 
 from ..types import Scan
 from .binary import rows_of
-from .recorded import FileSource, Found, holds_scans, in_seconds, relative, scan_files
+from .layout import holds_scans, in_seconds, relative, scan_files
+from .recorded import FileSource, Found
 from .tracks import Z_UP, Track, clean_track, euler_poses, read_table
 
 NAME = "NCLT"
@@ -38,7 +39,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(tuple(files), parse),
         indices=np.arange(len(files)),
         stamps=in_seconds(files, 1e-6),
-        track=None if truth is None else _track(truth, relative(truth, path.resolve())),
+        own_track=lambda: _track(truth, relative(truth, path.resolve())) if truth else None,
         frame="body, z up",
         fields="x y z intensity laser",
         own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,

@@ -47,7 +47,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(tuple(file for _, file in scans), parse),
         indices=np.arange(len(scans)),
         stamps=np.array([stamp for stamp, _ in scans]),
-        track=None if truth is None else _track(path / truth, truth),
+        own_track=lambda: _track(path / truth, truth) if truth else None,
         frame="os1_lidar",
         fields="x y z, times by column",
         own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,

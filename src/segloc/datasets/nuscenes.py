@@ -16,7 +16,8 @@ import numpy as np
 from ..errors import DatasetError
 from ..io.kitti_bin import parse_nuscenes
 from ..types import Float64
-from .recorded import FileSource, Found, choose
+from .layout import choose
+from .recorded import FileSource, Found
 from .tracks import clean_track, quaternion_poses
 
 NAME = "nuScenes"
@@ -61,7 +62,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(files, parse_nuscenes),
         indices=np.arange(len(files)),
         stamps=stamps,
-        track=clean_track("ego_pose", stamps, poses),
+        own_track=lambda: clean_track("ego_pose", stamps, poses),
         topic=name,
         frame=_CHANNEL,
         fields="x y z intensity ring",

@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import DatasetError, MissingDependency
 from ..io.trajectory import Trajectory, read_trajectory, write_tum
 from ..types import Float64, Int64, Scan
+from .inspection import in_one_plane
 from .recorded import times_fit
 
 _FEWEST_POINTS = 50
@@ -64,8 +65,9 @@ def lidar_odometry(
     Raises
     ------
     DatasetError
-        If a scan cannot be read or is empty, or the odometry was lost: a pose is not finite, or
-        jumps, or falls back to where it began, or several scans in a row were not registered.
+        If a scan cannot be read or is empty or of one plane, or the odometry was lost: a pose is
+        not finite, or jumps, or falls back to where it began, or several scans in a row were not
+        registered.
     MissingDependency
         If kiss-icp is not installed.
     """
@@ -76,6 +78,8 @@ def lidar_odometry(
     guard = _Guard()
     for i in range(len(recording)):
         scan = recording.raw(i)
+        if i == 0 and len(scan) and in_one_plane(scan.points):
+            raise DatasetError(f"{recording.where(i)}: odometry needs 3D, not one plane")
         if len(scan) < _FEWEST_POINTS:
             raise DatasetError(f"{recording.where(i)}: only {len(scan)} points: odometry is lost")
         times, last = np.empty(0), 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
@@ -75,8 +74,6 @@ class Found:
         Numbers of the source's scans.
     stamps : (N,) float64 or None
         When they were taken, seconds.
-    track : Track or None
-        The poses that come with the recording.
     frame : str
         The frame of the points.
     fields : str
@@ -85,7 +82,9 @@ class Found:
         Faults that were met, one line each.
     topic : str or None
         Of several sensors, topics or scenes; None in formats that have one.
-    own_poses : callable, optional
+    own_track : callable
+        Reads the poses that come with the recording; None where there are none.
+    own_poses : callable
         A track from a file in the dataset's own format; None for a file of another format.
     """
 
@@ -94,11 +93,11 @@ class Found:
     source: Source
     indices: Int64
     stamps: Float64 | None
-    track: Track | None
     frame: str
     fields: str
     notes: tuple[str, ...] = ()
     topic: str | None = None
+    own_track: Callable[[], Track | None] = field(default=lambda: None, repr=False)
     own_poses: Callable[[Path], Track | None] = field(default=lambda path: None, repr=False)
 
 
@@ -232,9 +231,11 @@ def assembled(
     """
     if not len(found.source):
         raise DatasetError(f"{found.name}: {found.format} without any scan")
-    track = found.track if own_poses else None
+    track = None
     if poses is not None:
         track = found.own_poses(poses) or read_track(poses, found.indices, found.stamps)
+    elif own_poses:
+        track = found.own_track()
     at_scans, motion, notes = None, None, list(found.notes)
     if track is not None:
         at_scans = track.at(found.indices, found.stamps)
@@ -253,70 +254,3 @@ def assembled(
         return sequence
     lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
     return replace(sequence._part(known), notes=(*notes, lost))
-
-
-def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:
-    """The files of a folder with a suffix and a name that ends in a number, sorted by it.
-
-    Raises
-    ------
-    DatasetError
-        If there are none, or two have the same number.
-    """
-    try:
-        names = [path for path in folder.iterdir() if path.name.endswith(suffix)]
-    except OSError as error:
-        raise DatasetError(f"{folder}: cannot list: {error.strerror or error}") from error
-    paths = [path for path in names if path.name[0] != "." and path.stem.isdecimal()]
-    if not paths:
-        raise DatasetError(f"{folder}: no scans: no files NUMBER{suffix}")
-    paths.sort(key=lambda path: int(path.stem))
-    for first, second in pairwise(paths):
-        if int(first.stem) == int(second.stem):
-            raise DatasetError(f"{folder}: {first.name} and {second.name} have the same number")
-    return paths
-
-
-def holds_scans(folder: Path, digits: int = 1) -> bool:
-    """Whether a folder has a file NUMBER.bin of so many digits or more: 15 are a time.
-
-    Other files in folders of the same names are somebody else's, to be read as a plain folder.
-    """
-    if not folder.is_dir():
-        return False
-    names = (path.stem for path in folder.glob("*.bin"))
-    return any(name.isdecimal() and len(name) >= digits for name in names)
-
-
-def numbers(paths: list[Path]) -> Int64:
-    """The numbers in the names of files, (N,) int64."""
-    if any(len(path.stem) > 18 and int(path.stem) > np.iinfo(np.int64).max for path in paths):
-        raise DatasetError(f"{paths[-1]}: the number in its name is too large")
-    return np.array([int(path.stem) for path in paths], dtype=np.int64)
-
-
-def in_seconds(paths: list[Path], unit: float) -> Float64:
-    """The numbers in the names of files as stamps, (N,) float64; ``unit`` is theirs in seconds."""
-    return np.asarray(numbers(paths) * unit, dtype=np.float64)
-
-
-def relative(path: Path, root: Path) -> str:
-    """A file's path inside a recording, for messages and tables."""
-    return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)
-
-
-def choose(path: Path, present: list[str], topic: str | None) -> str:
-    """The one of several sensors that is asked for, or the only one.
-
-    Raises
-    ------
-    DatasetError
-        If there are several and none is asked for, or the one that is asked for is not there.
-    """
-    if topic is not None and topic not in present:
-        raise DatasetError(f"{path}: no {topic!r} in it, only {', '.join(present) or 'nothing'}")
-    if topic is None and len(present) > 1:
-        raise DatasetError(
-            f"{path}: several sensors: choose one of them: --topic {'|'.join(present)}"
-        )
-    return topic or present[0]

@@ -19,16 +19,8 @@ from ..errors import DatasetError
 from ..io.scans import read_file
 from ..types import Float64, Pose, Scan
 from .binary import float_rows, rows_of
-from .recorded import (
-    FileSource,
-    Found,
-    choose,
-    holds_scans,
-    in_seconds,
-    numbers,
-    relative,
-    scan_files,
-)
+from .layout import choose, holds_scans, in_seconds, numbers, relative, scan_files
+from .recorded import FileSource, Found
 from .tracks import Z_UP, Track, clean_track, euler_poses, mount, read_table
 
 NAME = "Oxford RobotCar"
@@ -56,7 +48,7 @@ def find(path: Path, topic: str | None) -> Found:
     sensor = choose(path, present, topic)
     files = scan_files(path / sensor)
     stamps = numbers(files)
-    track = next((_track(path / name, name) for name in _POSES if (path / name).is_file()), None)
+    truth = next((name for name in _POSES if (path / name).is_file()), None)
     kind = "reflectance" if sensor.startswith("lms") else "intensity"
     missing = _missing(path / f"{sensor}.timestamps", set(stamps.tolist()))
     return Found(
@@ -65,7 +57,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(tuple(files), partial(parse, sensor=sensor)),
         indices=np.arange(len(files)),
         stamps=in_seconds(files, 1e-6),
-        track=track,
+        own_track=lambda: _track(path / truth, truth) if truth else None,
         topic=sensor,
         frame=f"car, z up ({sensor})",
         fields=f"x y {kind}" if sensor.startswith("lms") else f"x y z {kind}",

@@ -51,7 +51,6 @@ def find(path: Path, topic: str | None) -> Found:
         source=TurnSource(path, stamps, places, turns),
         indices=np.arange(len(turns)),
         stamps=stamps[turns[:, 0]],
-        track=None,
         frame="velodyne",
         fields="x y z intensity ring time",
     )

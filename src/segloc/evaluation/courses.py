@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..datasets import Recording, Swathes, open_sequence
+from ..datasets import NO_POSES, Recording, Swathes, open_sequence, poses_at
 from ..errors import ConfigError, DatasetError
 from ..local_cloud import LocalCloudConfig
 from ..simulation.suites import SIX, TestSet
@@ -157,12 +157,12 @@ class KittiCourse:
         if self.later:
             site = open_sequence(keyframes, "keyframes.tum", "619:654,988:1003,1361:1600")
             truths = open_sequence(scans, "scans.tum").poses
-            alone = open_sequence(scans)
+            alone = open_sequence(scans, NO_POSES)
             positions = np.arange(len(alone), dtype=np.int64)
             return Opened(site, stranger, {"single": Ask(alone, positions, truths)})
         site = open_sequence(keyframes, "keyframes.tum", "100:947")
         accumulated = open_sequence(keyframes, "keyframes.tum", "948:1820")
-        sparse = open_sequence(keyframes, None, "948:1820")
+        sparse = open_sequence(keyframes, NO_POSES, "948:1820")
         truths = accumulated.poses
         assert truths is not None  # it was opened with them
         positions = query_positions(truths, EVERY_M, _GAP_M)
@@ -200,26 +200,25 @@ class PairCourse:
 
     def open(self) -> Opened:
         pair = self.pair
-        site = open_sequence(pair.map, pair.map_poses, pair.map_select)
-        query = open_sequence(pair.query, pair.poses, pair.select)
+        site = open_sequence(pair.map, pair.map_poses, pair.map_select, topic=pair.topic)
+        query = open_sequence(pair.query, pair.poses, pair.select, topic=pair.topic)
         truths = None
         if pair.truth is not None:
-            truths = open_sequence(pair.query, pair.truth, pair.select).poses
+            truths = poses_at(query, pair.query, pair.truth, topic=pair.topic)
+        way = query.poses if query.poses is not None else truths
         positions = np.arange(len(query), dtype=np.int64)
-        if pair.every_m is not None:
-            way = query.poses if query.poses is not None else truths
-            if way is None:
-                raise ConfigError("queries by metres of travel need odometry or true poses")
+        if way is not None:
             positions = query_positions(way, pair.every_m, _GAP_M)
-            if not len(positions):
-                raise ConfigError(f"{query.name} has no stretch of {pair.every_m:g} m")
+        if not len(positions):
+            raise ConfigError(f"{query.name} has no stretch of {pair.every_m:g} m")
         ask = Ask(query, positions, None if truths is None else truths[positions])
         return Opened(site, None, {"query": ask})
 
 
-def _size(folder: Path) -> int:
-    """Bytes of the files in a folder."""
-    return sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+def _size(path: Path) -> int:
+    """Bytes of a file, or of the files in a folder."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _sum(poses: Float64 | None) -> float | None:

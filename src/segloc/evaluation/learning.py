@@ -45,7 +45,7 @@ class Effort:
     steps : dict of str to int
         By network.
     forest_pairs : int
-        Right candidates that a forest is grown on at most.
+        Right candidates that a forest is grown on at most; as many segments propose them.
     """
 
     steps: Mapping[str, int]
@@ -54,13 +54,13 @@ class Effort:
     def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
         """The settings of a method's training."""
         if method in FORESTS:
-            return ForestConfig(pairs=self.forest_pairs, seed=seed)
+            return ForestConfig(pairs=self.forest_pairs, queries=self.forest_pairs, seed=seed)
         return network_config(method, self.steps[method], seed=seed)
 
 
 EFFORTS = {
-    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 20_000),
-    "full": Effort({"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000}, 60_000),
+    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 10_000),
+    "full": Effort({"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000}, 40_000),
 }
 """By scale. Few steps, so that a whole table is trained in ten minutes (small) or an hour (full) of
 one core: methods then also differ in how fast they learn."""

@@ -44,6 +44,10 @@ class Result:
         answers = self.answers[method][ask]["map"][estimator]
         return asking.evaluation(answers, self.arrays, ask)
 
+    def strangers_asked(self) -> bool:
+        """Whether the queries were also asked where nothing may be found."""
+        return any("stranger" in asks for found in self.answers.values() for asks in found.values())
+
     def strangers(self, method: str, ask: str, estimator: str) -> list[Answer]:
         """What was answered where nothing may be found."""
         answers: list[Answer] = self.answers[method][ask].get("stranger", {}).get(estimator, [])
@@ -51,41 +55,50 @@ class Result:
 
 
 def summaries(results: list[Result], methods: Methods, estimator: str) -> Iterator[Table]:
-    """One row a course and ask: how many were found and, in brackets, how many falsely."""
-    how = _TITLES[estimator]
+    """How many were found, and how many in the map of another place, with one estimator."""
+    yield _found(results, methods, estimator)
+    if any(result.strangers_asked() for result in results):
+        yield _found_elsewhere(results, methods, estimator)
+
+
+def _found(results: list[Result], methods: Methods, estimator: str) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    strangers: list[tuple[Cell, ...]] = []
     for result in results:
         facts = result.course.facts()
-        for ask in groups(result):
-            first = _sums(result, methods.names[0], ask, estimator)
-            described = (label_of(result, ask), facts.kind, facts.sensor)
-            found = [_sums(result, name, ask, estimator) for name in methods.names]
-            rows.append((*described, first.queries, first.places, *(s.cell() for s in found)))
-            if first.asked_elsewhere:
-                false = [s.false_elsewhere for s in found]
-                strangers.append((label_of(result, ask), first.asked_elsewhere, *false))
-    columns = ("set", "type", "sensor", "queries", "places", *methods.names)
+        for group in groups(result):
+            sums = [_sums(result, name, group, estimator) for name in methods.names]
+            described = (label_of(result, group), facts.kind, facts.sensor)
+            counts = (sums[0].queries, sums[0].places, *(each.cell() for each in sums))
+            rows.append((*described, *counts))
     note = (
         "Queries that were localized rightly; in brackets, where there are any, those that were "
         "localized falsely. Places: queries that the map's way passes within 3 m; some that it "
         "passes farther off are found, too. "
     )
-    yield Table(
+    return Table(
         f"localizations-{estimator}",
-        f"Number of localizations, {how}",
-        columns,
+        f"Number of localizations, {_TITLES[estimator]}",
+        ("set", "type", "sensor", "queries", "places", *methods.names),
         tuple(rows),
         (note + methods.note()).strip(),
     )
-    if strangers:
-        yield Table(
-            f"negatives-{estimator}",
-            f"False localizations in the map of another place, {how}",
-            ("set", "queries", *methods.names),
-            (*strangers, _total(strangers)),
-            "The same queries in a map that does not hold them: every answer is false.",
-        )
+
+
+def _found_elsewhere(results: list[Result], methods: Methods, estimator: str) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for result in results:
+        for group in groups(result):
+            sums = [_sums(result, name, group, estimator) for name in methods.names]
+            if sums[0].asked_elsewhere:
+                false = (each.false_elsewhere for each in sums)
+                rows.append((label_of(result, group), sums[0].asked_elsewhere, *false))
+    return Table(
+        f"negatives-{estimator}",
+        f"False localizations in the map of another place, {_TITLES[estimator]}",
+        ("set", "queries", *methods.names),
+        (*rows, _total(rows)),
+        "The same queries in a map that does not hold them: every answer is false.",
+    )
 
 
 def _total(rows: list[tuple[Cell, ...]]) -> tuple[Cell, ...]:

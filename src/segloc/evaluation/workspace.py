@@ -43,27 +43,31 @@ class Pair:
     Attributes
     ----------
     map, query : Path
-        Folders of scans.
-    map_poses : Path
-        Of the scans to map; its frame is the map's.
+        What :func:`segloc.datasets.open_sequence` opens.
+    map_poses : Path or None
+        Of the scans to map, in whose frame the map is; by default the recording's own.
     poses : Path or None
-        Odometry of the queries, by which they are accumulated; without it each scan stands alone.
+        Odometry of the queries, by which they are accumulated; by default the recording's own.
+        Where there is none, each scan stands alone.
     truth : Path or None
         True poses of the queries in the map's frame, to score against.
     map_select, select : str or None
         Which scans; see :func:`segloc.datasets.parse_select`.
-    every_m : float or None
-        Metres of travel between queries; every scan where it is None.
+    topic : str or None
+        Of both recordings, where they have several.
+    every_m : float
+        Metres of travel between queries; every scan is asked where nothing tells the way.
     """
 
     map: Path
     query: Path
-    map_poses: Path
+    map_poses: Path | None = None
     poses: Path | None = None
     truth: Path | None = None
     map_select: str | None = None
     select: str | None = None
-    every_m: float | None = None
+    topic: str | None = None
+    every_m: float = 10.0
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class ForestConfig(BaseModel):
     max_leaves: int = Field(512, ge=2, description="of one tree: bounds the size of the file")
     min_pairs: int = Field(20, ge=1, description="training pairs in a leaf at least")
     pairs: int = Field(60_000, ge=2, description="right candidates at most; of wrong ones twice")
-    queries: int = Field(40_000, ge=1, description="segments whose candidates are looked at")
+    queries: int = Field(200_000, ge=1, description="segments whose candidates are looked at")
     map_segments: int = Field(8000, ge=1, description="of the maps that propose candidates")
     neighbours: int = Field(200, ge=1, description="candidates a segment, as in matching")
     different_m: float = Field(3.0, ge=0, description="other objects lie at least this far apart")

@@ -1,0 +1,78 @@
+"""Where the files of datasets lie and what their names say."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..types import Float64, Int64
+
+
+def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:
+    """The files of a folder with a suffix and a name that ends in a number, sorted by it.
+
+    Raises
+    ------
+    DatasetError
+        If there are none, or two have the same number.
+    """
+    try:
+        names = [path for path in folder.iterdir() if path.name.endswith(suffix)]
+    except OSError as error:
+        raise DatasetError(f"{folder}: cannot list: {error.strerror or error}") from error
+    paths = [path for path in names if path.name[0] != "." and path.stem.isdecimal()]
+    if not paths:
+        raise DatasetError(f"{folder}: no scans: no files NUMBER{suffix}")
+    paths.sort(key=lambda path: int(path.stem))
+    for first, second in pairwise(paths):
+        if int(first.stem) == int(second.stem):
+            raise DatasetError(f"{folder}: {first.name} and {second.name} have the same number")
+    return paths
+
+
+def holds_scans(folder: Path, digits: int = 1) -> bool:
+    """Whether a folder has a file NUMBER.bin of so many digits or more: 15 are a time.
+
+    Other files in folders of the same names are somebody else's, to be read as a plain folder.
+    """
+    if not folder.is_dir():
+        return False
+    names = (path.stem for path in folder.glob("*.bin"))
+    return any(name.isdecimal() and len(name) >= digits for name in names)
+
+
+def numbers(paths: list[Path]) -> Int64:
+    """The numbers in the names of files, (N,) int64."""
+    if any(len(path.stem) > 18 and int(path.stem) > np.iinfo(np.int64).max for path in paths):
+        raise DatasetError(f"{paths[-1]}: the number in its name is too large")
+    return np.array([int(path.stem) for path in paths], dtype=np.int64)
+
+
+def in_seconds(paths: list[Path], unit: float) -> Float64:
+    """The numbers in the names of files as stamps, (N,) float64; ``unit`` is theirs in seconds."""
+    return np.asarray(numbers(paths) * unit, dtype=np.float64)
+
+
+def relative(path: Path, root: Path) -> str:
+    """A file's path inside a recording, for messages and tables."""
+    return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)
+
+
+def choose(path: Path, present: list[str], topic: str | None) -> str:
+    """The one of several sensors that is asked for, or the only one.
+
+    Raises
+    ------
+    DatasetError
+        If there are several and none is asked for, or the one that is asked for is not there.
+    """
+    if topic is not None and topic not in present:
+        raise DatasetError(f"{path}: no {topic!r} in it, only {', '.join(present) or 'nothing'}")
+    if topic is None and len(present) > 1:
+        raise DatasetError(
+            f"{path}: several sensors: choose one of them: --topic {'|'.join(present)}"
+        )
+    return topic or present[0]
