@@ -61,7 +61,8 @@ def _tables(transfer: Transfer, areas: Areas) -> tuple[Table, ...]:
     note = (
         "Pairs match by centroids within 0.5 m and differ beyond 20 m, as in the paper. Steps of "
         f"training: {steps}. Shipped weights have no FC4, so nothing for -fq; geo learns nothing, "
-        "and of methods that are empty there nothing is shipped."
+        "and of methods that are empty there nothing is shipped. Shipped forests were grown to "
+        "prune near candidates, not to judge any pair."
     )
     best: dict[str, float] = {}
     for (test, _), row in areas.items():

@@ -33,6 +33,7 @@ FORESTS = ("segmatch-eigen", "segmatch-esf", "nsm")
 PAIRED = ("dsm", "esm")
 QUALITY = "-fq"
 
+_WIDE = 1000
 _OWN: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-3, "hard_share": 0.0}}
 
 
@@ -44,23 +45,29 @@ class Effort:
     ----------
     steps : dict of str to int
         By network.
-    forest_pairs : int
-        Right candidates that a forest is grown on at most; as many segments propose them.
+    forest_queries : int
+        Segments whose candidates a forest is grown on.
     """
 
     steps: Mapping[str, int]
-    forest_pairs: int
+    forest_queries: int
 
     def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
-        """The settings of a method's training."""
+        """The settings of a method's training.
+
+        A forest that prunes learns from candidates that look alike, and says nothing sensible of
+        pairs that do not. Here it is to judge any pair, so it sees 1000 candidates of small maps.
+        """
         if method in FORESTS:
-            return ForestConfig(pairs=self.forest_pairs, queries=self.forest_pairs, seed=seed)
+            return ForestConfig(
+                queries=self.forest_queries, neighbours=_WIDE, map_segments=_WIDE, seed=seed
+            )
         return network_config(method, self.steps[method], seed=seed)
 
 
 EFFORTS = {
-    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 10_000),
-    "full": Effort({"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000}, 40_000),
+    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 4_000),
+    "full": Effort({"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000}, 8_000),
 }
 """By scale. Few steps, so that a whole table is trained in ten minutes (small) or an hour (full) of
 one core: methods then also differ in how fast they learn."""
