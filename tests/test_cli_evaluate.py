@@ -64,11 +64,9 @@ def test_without_truth_answers_are_counted_but_not_judged(recordings: Path, tmp_
 @pytest.mark.parametrize(
     ("arguments", "error", "line"),
     [
-        (("best",), ConfigError, "the study must be one of roc, .*, all, report, not 'best'"),
         (("roc", "--suite", "seven"), ConfigError, "suite must be one of six, not 'seven'"),
         (("roc", "--scale", "huge"), ConfigError, "scale must be one of small, full, not 'huge'"),
         (("localization", "here"), ConfigError, "give two recordings"),
-        (("timing", "a", "b"), ConfigError, "only localization takes recordings of your own"),
         (("localization", "a", "b"), DatasetError, "a: no such file or folder"),
         (("localization", "--methods", "x"), ConfigError, "no method 'x'; there are dsm"),
         (("localization", "--kitti", "x"), DatasetError, "x: no such folder; --kitti needs"),

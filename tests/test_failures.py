@@ -6,12 +6,11 @@ import json
 
 import numpy as np
 import pytest
-import typer
 from conftest import Plaza, PlazaSequence
 from typer.testing import CliRunner
 
 from segloc import Config, Localizer, SegmentMap, build_map
-from segloc.cli import failures as verb
+from segloc.cli import app
 from segloc.evaluation import failures
 from segloc.evaluation.failure_picture import draw_case
 from segloc.evaluation.failures import Case, Funnel, funnel
@@ -110,10 +109,7 @@ def test_the_verb_writes_the_funnel_and_pictures(
     write_tum(folder / "truth.tum", Trajectory(np.arange(3.0), walk.poses[:3]))
     site.save(folder / "site.segmap")
     (folder / "c.yaml").write_text("verification: {min_inliers: 1000}\n")
-    app = typer.Typer()
-    app.callback()(lambda: None)
-    verb.register(app)
-    arguments = ["failures", str(run), "--map", str(folder / "site.segmap"), "--truth"]
+    arguments = ["evaluate", "failures", str(run), "--map", str(folder / "site.segmap"), "--truth"]
     arguments += [str(folder / "truth.tum"), "--out", str(out), "--pictures", "1"]
     result = CliRunner().invoke(app, [*arguments, "--config", str(folder / "c.yaml")])
     assert result.exit_code == 0, result.output

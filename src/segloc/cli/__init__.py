@@ -13,7 +13,6 @@ from . import (
     bench,
     config,
     demo,
-    evaluate,
     info,
     localize,
     map_build,
@@ -23,6 +22,7 @@ from . import (
     odometry,
     simulate,
 )
+from .evaluate import evaluate
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -38,6 +38,7 @@ app = typer.Typer(
 maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
 app.add_typer(maps, name="map", context_settings=_CONTEXT)
 app.add_typer(train, name="train", context_settings=_CONTEXT)
+app.add_typer(evaluate, name="evaluate", context_settings=_CONTEXT)
 app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
@@ -46,7 +47,6 @@ app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
 app.command("bench")(bench.bench)
-app.command("evaluate")(evaluate.evaluate)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import ConfigError, DatasetError, MissingDependency, SeglocError
+from . import failures
 
 if TYPE_CHECKING:
     from ..evaluation.study import Study
@@ -16,38 +17,76 @@ if TYPE_CHECKING:
 
 _POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
 _LONG_ROWS = 40
+_EXPLAINED = {
+    "roc": "Which descriptor tells whether two segments are of one object? (Fig. 5)",
+    "generalization": "And in a place of another kind than it was trained on? (Table I)",
+    "rotation": "Does a descriptor change when its segment is turned? (Fig. 6)",
+    "sampling": "What does farthest-point sampling cost, and what does it bring?",
+    "timing": "How long does a query take, and where does the time go? (Table III)",
+    "memory": "How much memory does training take?",
+    "all": "Every study, one after the other.",
+}
+
+Out = Annotated[
+    Path, typer.Option(metavar="DIR", help="The folder of all results.", show_default=False)
+]
+Suite = Annotated[str, typer.Option(metavar="NAME", help="The simulated test sets.")]
+Scale = Annotated[str, typer.Option(help="small or full.")]
+Kitti = Annotated[
+    Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
+]
+Methods = Annotated[str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.")]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
+Threads = Annotated[int, typer.Option(min=0, help="Of the engine; 0: all cores.")]
+Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
+_OUT = Path("evaluation")
+
+evaluate = typer.Typer(
+    help="Repeat the experiments of the paper: each figure and table, beside the published figures."
+    " Everything is stored in DIR as it is finished, so that a run that was cut off goes on where"
+    " it stopped; DIR/report.html shows it.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 
 
-def evaluate(
-    study: Annotated[
-        str,
-        typer.Argument(
-            metavar="STUDY",
-            help="roc, generalization, rotation, sampling, localization, timing, memory; all of "
-            "them; or report, to draw again what is stored.",
-        ),
-    ],
+def _add(name: str) -> None:
+    def command(
+        out: Out = _OUT,
+        suite: Suite = "six",
+        scale: Scale = "small",
+        kitti: Kitti = None,
+        methods: Methods = None,
+        seed: Seed = 0,
+        threads: Threads = 1,
+        workers: Workers = 2,
+    ) -> None:
+        _run(name, _workspace(out, suite, scale, kitti, None, methods, seed, threads, workers))
+
+    command.__doc__ = _EXPLAINED[name]
+    evaluate.command(name)(command)
+
+
+for _name in _EXPLAINED:
+    _add(_name)
+
+
+@evaluate.command("localization")
+def localization(
     mapped: Annotated[
-        Path | None,
-        typer.Argument(metavar="[MAP", help="Your own recording to map (localization only)."),
+        Path | None, typer.Argument(metavar="[MAP", help="Your own recording to map.")
     ] = None,
     query: Annotated[
         Path | None, typer.Argument(metavar="QUERY]", help="And one to localize in that map.")
     ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="The folder of all results.", show_default=False)
-    ] = Path("evaluation"),
-    suite: Annotated[str, typer.Option(metavar="NAME", help="The simulated test sets.")] = "six",
-    scale: Annotated[str, typer.Option(help="small or full.")] = "small",
-    kitti: Annotated[
-        Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
-    ] = None,
-    methods: Annotated[
-        str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another world.")] = 0,
-    threads: Annotated[int, typer.Option(min=0, help="Of the engine; 0: all cores.")] = 1,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    out: Out = _OUT,
+    suite: Suite = "six",
+    scale: Scale = "small",
+    kitti: Kitti = None,
+    methods: Methods = None,
+    seed: Seed = 0,
+    threads: Threads = 1,
+    workers: Workers = 2,
     map_poses: Annotated[
         Path | None,
         typer.Option(help="Poses of MAP; poses.tum where there is one, else the recording's own."),
@@ -76,45 +115,58 @@ def evaluate(
         float, typer.Option(metavar="METRES", help="Ask once in so many metres of travel.")
     ] = 10.0,
 ) -> None:
-    """Repeat the experiments of the paper: each figure and table, beside the published figures.
-
-    Everything is stored in DIR as it is finished, so that a run that was cut off goes on where it
-    stopped; DIR/report.html shows it.
-    """
-    from ..evaluation import studies
-    from ..evaluation.workspace import Workspace
-    from .console import note, progress
+    """How many queries are localized, and how many of them falsely? (Table II)"""
     from .options import check_every
+
+    check_every(every)
+    files = (map_poses, poses, truth, map_select, select, topic)
+    pair = None if mapped is None else _pair(mapped, query, *files, every)
+    given = (suite, scale, kitti, pair, methods, seed, threads, workers)
+    _run("localization", _workspace(out, *given))
+
+
+@evaluate.command("report")
+def report(out: Out = _OUT) -> None:
+    """Draw again what is stored."""
     from .results import check_folder
 
-    names = (*studies.STUDIES, "all", "report")
-    if study not in names:
-        raise ConfigError(f"the study must be one of {', '.join(names)}, not {study!r}")
-    check_every(every)
     check_folder(out)
-    files = (map_poses, poses, truth, map_select, select, topic)
-    pair = None if mapped is None else _pair(study, mapped, query, *files, every)
+    _report(out, asked=True)
+
+
+failures.register(evaluate)
+
+
+def _workspace(
+    out: Path,
+    suite: str,
+    scale: str,
+    kitti: Path | None,
+    pair: Pair | None,
+    methods: str | None,
+    seed: int,
+    threads: int,
+    workers: int,
+) -> Workspace:
+    from ..evaluation.workspace import Workspace
+    from .console import note, progress
+    from .results import check_folder
+
+    check_folder(out)
     chosen = None if methods is None else tuple(name.strip() for name in methods.split(","))
-    workspace = Workspace(
-        out,
-        suite,
-        scale,
-        kitti,
-        pair,
-        seed,
-        threads,
-        workers,
-        chosen,
-        progress,
-        note,
-        _command(),
-    )
+    settings = (suite, scale, kitti, pair, seed, threads, workers, chosen)
+    return Workspace(out, *settings, progress, note, _command())
+
+
+def _run(study: str, workspace: Workspace) -> None:
+    from ..evaluation import studies
+
     _ = workspace.sets  # refuses an unknown suite before the work
     if study == "all":
         _run_all(workspace)
-    elif study != "report":
+    else:
         _show(studies.run(study, workspace))
-    _report(out, asked=study == "report")
+    _report(workspace.out, asked=False)
 
 
 def _run_all(workspace: Workspace) -> None:
@@ -151,7 +203,6 @@ def _report(out: Path, asked: bool) -> None:
 
 
 def _pair(
-    study: str,
     mapped: Path,
     query: Path | None,
     map_poses: Path | None,
@@ -166,8 +217,6 @@ def _pair(
 
     if query is None:
         raise ConfigError("give two recordings, one to map and one to localize in it")
-    if study != "localization":
-        raise ConfigError(f"only localization takes recordings of your own, not {study}")
     for path in (mapped, query):
         if not path.exists():
             raise DatasetError(f"{path}: no such file or folder")
