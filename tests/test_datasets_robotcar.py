@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataset_samples import FLIP, START, angles, made, matrix, us
+from robotcar_samples import FRONT, write_ins, write_sweep
 
 from segloc import geometry
 from segloc.datasets import RecordedSequence, open_sequence, swathes
 from segloc.errors import DatasetError
 from segloc.types import Float64
-
-# x, y, z in metres and roll, pitch, yaw, from the extrinsics of the dataset's SDK.
-FRONT = matrix((1.7589, 0.2268, 1.0411), (-0.0437, -1.4572, 0.0356))
-INS = matrix((-1.7132, 0.1181, 1.1948), (-0.0125, 0.0400, 0.0050))
 
 
 def car(time: float) -> Float64:
@@ -35,8 +32,7 @@ def traversal(root: Path, *, seconds: float = 1.0, kind: str = "ins") -> tuple[P
     for stamp in stamps:
         angle, reach = rng.uniform(-2.3, 2.3, 40), rng.uniform(1, 20, 40)
         flat = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), 0 * angle])
-        rows = np.vstack([np.column_stack([flat[:, :2], 500 * np.ones(40)]), np.zeros((3, 3))])
-        (made(folder / "lms_front") / f"{us(stamp)}.bin").write_bytes(rows.astype("<f8").tobytes())
+        write_sweep(folder / "lms_front", stamp, flat[:, :2])
         world.append(geometry.transform(FLIP @ car(stamp) @ FRONT, flat))
         listed.append(f"{us(stamp)} 1")
     (folder / "lms_front.timestamps").write_text("\n".join([*listed, f"{us(START + 99)} 1"]))
@@ -44,20 +40,9 @@ def traversal(root: Path, *, seconds: float = 1.0, kind: str = "ins") -> tuple[P
     if kind == "vo":
         write_vo(made(folder / "vo") / "vo.csv", times)
     else:
-        write_ins(made(folder / "gps") / f"{kind}.csv", times, status=kind == "ins")
+        poses = np.array([car(time) for time in times])
+        write_ins(folder / "gps" / f"{kind}.csv", times, poses, status=kind == "ins")
     return folder, world
-
-
-def write_ins(path: Path, times: Float64, *, status: bool) -> None:
-    names = "latitude,longitude,altitude,northing,easting,down,utm_zone,velocity_north"
-    text = f"timestamp,{'ins_status,' * status}{names},roll,pitch,yaw\n"
-    for time in times:
-        T = car(time) @ INS
-        good = "INS_SOLUTION_GOOD," * status
-        xyz = ",".join(f"{v:.16g}" for v in T[:3, 3])
-        rpy = ",".join(f"{v:.12g}" for v in angles(T))
-        text += f"{us(time)},{good}51.7,-1.2,110.0,{xyz},30U,0.0,{rpy}\n"
-    path.write_text(text)
 
 
 def write_vo(path: Path, times: Float64) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import geometry
 from ..errors import DatasetError
 from ..types import Float32, Float64, Int64, Scan
+from .base import Recording
 from .recorded import times_fit
 from .tracks import Track
 
@@ -208,6 +209,20 @@ def in_one_plane(cloud: NDArray[np.floating]) -> bool:
     few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
     spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
     return bool(spread[-1] < _FLAT_M * np.sqrt(len(few)))
+
+
+def is_push_broom(recording: Recording, sample: int = 5) -> bool:
+    """Whether scans are sweeps of one plane, by the largest of ``sample`` of them.
+
+    Raises
+    ------
+    DatasetError
+        If one of them cannot be read.
+    """
+    chosen = np.unique(np.linspace(0, len(recording) - 1, sample).round().astype(int))
+    clouds = [recording.scan(int(i)).points for i in chosen if len(recording)]
+    largest = max(clouds, key=len, default=np.empty((0, 3), np.float32))
+    return len(largest) > 3 and in_one_plane(largest)
 
 
 def beams(cloud: Float64) -> tuple[int, float, float]:

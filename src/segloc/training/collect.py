@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets import Recording
+from ..datasets.inspection import is_push_broom
 from ..segmentation import SegmentationConfig, Segmenter
 from ..simulation import process_pool
 from .extract import ExtractConfig, extract_session
@@ -54,8 +55,9 @@ def collect_recordings(
     before: list[Session] = []
     for item in recordings:
         session, recording = item.session, item.recording
+        own = _for_sweeps(config) if is_push_broom(recording) else config
         options = options_of(
-            config,
+            own,
             segmentation=segmentation.model_dump(mode="json"),
             register=register,
             before=[one.file for one in before],
@@ -65,11 +67,16 @@ def collect_recordings(
             progress(f"{session.name}: already there")
         else:
             registration = _registration(folder, before) if register and before else None
-            extract = extract_session(recording, segmenter.segment, config, registration)
+            extract = extract_session(recording, segmenter.segment, own, registration)
             write_shard(folder, session, extract, options)
             progress(f"{session.name}: {len(extract)} segments{_told(registration)}")
         before.append(session)
     return before
+
+
+def _for_sweeps(config: ExtractConfig) -> ExtractConfig:
+    """One sweep of a push-broom sensor shows no object, and a short way only slices."""
+    return config.model_copy(update={"lengths_m": (config.swathe_m,)})
 
 
 def _fingerprint(recording: Recording) -> list[int | str]:
@@ -159,9 +166,7 @@ def _world(
         return session, "already there"
     segmenter = Segmenter(segmentation)
     drive = simulated_drive(spec, k)
-    own = config
-    if sweeps(spec.drives[k]):
-        own = config.model_copy(update={"lengths_m": (config.swathe_m,)})
+    own = _for_sweeps(config) if sweeps(spec.drives[k]) else config
     extract = extract_session(drive, segmenter.segment, own)
     write_shard(folder, session, extract, options)
     return session, f"{len(extract)} segments ({session.sensor})"

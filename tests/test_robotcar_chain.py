@@ -1,0 +1,123 @@
+"""Sessions of a push-broom sensor in RobotCar's layout: aligned, made training data, mapped, asked.
+
+The sweeps are a simulated LMS-151's and the poses drift; the simulator's poses are only compared
+with.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+
+from robotcar_samples import T_sensor_car, write_drive
+
+from segloc import Config, Localizer, SegmentMap, cli, geometry
+from segloc.datasets import open_sequence, swathes
+from segloc.io import read_trajectory
+from segloc.simulation import Conditions, lms151, simulate_sessions, town
+from segloc.training.shards import load_dataset
+from segloc.types import Float64
+
+LENGTH_M = 110.0
+
+
+def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> None:
+    monkeypatch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert not left.value.code
+
+
+@dataclass
+class Traversals:
+    """Three sessions in one street, the last in winter."""
+
+    folders: list[Path]
+    truths: list[Float64]
+    aligned: Path
+
+    def error(self, session: int, index: int, T_world_car: Float64) -> float:
+        """How far a pose in the aligned world is off, seen from the nearest pose of session 0."""
+        base, true = self.truths[0], self.truths[session][index]
+        near = int(np.linalg.norm(base[:, :3, 3] - true[:3, 3], axis=1).argmin())
+        anchor = read_trajectory(self.aligned / "session_0.tum").poses[near]
+        found = geometry.inverse(anchor) @ T_world_car
+        expected = geometry.inverse(base[near]) @ true
+        return float(np.linalg.norm(found[:3, 3] - expected[:3, 3]))
+
+
+@pytest.fixture(scope="module")
+def traversals(tmp_path_factory: pytest.TempPathFactory) -> Traversals:
+    root = tmp_path_factory.mktemp("robotcar")
+    seasons = [Conditions(), Conditions(), Conditions(foliage=0.3, replaced=0.2)]
+    drives = simulate_sessions(
+        town(5, size_m=220.0), lms151(271), seasons, length_m=LENGTH_M, spacing_m=0.3, seed=2
+    )
+    folders, truths = [], []
+    for k, drive in enumerate(drives):
+        folders.append(write_drive(root / f"2014-11-2{k}-16-07-03", drive.with_odometry()))
+        truths.append(drive.truth @ T_sensor_car(drive.sensor))
+    aligned = root / "aligned"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        segloc(monkeypatch, "align", *folders, "--pairs", "--threads", "1", "--out", aligned)
+    return Traversals(folders, truths, aligned)
+
+
+def test_sessions_are_aligned(traversals: Traversals) -> None:
+    facts = json.loads((traversals.aligned / "alignment.json").read_text())
+    assert facts["components"] == [[0, 1, 2]]
+    assert facts["loops"]["accepted_across_sessions"] > 20
+    for session in (1, 2):
+        poses = read_trajectory(traversals.aligned / f"session_{session}.tum").poses
+        truth = traversals.truths[session]
+        way = traversals.truths[0][None, :, :2, 3] - truth[:, None, :2, 3]
+        shared = np.flatnonzero(np.linalg.norm(way, axis=2).min(axis=1) < 6)[::5]
+        errors = [traversals.error(session, int(i), poses[i]) for i in shared]
+        assert len(errors) > 40
+        assert np.median(errors) < 0.15
+        assert max(errors) < 0.5
+
+
+def test_pairs_are_of_swathes_and_across_sessions(traversals: Traversals) -> None:
+    dataset = load_dataset(traversals.aligned / "dataset")
+    assert set(dataset.lengths.tolist()) == {30.0}  # no object shows in one sweep
+    with (traversals.aligned / "pairs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    across = {(row["first_session"], row["second_session"]) for row in rows if row["match"] == "1"}
+    assert {("0", "1"), ("0", "2"), ("1", "2")} <= across
+    near = [float(row["distance_m"]) for row in rows if row["match"] == "1"]
+    assert len(near) > 500
+    assert max(near) < 1.0
+
+
+def test_a_map_of_one_session_localizes_another(
+    traversals: Traversals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, _, last = traversals.folders
+    site, out = tmp_path / "site.segmap", tmp_path / "results"
+    poses = traversals.aligned / "session_0.tum"
+    one = ("--threads", "1")
+    segloc(monkeypatch, "map", "build", first, "--poses", poses, "--out", site, *one)
+    segloc(monkeypatch, "localize", last, "--map", site, "--every", "8", "--out", out, *one)
+    found = read_trajectory(out / "poses.tum")
+    assert len(found) >= 10  # of 14
+    for number, pose in zip(found.stamps, found.poses, strict=True):
+        assert traversals.error(2, int(number), pose) < 1.0
+
+    localizer = Localizer(SegmentMap.load(site), Config(threads=1))
+    gathered = swathes(open_sequence(last), 30.0)
+    answers = [localizer.localize(gathered.scan(i)) for i in range(len(gathered))]
+    places = [answer.T_map_sensor for answer in answers]
+    assert sum(place is not None for place in places) >= 2  # of 3
+    for number, place in zip(gathered.indices, places, strict=True):
+        assert place is None or traversals.error(2, int(number), place) < 1.0
+    sweep = open_sequence(last, "none").scan(100)
+    assert not localizer.localize(sweep).localized
