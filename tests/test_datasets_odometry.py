@@ -27,7 +27,7 @@ from segloc.evaluation.localization import localize_sequence
 from segloc.io import read_trajectory, write_tum
 from segloc.localizer import Localizer
 from segloc.mapping import build_map
-from segloc.simulation import Route, car, hdl32e, record, simulate_session, town
+from segloc.simulation import Route, SimulatedSequence, car, hdl32e, record, simulate_session, town
 from segloc.simulation.drives import mapped_way
 from segloc.types import Float64, Int64, Scan
 
@@ -37,8 +37,16 @@ class Simulated:
     """A drive that moves while it scans."""
 
     folder: Path
-    truth: Float64
-    stamps: Float64
+    drive: SimulatedSequence
+
+    @property
+    def truth(self) -> Float64:
+        return self.drive.truth
+
+    @property
+    def stamps(self) -> Float64:
+        assert self.drive.stamps is not None
+        return self.drive.stamps
 
     def bag(self, kind: str, root: Path, *, posed: bool = True) -> Path:
         """Its scans in a bag, at the same times since START."""
@@ -53,16 +61,21 @@ class Simulated:
         return bag.write(root / kind)
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
+def driven(session: int, lane: float) -> SimulatedSequence:
     world = town(3, size_m=150)
     way = mapped_way(world, np.random.default_rng(0), 60.0)
-    route = Route(tuple(way), length_m=32.0)
+    route = Route(tuple(way), lane, length_m=32.0)
     sensor = hdl32e().thinned(4)
-    drive = simulate_session(world, 0, route, sensor, 7, platform=car(), by_rate=True, skew=True)
+    return simulate_session(
+        world, session, route, sensor, 7, platform=car(), by_rate=True, skew=True
+    )
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
+    drive = driven(0, lane=1.1)
     folder = record(drive, tmp_path_factory.mktemp("run") / "drive", workers=1)
-    assert drive.stamps is not None
-    return Simulated(folder, drive.truth, drive.stamps)
+    return Simulated(folder, drive)
 
 
 def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
@@ -157,6 +170,37 @@ def test_verbs_take_a_bag_without_poses(
     shown = capsys.readouterr().out
     for fact in ("ROS 1 bag", "3D, 32 beams", "10.0 Hz", "x y z intensity time", "lidar"):
         assert fact in shown
+
+
+def test_two_bags_without_poses_map_and_localize(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One command each; the second drive is another session in another lane."""
+    mapped = simulated.bag("sqlite3", tmp_path, posed=False)
+    site = tmp_path / "site.segmap"
+    one = ["--threads", "1"]
+    assert segloc(monkeypatch, "map", "build", mapped, "--odometry", "--out", site, *one) == 0
+    drive = driven(1, lane=0.2)
+    bag = BagWriter("mcap")
+    assert drive.stamps is not None
+    for i, stamp in enumerate(START + 1000 + drive.stamps):
+        scan = drive.scan(i)
+        assert scan.times is not None
+        bag.cloud("/points", stamp, scan.points, times=("time", "f8", scan.times))
+    asked = bag.write(tmp_path / "asked")
+    # Odometry holds at the end of a scan, when the next one starts: so does the map's first pose.
+    T_map_world = geometry.inverse(simulated.truth[1])
+    gathered = ["--odometry", "--every", "5"]
+    # Single scans are not de-skewed: that is up to a metre at this speed.
+    for more, fewest, tolerance in (([], 28, 1.5), (gathered, 5, 1.0)):
+        out = tmp_path / f"results_{len(more)}"
+        verb = ["localize", asked, "--map", site, "--out", out, *more, *one]
+        assert segloc(monkeypatch, *verb) == 0
+        found = read_trajectory(out / "poses.tum")
+        assert len(found) >= fewest
+        for number, pose in zip(found.stamps, found.poses, strict=True):
+            off = geometry.inverse(T_map_world @ drive.truth[int(number)]) @ pose
+            assert np.linalg.norm(off[:3, 3]) < tolerance
 
 
 class Fake:
@@ -259,6 +303,22 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
 
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")
+def test_odometry_of_a_real_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It moves on, never backwards, and neither speed nor heading jump."""
+    pytest.importorskip("laspy")
+    file = tmp_path / "poses.tum"
+    assert segloc(monkeypatch, "odometry", SHARED / "hdl64_drive", "--out", file) == 0
+    trajectory = read_trajectory(file)
+    assert len(trajectory) == 40
+    steps = np.linalg.inv(trajectory.poses[:-1]) @ trajectory.poses[1:]
+    ahead, turns = steps[:, 0, 3], np.arctan2(steps[:, 1, 0], steps[:, 0, 0])
+    assert 0.25 < ahead.min() <= ahead.max() < 0.45  # 10 km/h at 10 Hz
+    assert np.abs(np.diff(ahead[1:])).max() < 0.06  # the first step is a guess
+    assert np.abs(steps[:, 1:3, 3]).max() < 0.06
+    assert 0 < turns.min() <= turns.max() < np.radians(1.0)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")
