@@ -16,6 +16,24 @@ from scipy.spatial.transform import Rotation
 from segloc.types import Float64
 
 KINDS = ("ros1", "sqlite3", "mcap")
+LASER = "sensor_msgs/msg/LaserScan"
+LIVOX_POINT = """
+uint32 offset_time
+float32 x
+float32 y
+float32 z
+uint8 reflectivity
+uint8 tag
+uint8 line
+"""
+LIVOX_MESSAGE = """
+std_msgs/Header header
+uint64 timebase
+uint32 point_num
+uint8 lidar_id
+uint8[3] rsvd
+CustomPoint[] points
+"""
 CLOUD = "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -97,6 +115,39 @@ class BagWriter:
             is_dense=True,
         )  # fmt: skip
         self.add(topic, CLOUD, stamp, message)
+
+    def livox(
+        self, topic: str, stamp: float, points: Float64, times: Float64, package: str
+    ) -> None:
+        """A CustomMsg of ``livox_ros_driver`` or ``livox_ros_driver2``."""
+        point, kind = f"{package}/msg/CustomPoint", f"{package}/msg/CustomMsg"
+        if kind not in self.store.types:
+            self.store.register(get_types_from_msg(LIVOX_POINT, point))
+            self.store.register(get_types_from_msg(LIVOX_MESSAGE, kind))
+        rows = [
+            self.make(
+                point, offset_time=round(t * 1e9), x=x, y=y, z=z, reflectivity=9, tag=16, line=k % 6
+            )
+            for k, ((x, y, z), t) in enumerate(zip(points.tolist(), times.tolist(), strict=True))
+        ]
+        message = self.make(
+            kind,
+            header=self.header(stamp, "livox"), timebase=round(stamp * 1e9), point_num=len(rows),
+            lidar_id=1, rsvd=np.zeros(3, np.uint8), points=rows,
+        )  # fmt: skip
+        self.add(topic, kind, stamp, message)
+
+    def laser(
+        self, topic: str, stamp: float, ranges: Float64, step_rad: float, step_s: float
+    ) -> None:
+        """A sweep from -135 degrees on by a scanner that sees from 0.1 to 30 m."""
+        message = self.make(
+            LASER,
+            header=self.header(stamp, "laser"), angle_min=-0.75 * np.pi, angle_max=0.75 * np.pi,
+            angle_increment=step_rad, time_increment=step_s, scan_time=0.025, range_min=0.1,
+            range_max=30.0, ranges=ranges.astype(np.float32), intensities=np.empty(0, np.float32),
+        )  # fmt: skip
+        self.add(topic, LASER, stamp, message)
 
     def _transform(self, T: Float64) -> tuple[dict[str, float], Any]:
         x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()

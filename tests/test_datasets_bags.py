@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from bag_samples import KINDS, BagWriter
 from dataset_samples import START, Drive, matrix
 
 from segloc import geometry
-from segloc.datasets import RecordedSequence, open_sequence
+from segloc.datasets import RecordedSequence, livox, open_sequence
+from segloc.datasets.inspection import inspect
 from segloc.errors import DatasetError
 from segloc.types import Float64
 
@@ -120,12 +122,12 @@ def test_topics(kind: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=several):
         opened(path)
     assert opened(path, topic="/rear").frame == "rear"
-    with pytest.raises(DatasetError, match=r"'/odom' is no topic of PointCloud2: /front \(8\)"):
+    with pytest.raises(DatasetError, match=r"'/odom' is no topic of scans: /front \(8\)"):
         opened(path, topic="/odom")
     other = BagWriter(kind)
     other.odometry("/odom", START, np.eye(4), "base")
     path = other.write(tmp_path / "other")
-    with pytest.raises(DatasetError, match=r"no topic of PointCloud2, only /odom \(nav_msgs/msg/O"):
+    with pytest.raises(DatasetError, match=r"no topic of scans, only /odom \(nav_msgs/msg/O"):
         opened(path)
 
 
@@ -155,6 +157,77 @@ def test_times_of_points(field: str, dtype: str, unit: float, since: float, tmp_
     raw = opened(path, deskew=False).scan(0)
     assert raw.times is not None
     np.testing.assert_allclose(raw.times, spread, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
+def test_livox_messages(kind: str, package: str, tmp_path: Path) -> None:
+    """The bytes as rosbags writes them by the message's definition, moved along the poses."""
+    bag = BagWriter(kind)
+    spread = np.linspace(0, 0.09, len(DRIVE.landmarks))
+    for stamp in DRIVE.stamps:
+        seen = np.array([
+            geometry.transform(geometry.inverse(DRIVE.pose(stamp + t)), point[None])[0]
+            for t, point in zip(spread, DRIVE.landmarks, strict=True)
+        ])  # fmt: skip
+        seen[3] = 0.0  # no return
+        bag.livox("/livox/lidar", stamp, seen, spread, package)
+    bag.livox("/livox/lidar", DRIVE.stamps[-1] + 0.1, np.empty((0, 3)), np.empty(0), package)
+    for time in np.arange(START - 0.05, DRIVE.stamps[-1] + 0.3, 0.02):
+        bag.odometry("/odom", time, DRIVE.pose(time), "livox")
+    bag.laser("/scan", START, np.ones(9), 0.5, 0.0)  # passed over
+    sequence = opened(bag.write(tmp_path / "drive"))
+    assert (len(sequence), sequence.frame) == (9, "livox")
+    assert sequence.fields == "x y z reflectivity tag line offset_time"
+    for i in (0, 7):
+        expected = np.delete(DRIVE.seen(i), 3, axis=0)
+        np.testing.assert_allclose(sequence.scan(i).points, expected, atol=2e-4)
+    assert len(sequence.scan(8)) == 0
+    raw = sequence.raw(0)
+    assert raw.times is not None
+    np.testing.assert_allclose(raw.times, np.delete(spread, 3), atol=1e-8)
+
+
+def test_livox_messages_in_other_bytes() -> None:
+    """Big-endian, and cut off anywhere."""
+    packed = [struct.pack(f"{order}iII", 7, 8, 6) + b"livox\0" for order in "<>"]
+    bodies = []
+    for order, body in zip("<>", packed, strict=True):
+        rest = struct.pack(f"{order}6xQIB3xI", 5, 2, 1, 2)
+        point = [struct.pack(f"{order}I3f3B", 1000 * k, 1.0, k, 2.0, 9, 9, 9) for k in (1, 2)]
+        bodies.append(body + rest + point[0] + b"\0" + point[1])
+    little, big = b"\0\1\0\0" + bodies[0], b"\0\0\0\0" + bodies[1]
+    for data in (little, big):
+        scan = livox.to_scan(data, cdr=True)
+        np.testing.assert_array_equal(scan.points, [[1, 1, 2], [1, 2, 2]])
+        np.testing.assert_allclose(scan.times, [1e-6, 2e-6])
+        for length in range(len(data)):
+            with pytest.raises(DatasetError, match="cut off"):
+                livox.to_scan(data[:length], cdr=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sweeps_of_a_planar_scanner(kind: str, tmp_path: Path) -> None:
+    bag = BagWriter(kind)
+    step = 1.5 * np.pi / 270
+    angles = -0.75 * np.pi + step * np.arange(271)
+    ranges = 5 + np.cos(3 * angles)
+    ranges[[0, 7, 9, 20]] = [np.inf, np.nan, 0.01, 31.0]  # what is no return
+    hit = np.delete(np.arange(271), [0, 7, 9, 20])
+    for k, stamp in enumerate(DRIVE.stamps):
+        bag.laser("/scan", stamp, ranges, step, 1e-4 if k else 0.0)
+    sequence = opened(bag.write(tmp_path / "drive"))
+    assert (sequence.frame, sequence.fields) == ("laser", "x y intensity time")
+    assert inspect(sequence).sensor == "2D, one plane"
+    assert sequence.scan(0).times is None
+    scan = sequence.scan(5)
+    expected = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), 0 * angles])
+    np.testing.assert_allclose(scan.points, expected[hit], atol=1e-5)
+    np.testing.assert_allclose(scan.times, 1e-4 * hit, atol=1e-8)
+    clouds(bag)  # clouds are preferred, and sweeps can still be chosen
+    path = bag.write(tmp_path / "both")
+    assert opened(path).frame == "lidar"
+    assert opened(path, topic="/scan").frame == "laser"
 
 
 def test_layouts_of_clouds(tmp_path: Path) -> None:

@@ -10,18 +10,17 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import DatasetError, MissingDependency
 from ..io._columns import one_line
 from ..types import Scan
-from .bag_headers import Headers, read_headers, seconds
-from .pointcloud2 import to_scan
+from .bag_headers import Headers, read_headers
+from .bag_messages import KINDS, fields_of, scan_of
 from .recorded import Found
 from .tracks import rising
-from .velodyne import decode
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -29,9 +28,7 @@ if TYPE_CHECKING:
 NAME = "bag"
 INNER: tuple[str, ...] = ()
 _SUFFIXES = (".bag", ".db3", ".mcap")
-_CLOUD = "sensor_msgs/msg/PointCloud2"
-_PACKETS = "velodyne_msgs/msg/VelodyneScan"
-_KINDS = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag, SQLite", ".mcap": "MCAP"}
+_STORAGE = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag, SQLite", ".mcap": "MCAP"}
 
 
 def recognises(path: Path) -> bool:
@@ -87,7 +84,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 def _kind(path: Path) -> str:
     if path.is_file():
-        return _KINDS[path.suffix]
+        return _STORAGE[path.suffix]
     return f"ROS 2 bag, {'MCAP' if '.mcap' in _stored(path)[0].name else 'SQLite'}"
 
 
@@ -128,28 +125,28 @@ def faults_of(path: Path) -> Iterator[None]:
 
 
 def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
-    counts = _counts(reader, _CLOUD) or _counts(reader, _PACKETS)
-    counts |= _counts(reader, _PACKETS) if topic is not None else {}
-    clouds = {name: count for name, count in counts.items() if count} or counts
-    others = sorted({f"{item.topic} ({item.msgtype})" for item in reader.connections})
-    if not clouds:
-        raise DatasetError(
-            f"{path}: no topic of PointCloud2, only {', '.join(others) or 'nothing'}"
-        )
+    """The topic with the scans: the one asked for, or the only one of the best kind."""
+    groups = [_counts(reader, kinds) for kinds in KINDS]
+    counts = {name: count for group in groups for name, count in group.items()}
+    if not counts:
+        others = sorted({f"{item.topic} ({item.msgtype})" for item in reader.connections})
+        raise DatasetError(f"{path}: no topic of scans, only {', '.join(others) or 'nothing'}")
     if topic is not None:
         if topic not in counts:
-            raise DatasetError(f"{path}: {topic!r} is no topic of PointCloud2: {_listed(clouds)}")
+            raise DatasetError(f"{path}: {topic!r} is no topic of scans: {_listed(counts)}")
         return topic
-    if len(clouds) > 1:
-        raise DatasetError(f"{path}: several topics, choose one by --topic: {_listed(clouds)}")
-    return next(iter(clouds))
+    filled = [{name: count for name, count in group.items() if count} for group in groups]
+    best = next(group for group in [*filled, *groups] if group)
+    if len(best) > 1:
+        raise DatasetError(f"{path}: several topics, choose one by --topic: {_listed(best)}")
+    return next(iter(best))
 
 
-def _counts(reader: AnyReader, kind: str) -> dict[str, int]:
-    """How many messages there are on each topic of a type."""
+def _counts(reader: AnyReader, kinds: tuple[str, ...]) -> dict[str, int]:
+    """How many messages there are on each topic of some types."""
     counts: dict[str, int] = {}
     for item in reader.connections:
-        if item.msgtype == kind:
+        if item.msgtype in kinds:
             counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
     return counts
 
@@ -179,10 +176,7 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
 
 def _fields(reader: AnyReader, topic: str) -> str:
     for item, _, data in reader.messages([c for c in reader.connections if c.topic == topic]):
-        message: Any = reader.deserialize(data, item.msgtype)
-        if item.msgtype == _PACKETS:
-            return "x y z intensity ring time"
-        return " ".join(field.name for field in message.fields)
+        return fields_of(reader, data, item.msgtype)
     return ""
 
 
@@ -210,16 +204,13 @@ class BagSource:
 
     def read(self, k: int) -> Scan:
         """The cloud at position k."""
+        stamp = float(self._headers.stamps[k])
         with faults_of(self._paths[0]):
             data, kind = self._message(k)
-            message: Any = self._open().deserialize(data, kind)
-        stamp = float(self._headers.stamps[k])
-        try:
-            if kind == _PACKETS:
-                return _unpacked(message, stamp, self.where(k))
-            return to_scan(message, stamp)
-        except DatasetError as error:
-            raise DatasetError(f"{self.where(k)}: {error}") from error
+            try:
+                return scan_of(self._open(), data, kind, stamp, self.where(k))
+            except DatasetError as error:
+                raise DatasetError(f"{self.where(k)}: {error}") from error
 
     def _message(self, k: int) -> tuple[bytes, str]:
         reader = self._open()
@@ -241,12 +232,3 @@ class BagSource:
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_reader": None}  # a process opens the bag for itself
-
-
-def _unpacked(message: Any, stamp: float, where: str) -> Scan:
-    """The points of a velodyne_msgs/VelodyneScan, whose stamp is its first packet's or its last."""
-    packets = [(seconds(packet.stamp), bytes(packet.data)) for packet in message.packets]
-    scan = decode(packets, where)
-    if scan.times is not None and packets:
-        scan.times = scan.times + (packets[0][0] - stamp)
-    return scan
