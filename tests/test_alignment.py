@@ -113,7 +113,7 @@ def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
         align_sessions([])
     without = PlazaSequence(plaza, steps=2)
     without.poses = None  # type: ignore[assignment]
-    with pytest.raises(DatasetError, match="plaza: aligning needs odometry"):
+    with pytest.raises(DatasetError, match="session 0: plaza: aligning needs odometry"):
         align_sessions([without], CONFIG)
     with pytest.raises(DatasetError, match=r"poses of shape \(3, 4, 4\) for 15 scans"):
         Reposed(PlazaSequence(plaza), np.tile(np.eye(4), (3, 1, 1)))
@@ -122,8 +122,16 @@ def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
         def scan(self, i: int) -> Scan:
             return Scan(np.empty((0, 3), np.float32), T_odom_sensor=self.poses[i])
 
-    with pytest.raises(DatasetError, match="no segment found in 15 scans"):
-        align_sessions([Empty(plaza)], CONFIG)
+    with pytest.raises(DatasetError, match="session 1: plaza: no segment found in 2 scans"):
+        align_sessions([PlazaSequence(plaza, steps=2), Empty(plaza, steps=2)], CONFIG)
+
+    class Nothing(PlazaSequence):
+        def __len__(self) -> int:
+            return 0
+
+    nothing = Nothing(plaza, steps=2)
+    with pytest.raises(DatasetError, match="session 1: plaza: no scan in it"):
+        align_sessions([PlazaSequence(plaza, steps=2), nothing], CONFIG)
 
 
 def _session(poses: Float64, anchors: list[int]) -> Session:
@@ -238,16 +246,84 @@ def test_faults_are_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    out = tmp_path / "out"
     write_scan(tmp_path / "0.npy", np.zeros((10, 3), np.float32))
-    monkeypatch.setattr("sys.argv", ["segloc", "align", str(tmp_path), "--out", str(out), *options])
+    said = _refused([tmp_path], tmp_path / "out", options, monkeypatch, capsys)
+    assert fault in said
+
+
+def _refused(
+    folders: list[Path],
+    out: Path,
+    options: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> str:
+    """The one line that the command ends with; nothing is written."""
+    arguments = [*map(str, folders), "--out", str(out), *options]
+    monkeypatch.setattr("sys.argv", ["segloc", "align", *arguments])
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 1
-    err = capsys.readouterr().err
-    assert fault in err
-    assert err.count("\n") == 1
     assert not out.exists()
+    lines = capsys.readouterr().err.strip().split("segloc: ")
+    return " ".join(lines[-1].split())
+
+
+def test_a_broken_session_among_good_ones(
+    walks: list[Walk],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    good, other, bare, void, blind = (
+        tmp_path / name for name in ("good", "other", "bare", "void", "blind")
+    )
+    for k, folder in enumerate((good, other)):
+        _write(walks[2], folder, k)
+    bare.mkdir()
+    write_scan(bare / "0.npy", walks[0].scan(0).points)
+    void.mkdir()
+    _write(walks[2], blind, 1)
+    for scan in blind.glob("*.npy"):
+        write_scan(scan, np.zeros((0, 3), np.float32))
+    cut = sorted(other.glob("*.npy"))[-1]
+    cut.write_bytes(cut.read_bytes()[:-7])
+    posed = ["--poses", str(good / "odometry.tum"), "--threads", "1"]
+    for session, options, fault in (
+        (bare, [], f"{good}: session 0 has no poses: name a file by --poses, or use --odometry"),
+        (bare, ["--poses", "odometry.tum"], "odometry.tum: no such file, neither in"),
+        (void, posed, f"{void}: no scans in a known format among its 0 files"),
+        (blind, posed, "session 1: blind: no segment found in 6 scans"),
+        (other, posed, f"{cut}: "),
+    ):
+        said = _refused([good, session], tmp_path / "out", options, monkeypatch, capsys)
+        assert fault.replace(" ", "") in said.replace(" ", "")
+
+
+def test_sessions_of_different_sensors_are_noted(
+    walks: list[Walk],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """They are aligned as far as they can be."""
+    sweeps = [tmp_path / "first", tmp_path / "swept"]
+    for folder in sweeps:
+        _write(walks[2], folder, 0)
+    for path in sweeps[1].glob("*.npy"):
+        points = np.load(path)
+        slab = points[np.abs(points[:, 0]) < 4.0]
+        write_scan(path, slab * np.array([0.0, 1.0, 1.0], np.float32))
+    out = tmp_path / "out"
+    options = ["--poses", "odometry.tum", "--out", str(out), "--threads", "1"]
+    monkeypatch.setattr("sys.argv", ["segloc", "align", *map(str, sweeps), *options])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    said = " ".join(capsys.readouterr().err.split())
+    assert "sessions are of different sensors and may share few segments: 0 " in said
+    assert "1 a sweep of one plane" in said
+    assert (out / "session_1.tum").is_file()
 
 
 def test_simulated_seasons_against_the_exact_truth() -> None:

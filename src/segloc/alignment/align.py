@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from .. import geometry
 from ..config import Config
 from ..datasets import Recording
-from ..errors import ConfigError
+from ..errors import ConfigError, DatasetError
 from ..types import Float64, Int64, Pose
 from .config import AlignConfig
 from .consistency import supported
@@ -27,7 +27,7 @@ from .graph import Edges, joined_edges, residuals, solve_robustly, squared_error
 from .loops import Chain, Loop, edges_of, find_loops
 from .register import Register
 from .spread import spread
-from .submaps import Session, describe_session
+from .submaps import Session, describe_session, posed
 
 Update = Callable[[int, int], None]
 Stage = Callable[[str], AbstractContextManager[Update]]
@@ -90,14 +90,17 @@ def align_sessions(
     ConfigError
         If there is no recording.
     DatasetError
-        If a recording has no poses, or nothing that could be segmented.
+        Naming the session: if it has no scans, no poses, or nothing that could be segmented.
     """
     config, settings, stage = config or Config(), settings or AlignConfig(), stage or _silent
     if not recordings:
         raise ConfigError("there is no session to align")
+    for k, recording in enumerate(recordings):
+        with _named(k):
+            posed(recording)  # before the work on those before it
     sessions: list[Session] = []
     for k, recording in enumerate(recordings):
-        with stage(f"Describing session {k + 1} of {len(recordings)}") as update:
+        with stage(f"Describing session {k + 1} of {len(recordings)}") as update, _named(k):
             sessions.append(describe_session(recording, config, settings, update))
     chain = Chain.of(sessions)
     register = Register(chain.submaps, settings)
@@ -110,6 +113,15 @@ def align_sessions(
             dense = neighbours(chain, graph.poses, graph.component, register, settings, update)
         graph.tie_neighbours(dense)
     return graph.alignment()
+
+
+@contextmanager
+def _named(session: int) -> Iterator[None]:
+    """Sessions may have one name, so that faults need the number, too."""
+    try:
+        yield
+    except DatasetError as error:
+        raise DatasetError(f"session {session}: {error}") from error
 
 
 class _Graph:

@@ -98,6 +98,21 @@ class Session:
         return self.way[self.anchors]
 
 
+def posed(recording: Recording) -> Float64:
+    """The poses that a session is aligned by, (N, 4, 4).
+
+    Raises
+    ------
+    DatasetError
+        If there are no scans, or no poses.
+    """
+    if not len(recording):
+        raise DatasetError(f"{recording.name}: no scan in it")
+    if recording.poses is None:
+        raise DatasetError(f"{recording.name}: aligning needs odometry: a pose for every scan")
+    return recording.poses
+
+
 def describe_session(
     recording: Recording,
     config: Config,
@@ -111,9 +126,7 @@ def describe_session(
     DatasetError
         If it has no poses, or nothing in it could be segmented.
     """
-    poses = recording.poses
-    if poses is None or len(poses) == 0:
-        raise DatasetError(f"{recording.name}: aligning needs odometry: a pose for every scan")
+    poses = posed(recording)
     way = geometry.travelled(poses)
     marks = np.arange(0.0, way[-1] + 1e-9, settings.every_m)
     anchors = np.unique(np.searchsorted(way, marks - 1e-9)).astype(np.int64)

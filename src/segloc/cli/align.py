@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from .options import ConfigFile, Deskew, Odometry, Threads, Topic, load_config
 if TYPE_CHECKING:
     from ..alignment import Alignment, Reposed
     from ..config import Config
+    from ..datasets import Recording
 
 
 def align(
@@ -66,6 +68,7 @@ def align(
             sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
         )
     ]
+    _check(sequences, recordings)
     alignment = align_sessions(recordings, chosen, settings, progress)
     aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
     _write(out, alignment)
@@ -73,6 +76,23 @@ def align(
     if pairs:
         _write_pairs(out, alignment, aligned, chosen)
     _show(alignment, out)
+
+
+def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
+    """Refuse sessions without poses before the work, and say where sensors differ."""
+    from ..datasets.inspection import sensor_of
+    from ..errors import DatasetError
+    from .console import note
+
+    for k, (path, recording) in enumerate(zip(paths, recordings, strict=True)):
+        if recording.poses is None:
+            raise DatasetError(
+                f"{path}: session {k} has no poses: name a file by --poses, or use --odometry"
+            )
+    sensors = [sensor_of(recording) for recording in recordings]
+    if len(set(sensors) - {""}) > 1:
+        listed = ", ".join(f"{k} {sensor or 'nothing'}" for k, sensor in enumerate(sensors))
+        note(f"sessions are of different sensors and may share few segments: {listed}")
 
 
 def _write(out: Path, alignment: Alignment) -> None:

@@ -21,6 +21,7 @@ _FLAT_M = 0.005
 _BIN_DEG = 0.02
 _MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
 _SUBSTANTIAL = 0.05
+PUSH_BROOM = "a sweep of one plane"
 
 
 class Inspectable(Protocol):
@@ -211,8 +212,22 @@ def in_one_plane(cloud: NDArray[np.floating]) -> bool:
     return bool(spread[-1] < _FLAT_M * np.sqrt(len(few)))
 
 
-def is_push_broom(recording: Recording, sample: int = 5) -> bool:
-    """Whether scans are sweeps of one plane, by the largest of ``sample`` of them.
+def is_push_broom(recording: Recording) -> bool:
+    """Whether scans are sweeps of one plane, by the largest of a few.
+
+    Raises
+    ------
+    DatasetError
+        If one of them cannot be read.
+    """
+    return sensor_of(recording) == PUSH_BROOM
+
+
+def sensor_of(recording: Recording, sample: int = 5) -> str:
+    """Roughly what took the scans, by the largest of ``sample`` of them, and "" if all are empty.
+
+    Coarser than what :func:`inspect` says, so that sessions of one sensor are told alike: one of
+    "a sweep of one plane", "few beams" (less than 48), "many beams".
 
     Raises
     ------
@@ -221,8 +236,12 @@ def is_push_broom(recording: Recording, sample: int = 5) -> bool:
     """
     chosen = np.unique(np.linspace(0, len(recording) - 1, sample).round().astype(int))
     clouds = [recording.scan(int(i)).points for i in chosen if len(recording)]
-    largest = max(clouds, key=len, default=np.empty((0, 3), np.float32))
-    return len(largest) > 3 and in_one_plane(largest)
+    cloud = max(clouds, key=len, default=np.empty((0, 3), np.float32)).astype(np.float64)
+    if len(cloud) < 4:
+        return ""
+    if in_one_plane(cloud):
+        return PUSH_BROOM
+    return "many beams" if beams(cloud)[0] > _MOST_COUNTED else "few beams"
 
 
 def beams(cloud: Float64) -> tuple[int, float, float]:
