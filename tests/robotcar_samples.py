@@ -9,7 +9,7 @@ from dataset_samples import FLIP, START, angles, made, matrix, us
 from scipy.spatial.transform import Rotation
 
 from segloc import geometry
-from segloc.simulation import LineLidar, SimulatedSequence
+from segloc.simulation import Lidar, LineLidar, SimulatedSequence
 from segloc.types import Float64
 
 # x, y, z in metres and roll, pitch, yaw, from the extrinsics of the dataset's SDK.
@@ -37,8 +37,9 @@ def write_ins(path: Path, stamps: Float64, T_world_car: Float64, *, status: bool
     path.write_text(text)
 
 
-def T_sensor_car(sensor: LineLidar) -> Float64:
+def T_sensor_car(sensor: Lidar) -> Float64:
     """From the car as it is read, z up, to the simulated sensor that stands for its front one."""
+    assert isinstance(sensor, LineLidar)
     plane = np.eye(4)
     roll, pitch, yaw = sensor.plane_rpy_deg
     plane[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
@@ -47,9 +48,7 @@ def T_sensor_car(sensor: LineLidar) -> Float64:
 
 def write_drive(folder: Path, drive: SimulatedSequence, *, rate_hz: float = 20.0) -> Path:
     """A drive of a simulated push-broom sensor, with its odometry for the INS's poses."""
-    sensor = drive.sensor
-    assert isinstance(sensor, LineLidar)
-    mount = T_sensor_car(sensor)
+    mount = T_sensor_car(drive.sensor)
     T_plane_sensor = geometry.inverse(FRONT) @ FLIP @ geometry.inverse(mount)
     stamps = START + 0.013 + np.arange(len(drive)) / rate_hz
     for i, stamp in enumerate(stamps):

@@ -17,11 +17,14 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
 
-from robotcar_samples import T_sensor_car, write_drive
+from dataset_samples import FLIP, START
+from robotcar_samples import FRONT, T_sensor_car, write_drive
 
 from segloc import Config, Localizer, SegmentMap, cli, geometry
 from segloc.datasets import open_sequence, swathes
+from segloc.evaluation.localization import localize_sequence, query_positions
 from segloc.io import read_trajectory
+from segloc.mapping import build_map
 from segloc.simulation import Conditions, lms151, simulate_sessions, town
 from segloc.training.shards import load_dataset
 from segloc.types import Float64
@@ -121,3 +124,37 @@ def test_a_map_of_one_session_localizes_another(
         assert place is None or traversals.error(2, int(number), place) < 1.0
     sweep = open_sequence(last, "none").scan(100)
     assert not localizer.localize(sweep).localized
+
+
+def test_the_same_sensor_as_a_planar_scanner_in_bags(
+    traversals: Traversals, tmp_path: Path
+) -> None:
+    """sensor_msgs/LaserScan in the scanner's own frame, which stands on edge."""
+    pytest.importorskip("rosbags")
+    from bag_samples import BagWriter
+
+    step, recordings, T_car_scanner = 1.5 * np.pi / 270, [], FLIP @ FRONT
+    for session in (0, 1):
+        bag, sweeps = BagWriter("sqlite3"), open_sequence(traversals.folders[session], "none")
+        for i, pose in enumerate(traversals.truths[session]):
+            stamp = START + 0.05 * i
+            flat = geometry.transform(geometry.inverse(T_car_scanner), sweeps.scan(i).points)
+            firings = (np.arctan2(flat[:, 1], flat[:, 0]) + 0.75 * np.pi) / step
+            ranges = np.full(271, np.inf)
+            ranges[np.round(firings).astype(int)] = np.linalg.norm(flat, axis=1)
+            bag.laser("/scan", stamp, ranges, step, 0.0)
+            bag.odometry("/odom", stamp, pose @ T_car_scanner, "laser")
+        recordings.append(open_sequence(bag.write(tmp_path / f"session_{session}")))
+    mapped, asked = recordings
+    config = Config(threads=1)
+    localizer = Localizer(build_map(mapped, config), config)
+    assert asked.poses is not None
+    positions = query_positions(asked.poses, 16.0, 10.0)
+    answers = localize_sequence(localizer, asked, positions)
+    errors = [
+        float(np.linalg.norm((geometry.inverse(asked.poses[i]) @ answer.T_map_sensor)[:3, 3]))
+        for i, answer in zip(positions, answers, strict=True)
+        if answer.T_map_sensor is not None
+    ]
+    assert len(errors) >= 4
+    assert max(errors) < 0.3
