@@ -90,7 +90,7 @@ def train(
                 "validation segments": len(validation),
                 **{f"validation {k}": round(v, 4) for k, v in asdict(run.best).items()},
             }
-            settings = config.model_dump(mode="json")
+            settings = config.model_dump(mode="json", exclude={"max_minutes", "threads"})
             task.export(model, out, {**(card or {}), "figures": figures, "config": settings})
     return run.best
 
