@@ -16,14 +16,14 @@ from exchange import Answers, Clouds
 from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
 
-REACH_M = 80.0
+REACH_M = 50.0
 
 
 def near(points: np.ndarray) -> np.ndarray:
     return points[np.hypot(points[:, 0], points[:, 1]) < REACH_M].astype(np.float64)
 
 
-def ask(folder: Path, options: argparse.Namespace) -> Answers:
+def ask(folder: Path, options: argparse.Namespace) -> None:
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
     closures = MapClosures(MapClosuresConfig(density_map_resolution=options.resolution))
@@ -42,7 +42,7 @@ def ask(folder: Path, options: argparse.Namespace) -> Answers:
             # The pose takes points of the view to the query.
             T = views.poses[best.source_id] @ np.linalg.inv(np.asarray(best.pose))
             answers.give(q, T, float(best.number_of_inliers))
-    return answers
+        answers.save(folder, f"map_closures-{options.views}")
 
 
 def main() -> None:
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
     options = parser.parse_args()
     for folder in options.folders:
-        ask(folder, options).save(folder, f"map_closures-{options.views}")
+        ask(folder, options)
 
 
 if __name__ == "__main__":

@@ -109,12 +109,14 @@ def sideways(offsets_m: list[float]) -> Floats:
     return np.array([(0.0, offset, 0.0) for offset in offsets_m])
 
 
-def ask(folder: Path, options: argparse.Namespace) -> tuple[Answers, Answers]:
-    """Answers by overlap after GICP, and by Scan Context's own distance alone."""
+def ask(folder: Path, options: argparse.Namespace) -> None:
+    """Write answers by overlap after GICP, and by Scan Context's own distance alone."""
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
     contexts, places = ScanContexts(views, options.reach), Places(views)
     verified, alone = Answers(len(queries)), Answers(len(queries))
+    moved = "-shifted" if len(options.shifts) > 1 else ""
+    system = f"scan_context{moved}-{options.views}"
     for q in range(0, len(queries), options.every):
         with verified.timed(q), alone.timed(q):
             shifts = sideways(options.shifts)
@@ -126,7 +128,8 @@ def ask(folder: Path, options: argparse.Namespace) -> tuple[Answers, Answers]:
             query = Query(queries[q])
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
         verified.give(q, *max(refined, key=lambda item: item[1]))
-    return verified, alone
+        verified.save(folder, f"{system}-top{options.top}")
+        alone.save(folder, f"{system}-alone")
 
 
 def main() -> None:
@@ -139,10 +142,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
     options = parser.parse_args()
     for folder in options.folders:
-        verified, alone = ask(folder, options)
-        moved = "-shifted" if len(options.shifts) > 1 else ""
-        verified.save(folder, f"scan_context{moved}-{options.views}-top{options.top}")
-        alone.save(folder, f"scan_context{moved}-{options.views}-alone")
+        ask(folder, options)
 
 
 if __name__ == "__main__":

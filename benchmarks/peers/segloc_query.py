@@ -58,7 +58,7 @@ def site_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
     return site
 
 
-def ask(folder: Path, options: argparse.Namespace) -> Answers:
+def ask(folder: Path, options: argparse.Namespace) -> None:
     config = Config.preset(options.method).model_copy(update={"threads": 1})
     localizer = Localizer(site_of(folder, options.views, config), config)
     queries = Clouds.load(folder / "queries.npz")
@@ -68,7 +68,7 @@ def ask(folder: Path, options: argparse.Namespace) -> Answers:
             result = localizer.localize(local_cloud(queries, q, config))
         if result.T_map_sensor is not None:
             answers.give(q, result.T_map_sensor, result.confidence)
-    return answers
+        answers.save(folder, f"segloc-{options.method}")
 
 
 def main() -> None:
@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
     options = parser.parse_args()
     for folder in options.folders:
-        ask(folder, options).save(folder, f"segloc-{options.method}")
+        ask(folder, options)
 
 
 if __name__ == "__main__":
