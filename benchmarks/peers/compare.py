@@ -13,6 +13,7 @@ import argparse
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from exchange import Answers, Clouds
@@ -32,6 +33,7 @@ class Score:
     ----------
     asked, right, taken : (N,) bool
         Taken are the answers above the threshold or, with a verdict, those that it believes.
+    scores : (N,) float64
     threshold : float
         NaN for a system with a verdict of its own.
     """
@@ -40,8 +42,17 @@ class Score:
     asked: Bools
     right: Bools
     taken: Bools
+    scores: NDArray[np.float64]
     threshold: float
     ms: float
+
+    def above(self, threshold: float) -> Bools:
+        """The right answers that another threshold would take; its own verdict stands."""
+        return self.right & (self.taken if math.isnan(self.threshold) else self.scores > threshold)
+
+
+Part: TypeAlias = tuple[Clouds, list[Score]]
+"""The queries of a protocol and how the systems did."""
 
 
 def score(path: Path, queries: Clouds) -> Score:
@@ -56,7 +67,7 @@ def score(path: Path, queries: Clouds) -> Score:
         taken = given & (answers.scores > threshold)
     name = path.stem.removeprefix("answers-")
     ms = float(np.median(answers.ms[answers.asked]))
-    return Score(name, answers.asked, right, taken, threshold, ms)
+    return Score(name, answers.asked, right, taken, answers.scores, threshold, ms)
 
 
 def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
@@ -67,7 +78,7 @@ def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
     return (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
 
 
-def table(folder: Path) -> tuple[Clouds, list[Score]]:
+def table(folder: Path) -> Part:
     """Print one protocol's rows, those that find most first."""
     queries = Clouds.load(folder / "queries.npz")
     scores = [score(path, queries) for path in sorted(folder.glob("answers-*.npz"))]
@@ -95,13 +106,28 @@ def found(s: Score, queries: Clouds, member: Bools) -> str:
     return f"{int((s.right & s.taken & place).sum())} of {int(place.sum())}"
 
 
-def curve(parts: list[tuple[Clouds, list[Score]]], file: Path) -> None:
+def summary(parts: list[Part]) -> None:
+    """Print what each system finds in all protocols, with a threshold for each and with one.
+
+    One threshold is what a user could set, the highest that any of the protocols needs.
+    """
+    print("\n### together\n\n| system | protocols | threshold each | one threshold |")
+    print("|---|---|---|---|")
+    for system in dict.fromkeys(s.system for _, scores in parts for s in scores):
+        own = [(q, s) for q, scores in parts for s in scores if s.system == system]
+        highest = max(s.threshold for _, s in own)
+        places = sum(int((s.asked & q.has_place).sum()) for q, s in own)
+        each = sum(int((s.right & s.taken & q.has_place).sum()) for q, s in own)
+        one = sum(int((s.above(highest) & q.has_place).sum()) for q, s in own)
+        print(f"| {system} | {len(own)} | {each} of {places} | {one} of {places} |")
+
+
+def curve(parts: list[Part], systems: list[str], file: Path) -> None:
     """Draw the share found over the sideways distance from the mapped way."""
     import matplotlib.pyplot as plt
 
     plt.rcParams["svg.hashsalt"] = "segloc"
     figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
-    systems = [s.system for s in parts[0][1]]
     for system in systems:
         counts: dict[float, list[int]] = {}
         for queries, scores in parts:
@@ -121,10 +147,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--curve", type=Path, help="draw the simulated offsets of all folders")
+    parser.add_argument("--drawn", nargs="*", default=[], help="the systems in the curve")
     options = parser.parse_args()
     parts = [table(folder) for folder in options.folders]
+    summary(parts)
     if options.curve:
-        curve(parts, options.curve)
+        curve(parts, options.drawn, options.curve)
 
 
 if __name__ == "__main__":
