@@ -1,8 +1,9 @@
 """KISS-Matcher (Lim et al., ICRA 2025): features and a robust global registration.
 
-It aligns two clouds and searches no map, so Scan Context names the places to try: the best few,
-each with the map around it. Its best pose is then judged as Scan Context's own is, by GICP and
-overlap: right and wrong poses overlap in its numbers of inliers.
+It aligns two clouds and searches no map, so Scan Context names the places to try: the best few.
+A query is aligned with the view of such a place, not with the map joined from all views, where it
+finds far less. Its best pose is judged by its number of inliers, or as Scan Context's own poses
+are, by GICP and overlap.
 
     python benchmarks/peers/kiss_matcher_query.py OUT/single --views scan
 """
@@ -26,15 +27,15 @@ from verification import Places, Query, near
 
 from segloc import geometry
 
-TILE_M = 40.0
+REACH_M = 60.0
 
 
 def registered(
-    matcher: kiss_matcher.KISSMatcher, query: NDArray[np.float32], place: NDArray[np.float32]
+    matcher: kiss_matcher.KISSMatcher, query: NDArray[np.float32], view: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], int]:
-    """T_place_query and how many correspondences agree with it."""
+    """T_view_query and how many correspondences agree with it."""
     matcher.reset()
-    solution = matcher.estimate(query, place)
+    solution = matcher.estimate(query, view)
     T = geometry.rigid(np.asarray(solution.rotation), np.asarray(solution.translation))
     return T, int(matcher.get_num_final_inliers())
 
@@ -50,17 +51,15 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
     verified, alone = Answers(len(queries)), Answers(len(queries))
     for q in range(0, len(queries), options.every):
         with verified.timed(q), alone.timed(q):
-            candidates = contexts.candidates(queries[q], sideways([0.0]), options.top)
-        tiles = [places.tile(candidate.view, TILE_M) for candidate in candidates]
+            candidates = contexts.candidates(queries[q], sideways(options.shifts), options.top)
         for candidate in candidates:
             places.target(candidate.view)  # part of the map: prepared before it is asked
         with verified.timed(q), alone.timed(q):
-            cloud = near(queries[q], TILE_M)
+            cloud = near(queries[q], REACH_M)
             poses = []
-            for tile in tiles:
-                T, inliers = registered(matcher, cloud, tile)
-                T[:3, 3] += places.origin
-                poses.append((T, inliers))
+            for candidate in candidates:
+                T, inliers = registered(matcher, cloud, near(views[candidate.view], REACH_M))
+                poses.append((views.poses[candidate.view] @ T, inliers))
         alone.give(q, *max(poses, key=lambda item: item[1]))
         with verified.timed(q):
             query = Query(queries[q])
@@ -69,7 +68,8 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
                 for (T, _), candidate in zip(poses, candidates, strict=True)
             ]
         verified.give(q, *max(refined, key=lambda item: item[1]))
-        system = f"kiss_matcher-{options.views}"
+        moved = "-shifted" if len(options.shifts) > 1 else ""
+        system = f"kiss_matcher{moved}-{options.views}"
         verified.save(folder, f"{system}-top{options.top}")
         alone.save(folder, f"{system}-inliers")
 
@@ -81,6 +81,7 @@ def main() -> None:
     parser.add_argument("--voxel", type=float, default=0.5, help="metres")
     parser.add_argument("--reach", type=float, default=80.0, help="of a context, metres")
     parser.add_argument("--top", type=int, default=3, help="places that are tried")
+    parser.add_argument("--shifts", type=float, nargs="+", default=[0.0], help="sideways, metres")
     parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
     options = parser.parse_args()
     for folder in options.folders:

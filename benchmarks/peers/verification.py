@@ -55,15 +55,13 @@ class Places:
         self._at = views.poses[:, :2, 3] - self.origin[:2]
         self._targets: dict[int, Any] = {}
 
-    def tile(self, view: int, reach_m: float) -> NDArray[np.float32]:
-        """The map around a view, relative to ``origin``."""
-        return self._cloud[self._plan.query_ball_point(self._at[view], reach_m)]
-
     def target(self, view: int) -> Any:
-        """The same to align with: with its normals and its search tree."""
+        """The cloud to align with, with its normals and its search tree."""
         if view not in self._targets:
-            cloud = self.tile(view, REACH_M + 10.0).astype(np.float64)
-            self._targets[view] = small_gicp.preprocess_points(cloud, ICP_VOXEL_M)
+            close = self._plan.query_ball_point(self._at[view], REACH_M + 10.0)
+            self._targets[view] = small_gicp.preprocess_points(
+                self._cloud[close].astype(np.float64), ICP_VOXEL_M
+            )
         return self._targets[view]
 
     def refined(
