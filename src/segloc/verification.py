@@ -16,6 +16,7 @@ from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
 
 MIN_ICP_POINTS = 20
+MIN_SIGHTED = 50
 COVARIANCE_SCALE = 20.0
 """Neighbouring correspondences err together, so the curvature of the cost alone claims far too
 much. With this factor the normalised squared error is about 1 on simulated towns."""
@@ -48,6 +49,19 @@ class VerificationConfig(BaseModel):
     icp_tile: float = Field(10.0, gt=0, description="prepared map tiles lie this far apart, metres")
     icp_tiles: int = Field(32, ge=1, description="prepared map tiles kept in memory")
     sample: int = Field(2000, ge=1, description="points of the live cloud that overlap is taken of")
+    seen_radius: float = Field(
+        0.4, gt=0, description="a map point with a live point so near is seen, metres"
+    )
+    sight_range: float = Field(
+        30.0, gt=0, le=200, description="how far the map must agree with what is seen, metres"
+    )
+    sight_bin: float = Field(
+        2.0, ge=0.1, le=10, description="width of the directions that are looked in, degrees"
+    )
+    sight_margin: float = Field(
+        0.7, gt=0, description="what is looked through lies so far before the surface, metres"
+    )
+    sight_sample: int = Field(4000, ge=1, description="points of the map that are looked for")
     coarse_sample: int = Field(500, ge=1, description="the same while candidates are ranked")
 
 
@@ -165,9 +179,30 @@ class Verifier:
             geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
             coarse.inliers,
             float(overlap[0]),
+            self._seen(scene, T),
             float(rmse[0]),
             covariance,
         )
+
+    def _seen(self, scene: Segmentation, T: Pose) -> float:
+        """Share of the map in view that the live cloud has, too; NaN where too little is."""
+        config = self.config
+        x, y = float(T[0, 3]), float(T[1, 3])
+        near = self._cloud[self._index.within(x, y, config.sight_range)]
+        near = _thinned(near, config.sight_sample)
+        T_local_site = np.ascontiguousarray(geometry.inverse(T))
+        seen, through = _native.sight(
+            scene.structure,
+            scene.ground,
+            near,
+            T_local_site,
+            config.sight_range,
+            config.seen_radius,
+            config.sight_margin,
+            config.sight_bin,
+        )
+        judged = seen + through
+        return seen / judged if judged >= MIN_SIGHTED else math.nan
 
     def _icp(self, T: Pose, scene: Segmentation) -> tuple[Pose, Float64 | None]:
         """Generalised ICP against the map around the candidate; unchanged where it fails."""
