@@ -23,22 +23,20 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from change import SIZES_M, mapped
+from change import SIZES_M, Course, answers, mapped
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.datasets import NO_POSES, open_sequence
-from segloc.evaluation.localization import (
-    Evaluation,
-    distances_to_path,
-    localize_sequence,
-    pose_errors,
-)
+from segloc.descriptors import create
+from segloc.evaluation.asking import Site, shared_config
+from segloc.evaluation.localization import distances_to_path, pose_errors
 from segloc.simulation import SCENES, Conditions, SimulatedSequence, hdl64e
 from segloc.simulation.paths import on_ground
 from segloc.types import Float64, Scan
 
 OFFSETS_M = (0.0, 3.0, 5.0, 7.5, 10.0, 12.5, 15.0)
 WORLDS = {"town": 4, "industrial": 2, "park": 1}
+"""How many of each kind."""
 ROOM_M = 1.5
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
 REAL_M = (3.0, 5.0, 10.0, 20.0)
@@ -84,12 +82,13 @@ def _judged(T: Float64, truth: Float64) -> str:
     return "found" if metres[0] < RIGHT_M and degrees[0] < RIGHT_DEG else "false"
 
 
-def simulation(method: str, first_seed: int, every: int) -> None:
+def simulation(method: str, worlds: list[str], first_seed: int, every: int) -> None:
     """A row for each kind of world: found of all queries at each offset."""
     config = Config.preset(method).model_copy(update={"threads": 1})
     print(f"| scene | {' | '.join(f'{o:g} m' for o in OFFSETS_M)} | false |")
     print("|---" * (len(OFFSETS_M) + 2) + "|", flush=True)
-    for name, count in WORLDS.items():
+    for name in worlds:
+        count = WORLDS[name]
         seen: Counter[tuple[float, str]] = Counter()
         for seed in range(first_seed, first_seed + count):
             seen.update(simulated(name, seed, config, every))
@@ -107,27 +106,38 @@ def real(data: Path, out: Path, methods: list[str]) -> None:
     drive = open_sequence(folder, "keyframes.tum", select)
     truths = drive.poses
     assert truths is not None
-    bins = list(pairwise(REAL_M))
-    spans = " | ".join(f"{a:g} to {b:g} m" for a, b in bins)
-    print(f"| method | clouds | {spans} | false |\n{'|---' * (len(bins) + 3)}|", flush=True)
-    for method in methods:
-        site = SegmentMap.load(out / f"first-{method}.segmap")
-        config = Config.preset(method).model_copy(update={"threads": 1})
-        localizer = Localizer(site, config)
-        distance = distances_to_path(truths, site.trajectory)
-        positions = np.flatnonzero((distance > bins[0][0]) & (distance <= bins[-1][1]))
-        recordings = {"alone": open_sequence(folder, NO_POSES, select), "accumulated": drive}
-        for name, recording in recordings.items():
-            results = localize_sequence(localizer, recording, positions)
-            e = Evaluation(positions, results, site.trajectory, truths[positions])
-            spread = [(e.distance_to_map > a) & (e.distance_to_map <= b) for a, b in bins]
-            cells = [f"{(e.correct & span).sum()} of {span.sum()}" for span in spread]
+    site = stored(out, methods)
+    distance = distances_to_path(truths, site.trajectory)
+    positions = np.flatnonzero((distance > REAL_M[0]) & (distance <= REAL_M[-1]))
+    spans = [(distance[positions] > a) & (distance[positions] <= b) for a, b in pairwise(REAL_M)]
+    heads = " | ".join(f"{a:g} to {b:g} m" for a, b in pairwise(REAL_M))
+    print(f"| method | clouds | {heads} | false |\n{'|---' * (len(spans) + 3)}|", flush=True)
+    descriptors = {method: create(method, 1) for method in methods}
+    for name, recording in {
+        "alone": open_sequence(folder, NO_POSES, select),
+        "accumulated": drive,
+    }.items():
+        course = Course(name, recording, positions, truths)
+        for method, e in answers(site, course, descriptors).items():
+            cells = [f"{(e.correct & span).sum()} of {span.sum()}" for span in spans]
             print(f"| {method} | {name} | {' | '.join(cells)} | {e.false.sum()} |", flush=True)
+
+
+def stored(out: Path, methods: list[str]) -> Site:
+    """The maps of the first half by all methods, as ``kitti00.sh`` left them."""
+    maps = {method: SegmentMap.load(out / f"first-{method}.segmap") for method in methods}
+    localizers = {
+        method: {"consensus": Localizer(site, shared_config(method, 1))}
+        for method, site in maps.items()
+    }
+    first = maps[methods[0]]
+    return Site(localizers, first.trajectory, first.cloud + first.origin)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--methods", nargs="+", default=["profile"])
+    parser.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=list(WORLDS))
     parser.add_argument("--real", nargs=2, type=Path, metavar=("DATA", "OUT"))
     parser.add_argument("--seed", type=int, default=8000)
     parser.add_argument("--every", type=int, default=6, help="scans, 2 m apart, between queries")
@@ -137,7 +147,7 @@ def main() -> None:
         real(data, out, args.methods)
         return
     for method in args.methods:
-        simulation(method, args.seed, args.every)
+        simulation(method, args.worlds, args.seed, args.every)
 
 
 if __name__ == "__main__":
