@@ -22,7 +22,7 @@ from segloc.descriptors import create
 from segloc.evaluation.asking import Site, build_site
 from segloc.evaluation.localization import Evaluation, Tolerance, query_positions
 
-BOUNDS = (100, 240, 380, 520, 660, 800, 947)
+BOUNDS = (100, 240, 380, 520, 660)
 TOLERANCE = Tolerance(metres=5.0, degrees=5.0)
 BEYOND_M = 20.0
 
@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--method", default="profile")
     parser.add_argument("--bounds", nargs="+", type=int, default=list(BOUNDS))
     parser.add_argument("--select", default="100:1820")
-    parser.add_argument("--every", type=float, default=15.0, metavar="METRES")
+    parser.add_argument("--every", type=float, default=30.0, metavar="METRES")
     args = parser.parse_args()
     folder = args.data / "keyframes"
     posed = open_sequence(folder, "keyframes.tum", args.select)

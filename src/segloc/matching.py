@@ -20,12 +20,7 @@ class MatchingConfig(BaseModel):
     growth: float = Field(
         0.6, ge=0, description="they grow with this power of the map's size; 0: they do not"
     )
-    grows_from: int = Field(
-        50_000,
-        ge=1,
-        description="segments of a map for which they are right: fewer in smaller ones",
-    )
-    min_neighbours: int = Field(8, ge=1, description="at least so many")
+    grows_from: int = Field(50_000, ge=1, description="segments of a map from which they grow")
     max_neighbours: int = Field(200, ge=1, description="up to so many")
     escalation: int = Field(
         4,
@@ -49,13 +44,11 @@ class MatchingConfig(BaseModel):
         """Neighbours proposed in a map of so many segments: at first, and where that fails.
 
         The more segments a map holds, the more of them look alike by chance, and the true
-        neighbour falls behind. In a small map the true one is among the first, and those after it
-        only make it likelier that some wrong pose is agreed upon.
+        neighbour falls behind.
         """
-        share = segments / self.grows_from
-        fewest = min(self.min_neighbours, self.neighbours)
-        most = max(self.max_neighbours, self.neighbours)
-        first = min(max(round(self.neighbours * share**self.growth), fewest), most)
+        share = max(1.0, segments / self.grows_from)
+        grown = min(round(self.neighbours * share**self.growth), self.max_neighbours)
+        first = max(self.neighbours, grown)
         second = min(self.escalation * first, self.max_escalated)
         return (first, second) if second > first else (first,)
 
