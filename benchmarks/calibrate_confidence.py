@@ -6,7 +6,7 @@ map and in the map of the world before, are negatives; so are real recordings, a
 simulated map and in the mirror image of their own. Each query is asked with accumulated
 scans and with a single one, the gates of verification open, so that the best candidate is always
 refined. The logistic model of ``segloc.verification.confidence`` is then fitted to
-(inliers, overlap, seen) -> right or wrong. The figure shows each world judged by the model that was
+the three witnesses -> right or wrong. The figure shows each world judged by the model that was
 fitted to all the others.
 
     python benchmarks/calibrate_confidence.py --real DATA/keyframes=DATA/keyframes.tum \
@@ -35,17 +35,19 @@ from segloc.simulation import (
     SimulatedSequence,
     simulate_sessions,
 )
-from segloc.types import Descriptors, Hypothesis
-from segloc.verification import confidence
+from segloc.types import Descriptors
+from segloc.verification import CONFIDENCE, witnesses
 
-EVERY_M = 12.0
+EVERY_M = 20.0
 LENGTH_M = 160.0
-REAL_EVERY_M = 200.0
+REAL_EVERY_M = 400.0
 MAPPED_BY = "hdl64e"
 SIZE_M = {"town": 200.0, "industrial": 200.0, "park": 200.0, "meadow": 200.0, "forest": 150.0}
 OPEN = {"min_inliers": 2, "min_overlap": 0.0, "min_confidence": 0.0}
 LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
+COLUMNS = ("overlap, logit", "seen, logit", "margin, log", "inliers")
+INLIERS, RIGHT, WORLD = 3, 4, 5
 Row = tuple[float, ...]
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
@@ -76,7 +78,7 @@ def worlds(sensors: list[str], first_seed: int, each: int) -> Iterator[Simulated
 
 
 def ask(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> list[Row]:
-    """Rows (inliers, overlap, seen, right) of queries along a drive."""
+    """Rows (three witnesses, inliers, right) of queries along a drive."""
     local = localizer.config.local_cloud
     poses = drive.poses
     assert poses is not None
@@ -92,7 +94,7 @@ def ask(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> l
                 continue
             delta = geometry.inverse(poses[i]) @ best.T_map_local @ cloud.T_local_sensor
             right = known and np.linalg.norm(delta[:3, 3]) < RIGHT_M
-            rows.append((float(best.inliers), best.overlap, best.seen, float(right)))
+            rows.append((*witnesses(best), float(best.inliers), float(right)))
     return rows
 
 
@@ -109,7 +111,7 @@ def mirrored(site: SegmentMap) -> SegmentMap:
 
 
 class Calibration:
-    """Gathers rows (inliers, overlap, seen, right, world); they are kept in ``out``."""
+    """Gathers rows (three witnesses, inliers, right, world); they are kept in ``out``."""
 
     def __init__(self, out: Path) -> None:
         self.config = Config.preset("profile")
@@ -126,7 +128,9 @@ class Calibration:
         self.rows += [(*row, float(len(self._names))) for row in rows]
         self._names.append(name)
         np.savez(self._out, rows=np.array(self.rows), names=np.array(self._names))
-        print(f"{name}: {len(rows)} candidates, {sum(r[3] > 0 for r in rows)} right", flush=True)
+        print(
+            f"{name}: {len(rows)} candidates, {sum(r[RIGHT] > 0 for r in rows)} right", flush=True
+        )
 
     def real(self, recording: Sequence) -> None:
         """A recording, asked in the mirror image of its own map."""
@@ -151,23 +155,22 @@ class Calibration:
 
 
 def fit(rows: np.ndarray) -> np.ndarray:
-    """Weights (constant, log inliers, overlap, seen) of a logistic model.
+    """The constant and the weights of a logistic model of the witnesses.
 
-    Simulated right and wrong poses are nearly separable, which alone would make a fit as sure as
-    its data are many; the penalty keeps it modest for the real world.
+    The penalty keeps it modest: right and wrong poses are nearly separable, which alone would make
+    a fit as sure as its data are many.
     """
     features = _features(rows)
-    sign = np.where(rows[:, 3] > 0, 1.0, -1.0)
+    sign = np.where(rows[:, RIGHT] > 0, 1.0, -1.0)
 
     def loss(w: np.ndarray) -> float:
-        return float(np.logaddexp(0, -sign * (features @ w)).sum() + 0.3 * (w[1:] ** 2).sum())
+        return float(np.logaddexp(0, -sign * (features @ w)).sum() + (w[1:] ** 2).sum())
 
-    return np.asarray(minimize(loss, np.zeros(4), method="BFGS").x)
+    return np.asarray(minimize(loss, np.zeros(features.shape[1]), method="BFGS").x)
 
 
 def _features(rows: np.ndarray) -> np.ndarray:
-    seen = np.where(np.isnan(rows[:, 2]), rows[:, 1], rows[:, 2])
-    return np.column_stack([np.ones(len(rows)), np.log(rows[:, 0]), rows[:, 1], seen])
+    return np.column_stack([np.ones(len(rows)), rows[:, :INLIERS]])
 
 
 def probability(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -179,21 +182,15 @@ def probability(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def held_out(rows: np.ndarray) -> np.ndarray:
     """The probability of every candidate by the model fitted to all other worlds."""
     p = np.empty(len(rows))
-    for world in np.unique(rows[:, 4]):
-        here = rows[:, 4] == world
+    for world in np.unique(rows[:, WORLD]):
+        here = rows[:, WORLD] == world
         p[here] = probability(rows[here], fit(rows[~here]))
     return p
 
 
-def shipped(rows: np.ndarray) -> np.ndarray:
-    """What the confidence of the package says of every candidate."""
-    found = [Hypothesis(np.eye(4), int(n), overlap, seen) for n, overlap, seen in rows[:, :3]]
-    return np.array([confidence(hypothesis) for hypothesis in found])
-
-
 def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
     """Reliability in bins of confidence, and the gap between right and wrong."""
-    right = rows[:, 3] > 0
+    right = rows[:, RIGHT] > 0
     print(f"{len(rows)} candidates, {int(right.sum())} right; weights {np.round(weights, 2)}")
     print("| confidence, model of the other worlds | candidates | right |\n|---|---|---|")
     for low, high in pairwise(BINS):
@@ -201,11 +198,16 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         if chosen.any():
             high = min(high, 1.0)
             print(f"| {low:.2f} to {high:.2f} | {chosen.sum()} | {right[chosen].mean():.3f} |")
-    for name, q in (("model of the other worlds", p), ("model of the package", shipped(rows))):
+    for name, q in (
+        ("model of the other worlds", p),
+        ("model of the package", probability(rows, np.array(CONFIDENCE))),
+    ):
         brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
-        print(f"{name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely}")
+        print(
+            f"model of {name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely}"
+        )
     for name, part in (("right", rows[right]), ("wrong", rows[~right])):
-        for column, label in ((0, "inliers"), (1, "overlap"), (2, "seen")):
+        for column, label in enumerate(COLUMNS):
             q = np.nanpercentile(part[:, column], [0, 1, 50, 99, 100])
             print(f"  {name} {label}: " + " ".join(f"{v:.2f}" for v in q))
 
@@ -215,7 +217,7 @@ def draw(rows: np.ndarray, p: np.ndarray, path: Path) -> None:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    right = rows[:, 3] > 0
+    right = rows[:, RIGHT] > 0
     figure = Figure(figsize=(5.2, 4.2), facecolor="white")
     FigureCanvasSVG(figure)
     axes, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import Plaza, PlazaSequence
@@ -122,11 +124,15 @@ def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_jud
     assert seen == 0 and through > 0.5 * len(y)
 
 
-def test_confidence_rises_with_both_witnesses() -> None:
-    few, many = (Hypothesis(np.eye(4), n, overlap=0.6) for n in (3, 20))
-    little, much = (Hypothesis(np.eye(4), 8, overlap=v) for v in (0.2, 0.9))
-    assert 0 <= confidence(few) < 0.5 < confidence(many) <= 1
-    assert confidence(little) < confidence(much)
+def test_confidence_rises_with_every_witness() -> None:
+    good = Hypothesis(np.eye(4), 15, overlap=0.85, seen=0.95, margin=4.0)
+    assert 0.9 < confidence(good) <= 1
+    for name, worse in [("overlap", 0.3), ("seen", 0.4), ("margin", 1.1)]:
+        assert confidence(replace(good, **{name: worse})) < confidence(good)
+    assert confidence(Hypothesis(np.eye(4), 5, overlap=0.4, seen=0.6, margin=1.2)) < 0.05
+    # What is not known does not speak for a pose, but overlap stands in for what is seen.
+    assert confidence(replace(good, margin=np.nan)) < confidence(good)
+    assert confidence(replace(good, seen=np.nan)) == confidence(replace(good, seen=good.overlap))
     assert confidence(Hypothesis(np.eye(4), 0)) < 0.01
 
 

@@ -121,10 +121,10 @@ class Localizer:
     ) -> Search:
         """Match, find poses and verify them, and keep all that was considered.
 
-        Where too few segments agree on a pose, it is tried once more with more neighbours.
+        Where too little speaks for any pose, it is tried once more with more neighbours.
         """
         watch = watch or Stopwatch()
-        for attempt, neighbours in enumerate(self.matcher.attempts):
+        for neighbours in self.matcher.attempts:
             with watch("matching"):
                 candidates = self.matcher.match(descriptors, neighbours)
             with watch("pruning"):
@@ -134,8 +134,8 @@ class Localizer:
                     scene.segments.centroids, self.site.centroids, matches
                 )
             with watch("verification"):
-                verdict = self.verifier.verify(scene, hypotheses, escalated=attempt > 0)
-            if not verdict.starved:
+                verdict = self.verifier.verify(scene, hypotheses)
+            if not verdict.unsure:
                 break
         return Search(len(candidates), matches, hypotheses, verdict)
 
@@ -172,6 +172,7 @@ def _localization(
         inliers=best.inliers,
         overlap=best.overlap,
         seen=best.seen,
+        margin=best.margin,
         rmse=best.rmse,
         confidence=verdict.confidence,
         covariance=(

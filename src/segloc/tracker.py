@@ -136,7 +136,10 @@ class Tracker:
         if verdict.best is not None and not verdict.reason:
             return [kept(verdict.best, True)]
         strong = [h for h in found.hypotheses if h.inliers >= config.min_inliers]
-        refined = [localizer.verifier.refined(h, scene) for h in strong[: config.candidates]]
+        everything = found.hypotheses
+        refined = [
+            localizer.verifier.refined(h, scene, everything) for h in strong[: config.candidates]
+        ]
         fitting = [h for h in refined if confidence(h) >= config.min_confidence]
         return sorted((kept(h, False) for h in fitting), key=lambda k: -k.confidence)
 

@@ -238,6 +238,9 @@ class Hypothesis:
         [0, 1]; the others were looked through. NaN where too few are in view.
     rmse : float
         Root mean square distance of the pairs that overlap counts, metres.
+    margin : float
+        How many times as many inliers as the best hypothesis at a different place; that is what
+        chance achieves for this query. NaN where none was compared.
     """
 
     T_map_local: Pose
@@ -245,6 +248,7 @@ class Hypothesis:
     overlap: float = 0.0
     seen: float = float("nan")
     rmse: float = float("nan")
+    margin: float = float("nan")
     covariance: Float64 | None = None
 
 
@@ -266,6 +270,8 @@ class Localization:
     seen : float
         Share of the map in view that the live cloud confirms there, in [0, 1]; the rest was looked
         through. NaN where too little of the map is in view to tell.
+    margin : float
+        How many times as many inliers as the best hypothesis at a different place.
     rmse : float
         Residual of the refined alignment, metres (NaN where nothing was aligned).
     confidence : float
@@ -288,6 +294,7 @@ class Localization:
     inliers: int = 0
     overlap: float = 0.0
     seen: float = float("nan")
+    margin: float = float("nan")
     rmse: float = float("nan")
     confidence: float = 0.0
     covariance: Float64 | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,10 @@ from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
 
 MIN_SIGHTED = 50
+CHANCE_INLIERS = 3
+"""So many segments agree on some pose of any map."""
+CONFIDENCE = (-5.5, 1.3, 2.3, 2.4)
+"""Of :func:`confidence`: the constant, and the weight of each witness."""
 
 
 class VerificationConfig(BaseModel):
@@ -21,14 +26,11 @@ class VerificationConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    min_inliers: int = Field(5, ge=2, description="distinct segments that must agree")
-    extra_inliers: int = Field(
-        2, ge=0, description="so many more among more neighbours, where more agree by chance"
-    )
+    min_inliers: int = Field(4, ge=2, description="distinct segments that must agree")
     min_overlap: float = Field(
         0.25, ge=0, le=1, description="share of the live cloud that must lie on the map"
     )
-    min_confidence: float = Field(0.7, ge=0, le=1, description="calibrated probability needed")
+    min_confidence: float = Field(0.6, ge=0, le=1, description="calibrated probability needed")
     ambiguity: float = Field(
         0.85, gt=0, description="a second place with this share of the support is one too many"
     )
@@ -70,8 +72,8 @@ class Verdict:
     best: Hypothesis | None
     runner_up: Hypothesis | None
     confidence: float
-    starved: bool = False
-    """Whether it was for lack of segments that agree."""
+    unsure: bool = False
+    """Whether too little spoke for any pose, so that more candidates may help."""
 
 
 class Verifier:
@@ -96,33 +98,32 @@ class Verifier:
         )
         self._refiner = Refiner(cloud, self._index, self.config)
 
-    def verify(
-        self, scene: Segmentation, hypotheses: list[Hypothesis], *, escalated: bool = False
-    ) -> Verdict:
+    def verify(self, scene: Segmentation, hypotheses: list[Hypothesis]) -> Verdict:
         """Rank the candidates, refine the best and decide.
 
-        A pose is believed when enough distinct segments agree with it, enough of the live cloud
-        lies on the map after ICP, enough of the map in view is seen, and no different place
-        explains the scan about as well.
+        A pose is believed when the segments that agree with it are many, and many more than agree
+        with any pose elsewhere; when the live cloud lies on the map after ICP, and the map in view
+        is seen; and when no different place explains the scan about as well.
         """
         if not hypotheses:
-            return Verdict("no consistent matches", None, None, 0.0, starved=True)
+            return Verdict("no consistent matches", None, None, 0.0, unsure=True)
         sample = _thinned(scene.structure, self.config.sample)
         ranked = self._ranked(hypotheses, sample)
-        needed = self.config.min_inliers + (self.config.extra_inliers if escalated else 0)
         verdicts = [
-            self._judge(ranked, i, scene, sample, needed)
-            for i in range(self._worth_refining(ranked))
+            self._judge(ranked, i, scene, sample) for i in range(self._worth_refining(ranked))
         ]
         accepted = [v for v in verdicts if not v.reason]
         return max(accepted or verdicts[:1], key=lambda v: v.confidence)
 
-    def refined(self, hypothesis: Hypothesis, scene: Segmentation) -> Hypothesis:
-        """A hypothesis moved to where the clouds fit best, with its overlap there.
+    def refined(
+        self, hypothesis: Hypothesis, scene: Segmentation, among: Sequence[Hypothesis] = ()
+    ) -> Hypothesis:
+        """A hypothesis moved to where the clouds fit best, with all that speaks for it there.
 
-        Unchanged where the clouds do not fit at all.
+        Unchanged where the clouds do not fit at all. Its margin is that over the others.
         """
-        return self._refined(hypothesis, scene, _thinned(scene.structure, self.config.sample))
+        sample = _thinned(scene.structure, self.config.sample)
+        return self._refined(hypothesis, scene, sample, among)
 
     def _ranked(self, hypotheses: list[Hypothesis], sample: Float32) -> list[Hypothesis]:
         poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
@@ -141,31 +142,25 @@ class Verifier:
         return max(len(worth), 1)
 
     def _judge(
-        self,
-        ranked: list[Hypothesis],
-        chosen: int,
-        scene: Segmentation,
-        sample: Float32,
-        needed: int,
+        self, ranked: list[Hypothesis], chosen: int, scene: Segmentation, sample: Float32
     ) -> Verdict:
         config, coarse = self.config, ranked[chosen]
-        starved = coarse.inliers < needed + config.extra_inliers
-        if coarse.inliers < needed:
-            reason = f"too few inliers ({coarse.inliers} < {needed})"
+        if coarse.inliers < config.min_inliers:
+            reason = f"too few inliers ({coarse.inliers} < {config.min_inliers})"
             other = _elsewhere(ranked, coarse, config.separation)
-            return Verdict(reason, coarse, other, 0.0, starved)
-        best = self._refined(coarse, scene, sample)
-        runner_up = _elsewhere(ranked, best, config.separation)
+            return Verdict(reason, coarse, other, 0.0, unsure=True)
+        best = self._refined(coarse, scene, sample, ranked)
+        other = _elsewhere(ranked, best, config.separation)
         p = confidence(best)
         if best.overlap < config.min_overlap:
             reason = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
-        elif p < config.min_confidence:
-            reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
         elif rival := self._rival(ranked, coarse, best, scene, sample):
             return Verdict("ambiguous", best, rival, p)
+        elif p < config.min_confidence:
+            reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
         else:
-            return Verdict("", best, runner_up, p)
-        return Verdict(reason, best, runner_up, p, starved)
+            return Verdict("", best, other, p)
+        return Verdict(reason, best, other, p, unsure=True)
 
     def _rival(
         self,
@@ -181,6 +176,8 @@ class Verifier:
         matches do not speak against a place at which the clouds fit.
         """
         config = self.config
+        if _alone(best) < config.min_confidence:
+            return None
         # Refinement gains most where a pose was rough: the bar before it is lower.
         bar = config.likeness**2 * coarse.overlap
         alike = [
@@ -191,15 +188,21 @@ class Verifier:
         ]
         alike.sort(key=lambda other: -other.overlap)
         for candidate in alike[: config.max_refined]:
-            other = self._refined(candidate, scene, sample)
+            other = self._refined(candidate, scene, sample, ranked)
             supported = _support(other) > config.ambiguity * _support(best)
             fits = other.overlap >= config.likeness * best.overlap
-            likely = confidence(other) >= 0.5 * confidence(best)
+            likely = _alone(other) >= 0.5 * _alone(best)
             if (supported or fits) and likely and _apart(other, best, config.separation):
                 return other
         return None
 
-    def _refined(self, coarse: Hypothesis, scene: Segmentation, sample: Float32) -> Hypothesis:
+    def _refined(
+        self,
+        coarse: Hypothesis,
+        scene: Segmentation,
+        sample: Float32,
+        among: Sequence[Hypothesis],
+    ) -> Hypothesis:
         config = self.config
         T = self._relative(coarse.T_map_local)
         covariance = None
@@ -212,6 +215,7 @@ class Verifier:
             float(overlap[0]),
             self._seen(scene, T),
             float(rmse[0]),
+            _margin(coarse, among, config.separation),
             covariance,
         )
 
@@ -240,15 +244,44 @@ class Verifier:
 
 
 def confidence(hypothesis: Hypothesis) -> float:
-    """Probability that a refined hypothesis is right, from its three witnesses.
+    """Probability that a refined hypothesis is right, from what speaks for it.
 
-    A logistic model of the logarithm of the inliers, the overlap, and what of the map is seen,
-    fitted by ``benchmarks/calibrate_confidence.py``.
+    A logistic model, fitted by ``benchmarks/calibrate_confidence.py``.
+    """
+    score = CONFIDENCE[0]
+    for weight, witness in zip(CONFIDENCE[1:], witnesses(hypothesis), strict=True):
+        score += weight * witness
+    return 1.0 / (1.0 + math.exp(-score))
+
+
+def witnesses(hypothesis: Hypothesis) -> tuple[float, float, float]:
+    """What the model of :func:`confidence` weighs: overlap, what is seen, and the margin.
+
+    The number of inliers counts by its margin alone: more of them agree by chance where a query
+    has more segments and a map more that look like them. A witness that is not known says what
+    chance would.
     """
     seen = hypothesis.overlap if math.isnan(hypothesis.seen) else hypothesis.seen
-    inliers = math.log(max(hypothesis.inliers, 1))
-    score = -13.6 + 3.7 * inliers + 7.4 * hypothesis.overlap + 5.8 * seen
-    return 1.0 / (1.0 + math.exp(-score))
+    margin = 1.0 if math.isnan(hypothesis.margin) else max(hypothesis.margin, 0.1)
+    return _logit(hypothesis.overlap), _logit(seen), math.log(margin)
+
+
+def _logit(share: float) -> float:
+    """The odds of a share on a logarithmic scale that ends at 0 and 1."""
+    return math.log((share + 0.05) / (1.05 - share))
+
+
+def _alone(hypothesis: Hypothesis) -> float:
+    """The confidence if nothing but chance were at any other place."""
+    return confidence(replace(hypothesis, margin=hypothesis.inliers / CHANCE_INLIERS))
+
+
+def _margin(chosen: Hypothesis, among: Sequence[Hypothesis], separation: float) -> float:
+    """Inliers in units of what agrees at the best different place."""
+    if not among:
+        return math.nan
+    others = (h.inliers for h in among if _apart(h, chosen, separation))
+    return chosen.inliers / max(CHANCE_INLIERS, max(others, default=0))
 
 
 def _support(hypothesis: Hypothesis) -> float:

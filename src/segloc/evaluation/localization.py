@@ -260,6 +260,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
         "seen": _finite(result.seen),
+        "margin": _finite(result.margin),
         "rmse": _finite(result.rmse),
         "confidence": _finite(result.confidence),
         "runner_up": None
