@@ -5,7 +5,7 @@ and with a fifth of the things replaced; the same queries, asked in the mirror i
 map and in the map of the world before, are negatives; so are real recordings, asked in every
 simulated map and in the mirror image of their own. Each query is asked with accumulated
 scans and with a single one, the gates of verification open, so that the best candidate is always
-refined. The logistic model of ``segloc.verification.confidence`` is then fitted to
+refined. The logistic model of ``segloc.confidence.confidence`` is then fitted to
 the three witnesses -> right or wrong. The figure shows each world judged by the model that was
 fitted to all the others.
 
@@ -25,6 +25,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc.confidence import CONFIDENCE, witnesses
 from segloc.datasets import Sequence, open_sequence
 from segloc.evaluation.localization import query_positions
 from segloc.local_cloud import window
@@ -36,7 +37,6 @@ from segloc.simulation import (
     simulate_sessions,
 )
 from segloc.types import Descriptors
-from segloc.verification import CONFIDENCE, witnesses
 
 EVERY_M = 20.0
 LENGTH_M = 160.0

@@ -155,24 +155,15 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
   return std::make_tuple(to_numpy(std::move(share)), to_numpy(std::move(rmse)));
 }
 
-auto sight_(const In2<float>& structure, const In2<float>& ground, const In2<float>& site,
-            const In2<double>& T_local_site, double range, double near, double margin,
-            double bin_deg) {
-  require_points(structure);
-  require_points(ground);
+auto look_(const Sight& sight, const In2<float>& site, const In2<double>& T_local_site, double radius,
+           double margin) {
   require_points(site);
   require(T_local_site.shape(0) == 4 && T_local_site.shape(1) == 4, "T_local_site must have shape (4, 4)");
-  require(range > 0 && range < 1000 && near > 0 && margin >= 0, "distances must be positive");
-  require(bin_deg >= 0.1 && bin_deg <= 10, "bin_deg must be between 0.1 and 10");
-  SightOptions options;
-  options.range = range;
-  options.near = near;
-  options.margin = margin;
-  options.bin_deg = bin_deg;
+  require(radius > 0 && radius <= sight.radius(), "radius must be positive and at most the view's");
+  require(margin >= 0, "margin must not be negative");
   nb::gil_scoped_release release;
-  const Sight result = sight(structure.data(), structure.shape(0), ground.data(), ground.shape(0),
-                             site.data(), site.shape(0), T_local_site.data(), options);
-  return std::make_tuple(result.seen, result.through);
+  const Sight::Counts counts = sight.look(site.data(), site.shape(0), T_local_site.data(), radius, margin);
+  return std::make_tuple(counts.seen, counts.through);
 }
 
 }  // namespace
@@ -195,9 +186,21 @@ void bind_geometry(nb::module_& m) {
         nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("max_draws"),
         nb::arg("max_hypotheses"), nb::arg("seed"));
 
-  m.def("sight", &sight_, nb::arg("structure").noconvert(), nb::arg("ground").noconvert(),
-        nb::arg("site").noconvert(), nb::arg("T_local_site").noconvert(), nb::arg("range"),
-        nb::arg("near"), nb::arg("margin"), nb::arg("bin_deg"));
+  nb::class_<Sight>(m, "Sight")
+      .def("__init__",
+           [](Sight* self, const In2<float>& structure, const In2<float>& ground, double range,
+              double bin_deg, double radius) {
+             require_points(structure);
+             require_points(ground);
+             require(range > 0 && range <= 1000 && radius > 0, "range and radius must be positive");
+             require(bin_deg >= 0.1 && bin_deg <= 10, "bin_deg must be between 0.1 and 10");
+             new (self) Sight(structure.data(), structure.shape(0), ground.data(), ground.shape(0), range,
+                              bin_deg, radius);
+           },
+           nb::arg("structure").noconvert(), nb::arg("ground").noconvert(), nb::arg("range"),
+           nb::arg("bin_deg"), nb::arg("radius"))
+      .def("look", &look_, nb::arg("site").noconvert(), nb::arg("T_local_site").noconvert(),
+           nb::arg("radius"), nb::arg("margin"));
 
   nb::class_<PointIndex>(m, "PointIndex")
       .def("__init__",
@@ -213,7 +216,15 @@ void bind_geometry(nb::module_& m) {
            [](const PointIndex& index, double x, double y, double radius) {
              return to_numpy(index.within(x, y, radius));
            },
-           nb::arg("x"), nb::arg("y"), nb::arg("radius"));
+           nb::arg("x"), nb::arg("y"), nb::arg("radius"))
+      .def("sample",
+           [](const PointIndex& index, double x, double y, double radius, std::size_t count) {
+             require(count > 0, "count must be positive");
+             std::vector<float> points = index.sample(x, y, radius, count);
+             const std::size_t rows = points.size() / 3;
+             return to_numpy(std::move(points), {rows, 3});
+           },
+           nb::arg("x"), nb::arg("y"), nb::arg("radius"), nb::arg("count"));
 }
 
 }  // namespace segloc::bindings

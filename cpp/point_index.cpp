@@ -117,12 +117,12 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
   return result;
 }
 
-std::vector<std::int64_t> PointIndex::within(double x, double y, double radius) const {
-  std::vector<std::int64_t> found;
+template <typename Visit>
+void PointIndex::visit_within(double x, double y, double radius, Visit visit) const {
   const double r2 = radius * radius;
   // Tiles run fastest along x: each row of tiles is one range of the sorted points.
   const auto low = [](double v) { return static_cast<std::int64_t>(std::floor(v / kTile)); };
-  if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
+  if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return;
   for (std::int64_t ty = low(y - radius); ty <= low(y + radius); ++ty) {
     auto tile = std::lower_bound(tiles_.begin(), tiles_.end(), std::make_pair(ty, low(x - radius)),
                                  [](const Tile& t, const auto& at) {
@@ -131,12 +131,28 @@ std::vector<std::int64_t> PointIndex::within(double x, double y, double radius) 
     for (; tile != tiles_.end() && tile->y == ty && tile->x <= low(x + radius); ++tile) {
       for (const std::uint32_t i : tile->points) {
         const double dx = points_[i][0] - x, dy = points_[i][1] - y;
-        if (dx * dx + dy * dy <= r2) found.push_back(original_[i]);
+        if (dx * dx + dy * dy <= r2) visit(i);
       }
     }
   }
+}
+
+std::vector<std::int64_t> PointIndex::within(double x, double y, double radius) const {
+  std::vector<std::int64_t> found;
+  visit_within(x, y, radius, [&](std::uint32_t i) { found.push_back(original_[i]); });
   std::sort(found.begin(), found.end());
   return found;
+}
+
+std::vector<float> PointIndex::sample(double x, double y, double radius, std::size_t count) const {
+  std::vector<std::uint32_t> found;
+  visit_within(x, y, radius, [&](std::uint32_t i) { found.push_back(i); });
+  const std::size_t step = std::max<std::size_t>(1, (found.size() + count - 1) / std::max<std::size_t>(1, count));
+  std::vector<float> points;
+  for (std::size_t k = 0; k < found.size(); k += step) {
+    points.insert(points.end(), points_[found[k]].begin(), points_[found[k]].end());
+  }
+  return points;
 }
 
 }  // namespace segloc

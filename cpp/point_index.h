@@ -33,6 +33,9 @@ class PointIndex {
   // Indices, rising, of the points within a horizontal distance of (x, y).
   std::vector<std::int64_t> within(double x, double y, double radius) const;
 
+  // At most `count` of those points, (k, 3), evenly thinned, in an order of their own.
+  std::vector<float> sample(double x, double y, double radius, std::size_t count) const;
+
   std::size_t size() const { return points_.size(); }
   double radius() const { return cell_ / 2; }
 
@@ -49,6 +52,8 @@ class PointIndex {
   std::uint64_t key(std::int64_t x, std::int64_t y, std::int64_t z) const;
   const Slot* find(std::uint64_t key) const;
   void fill_tiles();
+  template <typename Visit>
+  void visit_within(double x, double y, double radius, Visit visit) const;
 
   Reach reach_;
   double cell_;

@@ -1,30 +1,69 @@
-#pragma once
 // Which points of a map a live cloud, seen from one place, has as well, and which it looks through.
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <vector>
+
+#include "point_index.h"
 
 namespace segloc {
 
-struct SightOptions {
-  double range = 30.0;    // map points are judged up to here, metres
-  double near = 0.4;      // a map point with a live point so near is seen, metres
-  double margin = 0.7;    // what lies so far behind a map point is behind it, metres
-  double slant = 0.05;    // the same, as a share of the range
-  double bin_deg = 2.0;   // width of a pixel of the range image
-  double above = 0.5;     // map points lower above the live ground are not judged, metres
+// The nearest range in every direction.
+class RangeImage {
+ public:
+  explicit RangeImage(double bin_deg);
+  void add(const float* point);
+  // The least of each pixel and the eight about it.
+  RangeImage eroded() const;
+  std::size_t at(const float* point) const;
+  float operator[](std::size_t pixel) const { return nearest_[pixel]; }
+
+ private:
+  double bin_;
+  int columns_, rows_;
+  std::vector<float> nearest_;
 };
 
-struct Sight {
-  std::int64_t seen = 0;
-  std::int64_t through = 0;
+// The highest ground of each cell and of the eight about it.
+class GroundCeiling {
+ public:
+  GroundCeiling(const float* ground, std::size_t count, double range);
+  float operator()(float x, float y) const;  // minus infinity where there is no ground
+
+ private:
+  int cell(float v) const;
+
+  int side_;
+  std::vector<float> height_;
 };
 
-// `structure` (n, 3) and `ground` (g, 3) are the live cloud in its own frame, whose z axis is up and
-// whose origin is the sensor; `site` (m, 3) are points of the map, and T (4, 4) takes them to that
-// frame. A map point is looked through where its pixel of the live range image is measured, and all
-// that is measured in that pixel and about it lies well behind the point.
-Sight sight(const float* structure, std::size_t n, const float* ground, std::size_t g,
-            const float* site, std::size_t m, const double* T, const SightOptions& options);
+// What one live cloud sees: its frame has its z axis up and its origin at the sensor.
+class Sight {
+ public:
+  struct Counts {
+    std::int64_t seen = 0;     // map points with a live point near them
+    std::int64_t through = 0;  // others that are looked through
+  };
+
+  // `structure` (n, 3) stands above `ground` (g, 3). Map points are judged up to `range` metres, in
+  // directions `bin_deg` wide; queries may ask for any radius up to `radius`.
+  Sight(const float* structure, std::size_t n, const float* ground, std::size_t g, double range,
+        double bin_deg, double radius);
+
+  // `site` (m, 3) are points of the map, and T (4, 4) takes them to the live frame. A map point is
+  // looked through where its pixel of the live range image is measured, and all that is measured in
+  // that pixel and about it lies more than `margin` metres, and more than a share of the range,
+  // behind the point. What is hardly above the live ground is not judged.
+  Counts look(const float* site, std::size_t m, const double* T, double radius, double margin) const;
+
+  double radius() const { return live_.radius(); }
+
+ private:
+  double range_;
+  PointIndex live_;
+  RangeImage image_, nearest_;
+  GroundCeiling floor_;
+};
 
 }  // namespace segloc

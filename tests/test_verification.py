@@ -14,10 +14,11 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc._native import PointIndex, sight
+from segloc._native import PointIndex, Sight
+from segloc.confidence import confidence
 from segloc.matching import MatchingConfig
 from segloc.types import Descriptors, Float32, Float64, Hypothesis, Int64, Pose
-from segloc.verification import VerificationConfig, confidence
+from segloc.verification import VerificationConfig
 
 
 def within_reach(points: Float64, cloud: Float32) -> NDArray[np.bool_]:
@@ -55,13 +56,17 @@ def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
     cloud = rng.uniform(-60, 60, (count, 3)).astype(np.float32)
     x, y = rng.uniform(-70, 70, 2)
     expected = np.flatnonzero(np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius)
-    assert PointIndex(cloud, 0.5).within(x, y, radius).tolist() == expected.tolist()
+    index = PointIndex(cloud, 0.5)
+    assert index.within(x, y, radius).tolist() == expected.tolist()
+    some = index.sample(x, y, radius, 50)
+    assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
+    assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
 
 
 def reference_sight(
     structure: Float32, ground: Float32, site: Float32, T: Pose, reach: float, bin_deg: float
 ) -> tuple[int, int]:
-    """What ``_native.sight`` counts, with 0.4 m to be near and 0.7 m to be behind."""
+    """What ``Sight.look`` counts, with 0.4 m to be near and 0.7 m to be behind."""
     shape = round(360 / bin_deg), round(180 / bin_deg) + 1
 
     def pixels(points: Float32) -> tuple[tuple[Int64, Int64], Float64]:
@@ -101,7 +106,7 @@ def test_what_of_a_map_is_seen_and_what_is_looked_through(
     others = rng.uniform([-25, -25, -2], [25, 25, 4], (200, 3))
     site = geometry.transform(geometry.inverse(T), np.concatenate([mapped, others]))
     site = site.astype(np.float32)
-    counts = sight(structure, ground, site, T, reach, 0.4, 0.7, bin_deg)
+    counts = Sight(structure, ground, reach, bin_deg, 0.5).look(site, T, 0.4, 0.7)
     expected = reference_sight(structure, ground, site, T, reach, bin_deg)
     assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
 
@@ -116,7 +121,7 @@ def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_jud
     ground = floor.reshape(-1, 3).astype(np.float32)
 
     def shares(live: Float32, site: Float32) -> tuple[int, int]:
-        return sight(live, ground, site, np.eye(4), 30.0, 0.4, 0.7, 2.0)
+        return Sight(live, ground, 30.0, 2.0, 0.4).look(site, np.eye(4), 0.4, 0.7)
 
     assert shares(wall(8), wall(8)) == (len(y), 0)
     assert shares(wall(8), wall(11)) == (0, 0)  # hidden

@@ -42,16 +42,23 @@ def prosac(
     max_hypotheses: int,
     seed: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
-def sight(
-    structure: NDArray[np.float32],
-    ground: NDArray[np.float32],
-    site: NDArray[np.float32],
-    T_local_site: NDArray[np.float64],
-    range: float,
-    near: float,
-    margin: float,
-    bin_deg: float,
-) -> tuple[int, int]: ...
+
+class Sight:
+    def __init__(
+        self,
+        structure: NDArray[np.float32],
+        ground: NDArray[np.float32],
+        range: float,
+        bin_deg: float,
+        radius: float,
+    ) -> None: ...
+    def look(
+        self,
+        site: NDArray[np.float32],
+        T_local_site: NDArray[np.float64],
+        radius: float,
+        margin: float,
+    ) -> tuple[int, int]: ...
 
 class PointIndex:
     def __init__(self, points: NDArray[np.float32], radius: float) -> None: ...
@@ -60,6 +67,7 @@ class PointIndex:
         self, points: NDArray[np.float32], poses: NDArray[np.float64], radius: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
     def within(self, x: float, y: float, radius: float) -> NDArray[np.int64]: ...
+    def sample(self, x: float, y: float, radius: float, count: int) -> NDArray[np.float32]: ...
 
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...
 def instruction_set(isa: str = "auto") -> str: ...

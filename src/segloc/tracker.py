@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import geometry
+from .confidence import confidence
 from .errors import InvalidScan
 from .localizer import Localizer
 from .types import Hypothesis, LocalCloud, Pose, Scan, checked_pose
-from .verification import confidence
 
 
 class TrackerConfig(BaseModel):

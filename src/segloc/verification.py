@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import _native, geometry
+from .confidence import CHANCE_INLIERS, confidence, confidence_alone
 from .refinement import Refiner
 from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
 
 MIN_SIGHTED = 50
-CHANCE_INLIERS = 3
-"""So many segments agree on some pose of any map."""
-CONFIDENCE = (-5.5, 1.3, 2.3, 2.4)
-"""Of :func:`confidence`: the constant, and the weight of each witness."""
+HOPELESS = 0.02
+"""Candidates less likely than this before ICP are not worth it."""
 
 
 class VerificationConfig(BaseModel):
@@ -60,7 +60,7 @@ class VerificationConfig(BaseModel):
     sight_margin: float = Field(
         0.7, gt=0, description="what is looked through lies so far before the surface, metres"
     )
-    sight_sample: int = Field(4000, ge=1, description="points of the map that are looked for")
+    sight_sample: int = Field(3000, ge=1, description="points of the map that are looked for")
     coarse_sample: int = Field(500, ge=1, description="the same while candidates are ranked")
 
 
@@ -74,6 +74,24 @@ class Verdict:
     confidence: float
     unsure: bool = False
     """Whether too little spoke for any pose, so that more candidates may help."""
+
+
+class _Live:
+    """A live cloud, made ready to be compared with the map at several poses."""
+
+    def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
+        self.scene = scene
+        self.sample = _thinned(scene.structure, config.sample)
+        self._config = config
+
+    @cached_property
+    def sight(self) -> _native.Sight:
+        config = self._config
+        radius = max(config.seen_radius, config.coarse_radius)
+        scene = self.scene
+        return _native.Sight(
+            scene.structure, scene.ground, config.sight_range, config.sight_bin, radius
+        )
 
 
 class Verifier:
@@ -107,13 +125,16 @@ class Verifier:
         """
         if not hypotheses:
             return Verdict("no consistent matches", None, None, 0.0, unsure=True)
-        sample = _thinned(scene.structure, self.config.sample)
-        ranked = self._ranked(hypotheses, sample)
-        verdicts = [
-            self._judge(ranked, i, scene, sample) for i in range(self._worth_refining(ranked))
-        ]
-        accepted = [v for v in verdicts if not v.reason]
-        return max(accepted or verdicts[:1], key=lambda v: v.confidence)
+        live = _Live(scene, self.config)
+        ranked = self._ranked(hypotheses, live)
+        first: Verdict | None = None
+        for candidate in self._worth_judging(ranked):
+            verdict = self._judge(ranked, candidate, live)
+            if not verdict.reason:
+                return verdict
+            first = first or verdict
+        assert first is not None  # the best candidate is always judged
+        return first
 
     def refined(
         self, hypothesis: Hypothesis, scene: Segmentation, among: Sequence[Hypothesis] = ()
@@ -122,12 +143,11 @@ class Verifier:
 
         Unchanged where the clouds do not fit at all. Its margin is that over the others.
         """
-        sample = _thinned(scene.structure, self.config.sample)
-        return self._refined(hypothesis, scene, sample, among)
+        return self._refined(hypothesis, _Live(scene, self.config), among)
 
-    def _ranked(self, hypotheses: list[Hypothesis], sample: Float32) -> list[Hypothesis]:
+    def _ranked(self, hypotheses: list[Hypothesis], live: _Live) -> list[Hypothesis]:
         poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
-        few = _thinned(sample, self.config.coarse_sample)
+        few = _thinned(live.sample, self.config.coarse_sample)
         overlap, rmse = self._index.overlap(few, poses, self.config.coarse_radius)
         scored = [
             replace(h, overlap=float(o), rmse=float(r))
@@ -135,26 +155,28 @@ class Verifier:
         ]
         return sorted(scored, key=_support, reverse=True)
 
-    def _worth_refining(self, ranked: list[Hypothesis]) -> int:
-        """ICP is not spent on candidates far below the best; the best one is always judged."""
-        best = _support(ranked[0])
-        worth = [h for h in ranked[: self.config.max_refined] if _support(h) >= 0.5 * best]
-        return max(len(worth), 1)
+    def _worth_judging(self, ranked: list[Hypothesis]) -> list[Hypothesis]:
+        """The best candidates, without those far below the very best."""
+        bar = 0.5 * _support(ranked[0])
+        return [h for h in ranked[: self.config.max_refined] if _support(h) >= bar]
 
-    def _judge(
-        self, ranked: list[Hypothesis], chosen: int, scene: Segmentation, sample: Float32
-    ) -> Verdict:
-        config, coarse = self.config, ranked[chosen]
+    def _judge(self, ranked: list[Hypothesis], coarse: Hypothesis, live: _Live) -> Verdict:
+        config = self.config
+        other = _elsewhere(ranked, coarse, config.separation)
         if coarse.inliers < config.min_inliers:
             reason = f"too few inliers ({coarse.inliers} < {config.min_inliers})"
-            other = _elsewhere(ranked, coarse, config.separation)
             return Verdict(reason, coarse, other, 0.0, unsure=True)
-        best = self._refined(coarse, scene, sample, ranked)
+        rough = self._rough(coarse, live, ranked)
+        p = confidence(rough)
+        if p < min(HOPELESS, config.min_confidence):
+            reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
+            return Verdict(reason, rough, other, p, unsure=True)
+        best = self._refined(coarse, live, ranked)
         other = _elsewhere(ranked, best, config.separation)
         p = confidence(best)
         if best.overlap < config.min_overlap:
             reason = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
-        elif rival := self._rival(ranked, coarse, best, scene, sample):
+        elif rival := self._rival(ranked, coarse, best, live):
             return Verdict("ambiguous", best, rival, p)
         elif p < config.min_confidence:
             reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
@@ -162,13 +184,17 @@ class Verifier:
             return Verdict("", best, other, p)
         return Verdict(reason, best, other, p, unsure=True)
 
+    def _rough(self, coarse: Hypothesis, live: _Live, among: Sequence[Hypothesis]) -> Hypothesis:
+        """What speaks for a candidate before refinement, generously: most are hopeless by that."""
+        seen = self._seen(live, self._relative(coarse.T_map_local), self.config.coarse_radius)
+        return replace(coarse, seen=seen, margin=_margin(coarse, among, self.config.separation))
+
     def _rival(
         self,
         ranked: list[Hypothesis],
         coarse: Hypothesis,
         best: Hypothesis,
-        scene: Segmentation,
-        sample: Float32,
+        live: _Live,
     ) -> Hypothesis | None:
         """A different place that explains the scan about as well: by its segments or its clouds.
 
@@ -176,7 +202,7 @@ class Verifier:
         matches do not speak against a place at which the clouds fit.
         """
         config = self.config
-        if _alone(best) < config.min_confidence:
+        if confidence_alone(best) < config.min_confidence:
             return None
         # Refinement gains most where a pose was rough: the bar before it is lower.
         bar = config.likeness**2 * coarse.overlap
@@ -188,92 +214,43 @@ class Verifier:
         ]
         alike.sort(key=lambda other: -other.overlap)
         for candidate in alike[: config.max_refined]:
-            other = self._refined(candidate, scene, sample, ranked)
+            other = self._refined(candidate, live, ranked)
             supported = _support(other) > config.ambiguity * _support(best)
             fits = other.overlap >= config.likeness * best.overlap
-            likely = _alone(other) >= 0.5 * _alone(best)
+            likely = confidence_alone(other) >= 0.5 * confidence_alone(best)
             if (supported or fits) and likely and _apart(other, best, config.separation):
                 return other
         return None
 
-    def _refined(
-        self,
-        coarse: Hypothesis,
-        scene: Segmentation,
-        sample: Float32,
-        among: Sequence[Hypothesis],
-    ) -> Hypothesis:
+    def _refined(self, coarse: Hypothesis, live: _Live, among: Sequence[Hypothesis]) -> Hypothesis:
         config = self.config
         T = self._relative(coarse.T_map_local)
         covariance = None
         if config.refine:
-            T, covariance = self._refiner.refine(T, scene)
-        overlap, rmse = self._index.overlap(sample, T[None], config.overlap_radius)
+            T, covariance = self._refiner.refine(T, live.scene)
+        overlap, rmse = self._index.overlap(live.sample, T[None], config.overlap_radius)
         return Hypothesis(
             geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
             coarse.inliers,
             float(overlap[0]),
-            self._seen(scene, T),
+            self._seen(live, T, config.seen_radius),
             float(rmse[0]),
             _margin(coarse, among, config.separation),
             covariance,
         )
 
-    def _seen(self, scene: Segmentation, T: Pose) -> float:
+    def _seen(self, live: _Live, T: Pose, radius: float) -> float:
         """Share of the map in view that the live cloud has, too; NaN where too little is."""
         config = self.config
         x, y = float(T[0, 3]), float(T[1, 3])
-        near = self._cloud[self._index.within(x, y, config.sight_range)]
-        near = _thinned(near, config.sight_sample)
+        site = self._index.sample(x, y, config.sight_range, config.sight_sample)
         T_local_site = np.ascontiguousarray(geometry.inverse(T))
-        seen, through = _native.sight(
-            scene.structure,
-            scene.ground,
-            near,
-            T_local_site,
-            config.sight_range,
-            config.seen_radius,
-            config.sight_margin,
-            config.sight_bin,
-        )
+        seen, through = live.sight.look(site, T_local_site, radius, config.sight_margin)
         judged = seen + through
         return seen / judged if judged >= MIN_SIGHTED else math.nan
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
-
-
-def confidence(hypothesis: Hypothesis) -> float:
-    """Probability that a refined hypothesis is right, from what speaks for it.
-
-    A logistic model, fitted by ``benchmarks/calibrate_confidence.py``.
-    """
-    score = CONFIDENCE[0]
-    for weight, witness in zip(CONFIDENCE[1:], witnesses(hypothesis), strict=True):
-        score += weight * witness
-    return 1.0 / (1.0 + math.exp(-score))
-
-
-def witnesses(hypothesis: Hypothesis) -> tuple[float, float, float]:
-    """What the model of :func:`confidence` weighs: overlap, what is seen, and the margin.
-
-    The number of inliers counts by its margin alone: more of them agree by chance where a query
-    has more segments and a map more that look like them. A witness that is not known says what
-    chance would.
-    """
-    seen = hypothesis.overlap if math.isnan(hypothesis.seen) else hypothesis.seen
-    margin = 1.0 if math.isnan(hypothesis.margin) else max(hypothesis.margin, 0.1)
-    return _logit(hypothesis.overlap), _logit(seen), math.log(margin)
-
-
-def _logit(share: float) -> float:
-    """The odds of a share on a logarithmic scale that ends at 0 and 1."""
-    return math.log((share + 0.05) / (1.05 - share))
-
-
-def _alone(hypothesis: Hypothesis) -> float:
-    """The confidence if nothing but chance were at any other place."""
-    return confidence(replace(hypothesis, margin=hypothesis.inliers / CHANCE_INLIERS))
 
 
 def _margin(chosen: Hypothesis, among: Sequence[Hypothesis], separation: float) -> float:
