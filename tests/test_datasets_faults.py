@@ -11,6 +11,7 @@ from conftest import SHARED, Plaza
 from dataset_samples import START, Drive, float_rows, kitti, ones
 
 from segloc import Config, SegmentMap, geometry
+from segloc.cli import main
 from segloc.datasets import open_sequence
 from segloc.datasets.inspection import inspect
 from segloc.errors import DatasetError
@@ -156,6 +157,45 @@ def test_topics_and_sensors_that_are_not_there(name: str, tmp_path: Path) -> Non
     }
     with pytest.raises(DatasetError, match=fault[name]):
         open_sequence(path, topic="/odom")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("drive.bag", b"", "drive.bag: is empty"),
+        ("drive.bag", b"nothing of the kind", "drive.bag: no bag file, by its first bytes"),
+        ("drive.db3", bytes(300), "drive.db3: no db3 file, by its first bytes"),
+        ("drive.mcap", b"\x89PNG", "drive.mcap: no mcap file, by its first bytes"),
+        ("drive.pcap", b"\n\r\r\n" + bytes(40), "drive.pcap: is pcapng: convert it"),
+        ("drive.txt", b"of another kind", "drive.txt: "),
+        ("drive.doc", b"", "drive.doc: no recording in a known format"),
+        ("drive", None, "drive: no such folder or file"),
+    ],
+)
+def test_what_is_no_recording_is_said_in_a_line(
+    name: str, content: bytes | None, fault: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(DatasetError) as caught:
+        open_sequence(path).scan(0)
+    assert str(caught.value).startswith(f"{tmp_path}/{fault}")
+    assert "\n" not in str(caught.value)
+
+
+def test_info_shows_pose_files_and_scans_without_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = folder(tmp_path, [np.zeros((0, 3))] * 3, DRIVE.poses[:3])
+    (tmp_path / "scans.odometry.tum").write_text("")
+    monkeypatch.setattr("sys.argv", ["segloc", "info", str(path)])
+    with pytest.raises(SystemExit):
+        main()
+    said = capsys.readouterr().out
+    assert "- no point in any of the 3 scans that were read" in said
+    for name in ("poses.tum", "scans.odometry.tum"):
+        assert f"- {name} beside the scans may be their poses: --poses {name}" in said
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")

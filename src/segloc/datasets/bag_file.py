@@ -14,6 +14,8 @@ from ..io._columns import one_line
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
+_BEGINNINGS = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
+
 
 @contextmanager
 def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
@@ -26,8 +28,22 @@ def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
     MissingDependency
         If the package rosbags is not installed.
     """
+    _check_beginnings(paths)
     with faults_of(paths[0]), _reader(paths) as reader:
         yield reader
+
+
+def _check_beginnings(paths: tuple[Path, ...]) -> None:
+    """Name what is no bag in other words than those of a parser that lost its way."""
+    for path in paths:
+        if not path.is_file():
+            continue
+        with path.open("rb") as file:
+            head = file.read(16)
+        if not head:
+            raise DatasetError(f"{path}: is empty")
+        if not head.startswith(_BEGINNINGS[path.suffix]):
+            raise DatasetError(f"{path}: no {path.suffix[1:]} file, by its first bytes")
 
 
 def _reader(paths: tuple[Path, ...]) -> AnyReader:

@@ -22,6 +22,7 @@ _ORDERS = {
     b"\xa1\xb2\x3c\x4d": (">", 1e-9),
 }
 """Byte order and unit of time by a file's first bytes."""
+_PCAPNG = b"\x0a\x0d\x0d\x0a"
 _HEADER = 24
 _LINKS = {0: 4, 1: 14, 12: 0, 14: 0, 101: 0, 108: 4, 113: 16, 276: 20}
 """Bytes before the IP header: BSD loopback, Ethernet, raw IP, Linux cooked capture."""
@@ -81,6 +82,8 @@ def mapped(path: Path) -> Iterator[mmap.mmap]:
     if path.stat().st_size < _HEADER:
         raise DatasetError(f"{path}: cut off: no header of a capture")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if data[:4] == _PCAPNG:
+            raise DatasetError(f"{path}: is pcapng: convert it by editcap -F pcap")
         if data[:4] not in _ORDERS:
             raise DatasetError(f"{path}: not a capture in the format of libpcap")
         yield data

@@ -128,6 +128,8 @@ def _source(recording: Inspectable) -> str:
 def _scan_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
     problems = []
     median = float(np.median([len(scan) for _, scan in scans])) if scans else 0.0
+    if scans and not any(len(scan) for _, scan in scans):
+        return [f"no point in any of the {len(scans)} scans that were read"]
     for i, scan in scans:
         where = recording.where(i)
         if _broken(scan):
