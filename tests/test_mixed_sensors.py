@@ -82,7 +82,7 @@ def localized(site: Site, sensor: str, mapped: str, out: Path) -> tuple[int, int
     found = read_trajectory(out / "poses.tum")
     for number, pose in zip(found.stamps, found.poses, strict=True):
         assert np.linalg.norm(pose[:3, 3] - truth[int(number), :3, 3]) < 0.5
-    return len(found), sum(1 for _ in (out / "localizations.jsonl").open())
+    return len(found), len((out / "localizations.jsonl").read_text().splitlines())
 
 
 def test_both_sessions_are_in_the_map(site: Site) -> None:
@@ -103,8 +103,12 @@ def test_either_sensor_localizes_in_the_map_of_both(
     assert both >= own >= asked - 2
 
 
-def test_a_session_of_another_sensor_localizes_too(site: Site, tmp_path: Path) -> None:
-    """Across sensors less is found; nothing wrong is."""
-    for sensor, mapped in (("vlp16", "hdl64e"), ("hdl64e", "vlp16")):
-        found, _ = localized(site, sensor, mapped, tmp_path / sensor)
-        assert found >= 1
+def test_a_map_of_another_sensor(site: Site, tmp_path: Path) -> None:
+    """The sensor that sees less height finds its place; the other is refused, never wrong.
+
+    A VLP-16 sees façades up to 15 degrees, of which a map of an HDL-64E has nothing above 2: too
+    little of the cloud meets the map.
+    """
+    found, asked = localized(site, "hdl64e", "vlp16", tmp_path / "down")
+    assert found >= asked - 2
+    localized(site, "vlp16", "hdl64e", tmp_path / "up")
