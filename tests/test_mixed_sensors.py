@@ -74,11 +74,13 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     return found
 
 
-def localized(site: Site, sensor: str, mapped: str, out: Path) -> tuple[int, int]:
+def localized(
+    site: Site, sensor: str, mapped: str, out: Path, *options: str | Path
+) -> tuple[int, int]:
     """How many queries of the sensor's second session are found and how many there are."""
     folder, truth = site.folders[sensor][1], site.truths[sensor][1]
     segloc("localize", folder, "--poses", "poses.tum", "--map", site.maps[mapped],
-           "--every", "10", "--out", out)  # fmt: skip
+           "--every", "10", "--out", out, *options)  # fmt: skip
     found = read_trajectory(out / "poses.tum")
     for number, pose in zip(found.stamps, found.poses, strict=True):
         assert np.linalg.norm(pose[:3, 3] - truth[int(number), :3, 3]) < 0.5
@@ -111,4 +113,8 @@ def test_a_map_of_another_sensor(site: Site, tmp_path: Path) -> None:
     """
     found, asked = localized(site, "hdl64e", "vlp16", tmp_path / "down")
     assert found >= asked - 2
-    localized(site, "vlp16", "hdl64e", tmp_path / "up")
+    refused, _ = localized(site, "vlp16", "hdl64e", tmp_path / "up")
+    lower = tmp_path / "lower.yaml"
+    lower.write_text("verification:\n  min_overlap: 0.35\n")
+    admitted, _ = localized(site, "vlp16", "hdl64e", tmp_path / "low", "--config", lower)
+    assert refused < asked - 2 <= admitted

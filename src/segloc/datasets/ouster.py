@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,10 @@ def recognises(path: Path) -> bool:
 def _metadata(path: Path) -> dict[str, Path]:
     """Files of metadata by the names of the sensors: CAPTURE.json, or CAPTURE*.json of several."""
     own = path.with_suffix(".json")
-    found = [own] if own.is_file() else sorted(path.parent.glob(f"{_escaped(path.stem)}*.json"))
+    several = sorted(path.parent.glob(f"{glob.escape(path.stem)}*.json"))
+    others = [file for file in several if not file.with_suffix(".pcap").exists()]
+    found = [own] if own.is_file() else others
     return {file.stem: file for file in found if b"beam_altitude_angles" in file.read_bytes()}
-
-
-def _escaped(name: str) -> str:
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
 def find(path: Path, topic: str | None) -> Found:
