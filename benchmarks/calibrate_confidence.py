@@ -1,26 +1,30 @@
-"""Fit the confidence of a pose on simulated worlds, and show how reliable it is.
+r"""Fit the confidence of a pose on simulated worlds, and show how reliable it is.
 
-Every scene is built once for every sensor, mapped in one session and asked for in another, in
-autumn and with a tenth of the things replaced; the same queries, asked in the map of the world
-before, are negatives. Each query is asked with accumulated scans and with a single one, all gates
-of verification open, so that the best candidate is always refined and shown. The logistic model of
-``segloc.verification.confidence`` is then fitted to (inliers, overlap) -> right or wrong. The
-figure shows each world judged by the model that was fitted to all the others.
+Every scene is mapped by one sensor in one session and asked for by several in another, in autumn
+and with a fifth of the things replaced; the same queries, asked in the map of the world before,
+are negatives, and so are real recordings, asked in every map. Each query is asked with accumulated
+scans and with a single one, all gates of verification open, so that the best candidate is always
+refined and shown. The logistic model of ``segloc.verification.confidence`` is then fitted to
+(inliers, overlap, seen) -> right or wrong. The figure shows each world judged by the model that was
+fitted to all the others.
 
-    python benchmarks/calibrate_confidence.py --figure docs/images/reliability.svg
+    python benchmarks/calibrate_confidence.py --real DATA/keyframes=DATA/keyframes.tum \
+      DATA/scans=DATA/scans.tum --figure docs/images/reliability.svg
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from itertools import pairwise
+from dataclasses import dataclass
+from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import minimize
 
 from segloc import Config, Localizer, build_map, geometry
+from segloc.datasets import Sequence, open_sequence
 from segloc.evaluation.localization import query_positions
 from segloc.local_cloud import window
 from segloc.simulation import (
@@ -35,81 +39,101 @@ from segloc.verification import confidence
 
 EVERY_M = 8.0
 LENGTH_M = 160.0
+REAL_EVERY_M = 60.0
+MAPPED_BY = "hdl64e"
 SIZE_M = {"town": 200.0, "industrial": 200.0, "park": 200.0, "meadow": 200.0, "forest": 150.0}
 OPEN_GATES = {"min_inliers": 2, "min_overlap": 0.0, "min_confidence": 0.0, "ambiguity": 1e9}
-LATER = Conditions(foliage=0.8, replaced=0.1)
+LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
+Row = tuple[float, ...]
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
-def worlds(sensors: list[str], first_seed: int) -> Iterator[tuple[str, list[SimulatedSequence]]]:
-    """A name, and a session to map and one to ask, of every scene and sensor."""
-    seed = first_seed
-    for sensor in sensors:
-        for name, scene in SCENES.items():
-            world = scene(seed, size_m=SIZE_M[name])
-            lidar = SENSORS[sensor](900)
-            sessions = [Conditions(), LATER]
-            yield (
-                f"{name} {sensor}",
-                simulate_sessions(world, lidar, sessions, length_m=LENGTH_M, seed=seed),
+@dataclass(frozen=True)
+class SimulatedWorld:
+    """A session to map, and others, by several sensors, to ask."""
+
+    name: str
+    mapped: SimulatedSequence
+    asked: dict[str, SimulatedSequence]
+
+
+def worlds(sensors: list[str], first_seed: int, each: int) -> Iterator[SimulatedWorld]:
+    """So many worlds of every scene."""
+    seeds = count(first_seed)
+    for name, scene in list(SCENES.items()) * each:
+        seed = next(seeds)
+        world = scene(seed, size_m=SIZE_M[name])
+        drives = {
+            sensor: simulate_sessions(
+                world, SENSORS[sensor](900), [Conditions(), LATER], length_m=LENGTH_M, seed=seed
             )
-            seed += 1
+            for sensor in {MAPPED_BY, *sensors}
+        }
+        asked = {sensor: drives[sensor][1] for sensor in sensors}
+        yield SimulatedWorld(f"{name} {seed}", drives[MAPPED_BY][0], asked)
 
 
-def ask(localizer: Localizer, drive: SimulatedSequence, known: bool) -> list[tuple[float, ...]]:
-    """Rows (inliers, overlap, right) of all queries of a drive."""
+def ask(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> list[Row]:
+    """Rows (inliers, overlap, seen, right) of queries along a drive."""
     local = localizer.config.local_cloud
+    poses = drive.poses
+    assert poses is not None
     rows = []
-    for i in query_positions(drive.poses, EVERY_M, local.max_gap_m):
-        behind = window(drive.poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
+    for i in query_positions(poses, every_m, local.max_gap_m):
+        behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
         for scans in ([drive.scan(k) for k in behind], drive.scan(i)):
             result = localizer.localize(scans)
             if result.T_map_sensor is None:
                 continue
-            delta = geometry.inverse(drive.poses[i]) @ result.T_map_sensor
+            delta = geometry.inverse(poses[i]) @ result.T_map_sensor
             right = known and np.linalg.norm(delta[:3, 3]) < RIGHT_M
-            rows.append((float(result.inliers), result.overlap, float(right)))
+            rows.append((float(result.inliers), result.overlap, result.seen, float(right)))
     return rows
 
 
-def collect(sensors: list[str], first_seed: int, method: str, out: Path) -> np.ndarray:
-    """Rows (inliers, overlap, right, world) of all worlds; written to ``out`` after each."""
-    config = Config.preset(method)
+def collect(found_in: Iterator[SimulatedWorld], real: list[Sequence], out: Path) -> np.ndarray:
+    """Rows (inliers, overlap, seen, right, world) of all worlds; kept in ``out`` after each."""
+    config = Config.preset("profile")
     gates = config.verification.model_copy(update=OPEN_GATES)
-    opened = config.model_copy(update={"verification": gates})
-    rows: list[tuple[float, ...]] = []
+    opened = config.model_copy(update={"verification": gates, "threads": 1})
+    rows: list[Row] = []
     names: list[str] = []
     before: Localizer | None = None
-    for k, (name, (mapped, asked)) in enumerate(worlds(sensors, first_seed)):
-        here = Localizer(build_map(mapped, config), opened)
-        found = ask(here, asked, True)
-        found += [] if before is None else ask(before, asked, False)
+    for k, world in enumerate(found_in):
+        here = Localizer(build_map(world.mapped, config), opened)
+        found = [row for drive in world.asked.values() for row in ask(here, drive, True, EVERY_M)]
+        elsewhere = [] if before is None else [(before, drive) for drive in world.asked.values()]
+        for localizer, drive in [*elsewhere, *((here, recording) for recording in real)]:
+            every = EVERY_M if localizer is before else REAL_EVERY_M
+            found += ask(localizer, drive, False, every)
         rows += [(*row, float(k)) for row in found]
-        names.append(name)
+        names.append(world.name)
         np.savez(out, rows=np.array(rows), names=np.array(names))
-        print(f"{name}: {len(found)} candidates, {sum(r[2] > 0 for r in found)} right", flush=True)
+        right = sum(row[3] > 0 for row in found)
+        print(f"{world.name}: {len(found)} candidates, {right} right", flush=True)
         before = here
     return np.array(rows)
 
 
 def fit(rows: np.ndarray) -> np.ndarray:
-    """Weights (constant, log inliers, overlap) of a logistic model.
+    """Weights (constant, log inliers, overlap, seen) of a logistic model.
 
     Simulated right and wrong poses are nearly separable, which alone would make a fit as sure as
     its data are many; the penalty keeps it modest for the real world.
     """
     features = _features(rows)
-    sign = np.where(rows[:, 2] > 0, 1.0, -1.0)
+    sign = np.where(rows[:, 3] > 0, 1.0, -1.0)
 
     def loss(w: np.ndarray) -> float:
         return float(np.logaddexp(0, -sign * (features @ w)).sum() + 0.3 * (w[1:] ** 2).sum())
 
-    return np.asarray(minimize(loss, np.zeros(3), method="BFGS").x)
+    return np.asarray(minimize(loss, np.zeros(4), method="BFGS").x)
 
 
 def _features(rows: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.ones(len(rows)), np.log(rows[:, 0]), rows[:, 1]])
+    seen = np.where(np.isnan(rows[:, 2]), rows[:, 1], rows[:, 2])
+    return np.column_stack([np.ones(len(rows)), np.log(rows[:, 0]), rows[:, 1], seen])
 
 
 def probability(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -121,21 +145,21 @@ def probability(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def held_out(rows: np.ndarray) -> np.ndarray:
     """The probability of every candidate by the model fitted to all other worlds."""
     p = np.empty(len(rows))
-    for world in np.unique(rows[:, 3]):
-        here = rows[:, 3] == world
+    for world in np.unique(rows[:, 4]):
+        here = rows[:, 4] == world
         p[here] = probability(rows[here], fit(rows[~here]))
     return p
 
 
 def shipped(rows: np.ndarray) -> np.ndarray:
     """What the confidence of the package says of every candidate."""
-    found = [Hypothesis(np.eye(4), int(n), float(overlap)) for n, overlap in rows[:, :2]]
+    found = [Hypothesis(np.eye(4), int(n), overlap, seen) for n, overlap, seen in rows[:, :3]]
     return np.array([confidence(hypothesis) for hypothesis in found])
 
 
 def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
     """Reliability in bins of confidence, and the gap between right and wrong."""
-    right = rows[:, 2] > 0
+    right = rows[:, 3] > 0
     print(f"{len(rows)} candidates, {int(right.sum())} right; weights {np.round(weights, 2)}")
     print("| confidence, model of the other worlds | candidates | right |\n|---|---|---|")
     for low, high in pairwise(BINS):
@@ -147,8 +171,8 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
         print(f"{name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely}")
     for name, part in (("right", rows[right]), ("wrong", rows[~right])):
-        for column, label in ((0, "inliers"), (1, "overlap")):
-            q = np.percentile(part[:, column], [0, 1, 50, 99, 100])
+        for column, label in ((0, "inliers"), (1, "overlap"), (2, "seen")):
+            q = np.nanpercentile(part[:, column], [0, 1, 50, 99, 100])
             print(f"  {name} {label}: " + " ".join(f"{v:.2f}" for v in q))
 
 
@@ -157,7 +181,7 @@ def draw(rows: np.ndarray, p: np.ndarray, path: Path) -> None:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    right = rows[:, 2] > 0
+    right = rows[:, 3] > 0
     figure = Figure(figsize=(5.2, 4.2), facecolor="white")
     FigureCanvasSVG(figure)
     axes, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
@@ -180,15 +204,17 @@ def draw(rows: np.ndarray, p: np.ndarray, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sensors", nargs="*", default=["hdl64e", "hdl32e", "vlp16"])
+    parser.add_argument("--sensors", nargs="*", default=["hdl64e", "os1-64", "vlp16"])
+    parser.add_argument("--each", type=int, default=2, help="worlds of every scene")
+    parser.add_argument("--real", nargs="*", default=[], metavar="SCANS=POSES")
     parser.add_argument("--first-seed", type=int, default=3000)
-    parser.add_argument("--method", default="profile")
     parser.add_argument("--out", type=Path, default=Path("calibration.npz"))
     parser.add_argument("--rows", type=Path, help="rows of an earlier run")
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
     if args.rows is None:
-        rows = collect(args.sensors, args.first_seed, args.method, args.out)
+        real = [open_sequence(*map(Path, pair.split("="))) for pair in args.real]
+        rows = collect(worlds(args.sensors, args.first_seed, args.each), real, args.out)
     else:
         rows = np.load(args.rows)["rows"]
     p = held_out(rows)

@@ -6,6 +6,7 @@
 #include "ground.h"
 #include "point_index.h"
 #include "prosac.h"
+#include "sight.h"
 #include "voxel.h"
 
 namespace segloc::bindings {
@@ -154,6 +155,26 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
   return std::make_tuple(to_numpy(std::move(share)), to_numpy(std::move(rmse)));
 }
 
+auto sight_(const In2<float>& structure, const In2<float>& ground, const In2<float>& site,
+            const In2<double>& T_local_site, double range, double near, double margin,
+            double bin_deg) {
+  require_points(structure);
+  require_points(ground);
+  require_points(site);
+  require(T_local_site.shape(0) == 4 && T_local_site.shape(1) == 4, "T_local_site must have shape (4, 4)");
+  require(range > 0 && range < 1000 && near > 0 && margin >= 0, "distances must be positive");
+  require(bin_deg >= 0.1 && bin_deg <= 10, "bin_deg must be between 0.1 and 10");
+  SightOptions options;
+  options.range = range;
+  options.near = near;
+  options.margin = margin;
+  options.bin_deg = bin_deg;
+  nb::gil_scoped_release release;
+  const Sight result = sight(structure.data(), structure.shape(0), ground.data(), ground.shape(0),
+                             site.data(), site.shape(0), T_local_site.data(), options);
+  return std::make_tuple(result.seen, result.through);
+}
+
 }  // namespace
 
 void bind_geometry(nb::module_& m) {
@@ -173,6 +194,10 @@ void bind_geometry(nb::module_& m) {
         nb::arg("yaw_only"), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
         nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("max_draws"),
         nb::arg("max_hypotheses"), nb::arg("seed"));
+
+  m.def("sight", &sight_, nb::arg("structure").noconvert(), nb::arg("ground").noconvert(),
+        nb::arg("site").noconvert(), nb::arg("T_local_site").noconvert(), nb::arg("range"),
+        nb::arg("near"), nb::arg("margin"), nb::arg("bin_deg"));
 
   nb::class_<PointIndex>(m, "PointIndex")
       .def("__init__",

@@ -13,6 +13,8 @@ class PointIndex {
   // Copies n points, (n, 3) row-major. Queries may ask for any radius up to `radius`.
   PointIndex(const float* points, std::size_t n, double radius);
 
+  using Point = std::array<float, 3>;
+
   struct Overlap {
     std::size_t near = 0;    // points with a map point within the radius
     double squared_sum = 0;  // of the distances of those
@@ -20,6 +22,10 @@ class PointIndex {
 
   // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
   Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
+
+  // Squared distance to the nearest indexed point, or more than the limit where none is within it.
+  // The root of the limit is at most the radius.
+  float nearest_squared(const Point& p, float limit) const;
 
   // Indices, rising, of the points within a horizontal distance of (x, y).
   std::vector<std::int64_t> within(double x, double y, double radius) const;
@@ -36,12 +42,10 @@ class PointIndex {
     std::int64_t y, x;
     std::vector<std::uint32_t> points;
   };
-  using Point = std::array<float, 3>;
 
   std::uint64_t key(std::int64_t x, std::int64_t y, std::int64_t z) const;
   const Slot* find(std::uint64_t key) const;
   void fill_tiles();
-  float nearest_squared(const Point& p, float limit) const;
 
   double cell_;
   std::vector<Point> points_;

@@ -50,34 +50,31 @@ SIZES = dict.fromkeys(SIMULATED, DomainSize(1, 1, "small"))
 EFFORT = Effort({"dsm": 3, "esm": 1, "segmap": 1, "profile": 4}, 300)
 PLAN = transfer.Plan(SIZES, EFFORT, 60)
 METHODS = ("segmatch-eigen", "dsm", "dsm-fq", "geo", "profile")
-OBJECTS = 70
+OBJECTS, SESSIONS = 70, 5
 SIMULATE = making._simulate
 
 
-def shapes_world(job: Any) -> list[Session]:
-    """In the place of a simulated world: two sessions of objects 30 m apart."""
+def shapes_session(job: Any) -> Session:
+    """In the place of a session of a simulated world: objects 30 m apart."""
     seed = job.seed + 10 * SIMULATED.index(job.domain) + 5 * (job.split == "test")
-    dataset = shapes_dataset(OBJECTS, 2, seed)
-    found = []
-    for k in range(2):
-        own = dataset.subset(np.flatnonzero(dataset.sessions == k))
-        labels = own.labels
-        spots = 30.0 * np.column_stack([labels // 8, labels % 8, np.zeros(OBJECTS)])
-        extents = [sorted_extents(own.segment(i)) for i in range(OBJECTS)]
-        session = Session(f"{job.domain}-{job.split}-{job.seed}", f"session-{k}", "none")
-        extract = Extract(
-            own.points, own.offsets, spots + 0.1 * k, own.heights, np.array(extents),
-            own.lengths, labels, np.zeros((1, 3), np.float32),
-        )  # fmt: skip
-        write_shard(job.folder, session, extract, "shapes")
-        found.append(session)
-    return found
+    dataset = shapes_dataset(OBJECTS, SESSIONS, seed)
+    own = dataset.subset(np.flatnonzero(dataset.sessions == job.session))
+    labels = own.labels
+    spots = 30.0 * np.column_stack([labels // 8, labels % 8, np.zeros(OBJECTS)])
+    extents = [sorted_extents(own.segment(i)) for i in range(OBJECTS)]
+    session = Session(f"{job.domain}-{job.split}-{job.seed}", f"session-{job.session}", "none")
+    extract = Extract(
+        own.points, own.offsets, spots + 0.1 * job.session, own.heights, np.array(extents),
+        own.lengths, labels, np.zeros((1, 3), np.float32),
+    )  # fmt: skip
+    write_shard(job.folder, session, extract, "shapes")
+    return session
 
 
 @pytest.fixture(scope="module")
 def patched() -> Iterator[pytest.MonkeyPatch]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(making, "_simulate", shapes_world)
+        patch.setattr(making, "_simulate", shapes_session)
         label = LabelConfig(rule="centroids")  # the shapes are seen from one side only
         patch.setattr(making, "_EXTRACT", making._EXTRACT.model_copy(update={"label": label}))
         yield patch

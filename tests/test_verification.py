@@ -7,12 +7,13 @@ import pytest
 from conftest import Plaza, PlazaSequence
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc._native import PointIndex
+from segloc._native import PointIndex, sight
 from segloc.matching import MatchingConfig
-from segloc.types import Descriptors, Hypothesis
+from segloc.types import Descriptors, Float32, Float64, Hypothesis, Int64, Pose
 from segloc.verification import VerificationConfig, confidence
 
 
@@ -41,6 +42,72 @@ def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
     x, y = rng.uniform(-70, 70, 2)
     expected = np.flatnonzero(np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius)
     assert PointIndex(cloud, 0.5).within(x, y, radius).tolist() == expected.tolist()
+
+
+def reference_sight(
+    structure: Float32, ground: Float32, site: Float32, T: Pose, reach: float, bin_deg: float
+) -> tuple[int, int]:
+    """What ``_native.sight`` counts, with 0.4 m to be near and 0.7 m to be behind."""
+    shape = round(360 / bin_deg), round(180 / bin_deg) + 1
+
+    def pixels(points: Float32) -> tuple[tuple[Int64, Int64], Float64]:
+        x, y, z = points.T.astype(np.float64)
+        azimuth = np.degrees(np.arctan2(y, x)) + 180
+        elevation = np.degrees(np.arctan2(z, np.hypot(x, y))) + 90
+        columns = (azimuth / bin_deg).astype(int) % shape[0]
+        return (columns, (elevation / bin_deg).astype(int)), np.sqrt(x * x + y * y + z * z)
+
+    image = np.full(shape, np.inf)
+    at, ranges = pixels(np.concatenate([structure, ground]))
+    np.minimum.at(image, at, ranges)
+    nearest = minimum_filter(image, 3, mode=("wrap", "nearest"))
+
+    moved = geometry.transform(T, site).astype(np.float32)
+    moved = moved[(moved.astype(np.float64) ** 2).sum(axis=1) < reach**2]
+    cells = np.floor(ground[:, :2] / 3)
+    about = (np.abs(np.floor(moved[:, None, :2] / 3) - cells) <= 1).all(axis=2)
+    floor = np.where(about, ground[:, 2], -np.inf).max(axis=1, initial=-np.inf)
+    judged = moved[(floor > -np.inf) & (moved[:, 2] > floor + 0.5)]
+    seen = cKDTree(structure).query(judged)[0] <= 0.4
+    at, ranges = pixels(judged)
+    behind = nearest[at] > ranges + np.maximum(0.7, 0.05 * ranges)
+    return int(seen.sum()), int((~seen & np.isfinite(image[at]) & behind).sum())
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(1.0, 8.0), st.floats(5.0, 30.0))
+def test_what_of_a_map_is_seen_and_what_is_looked_through(
+    seed: int, count: int, bin_deg: float, reach: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    structure = rng.uniform([-25, -25, 0], [25, 25, 4], (count, 3)).astype(np.float32)
+    ground = rng.uniform([-25, -25, -2], [25, 25, -1.5], (40, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    mapped = structure + rng.normal(0, 0.3, structure.shape)
+    others = rng.uniform([-25, -25, -2], [25, 25, 4], (200, 3))
+    site = geometry.transform(geometry.inverse(T), np.concatenate([mapped, others]))
+    site = site.astype(np.float32)
+    counts = sight(structure, ground, site, T, reach, 0.4, 0.7, bin_deg)
+    expected = reference_sight(structure, ground, site, T, reach, bin_deg)
+    assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
+
+
+def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_judged() -> None:
+    y, z = (v.ravel().astype(np.float32) for v in np.mgrid[-6:6:0.2, -1:2:0.2])
+
+    def wall(x: float) -> Float32:
+        return np.column_stack([np.full_like(y, x), y, z]).astype(np.float32)
+
+    floor = np.stack(np.meshgrid(np.arange(-12, 12, 0.5), np.arange(-12, 12, 0.5), [-1.7]), -1)
+    ground = floor.reshape(-1, 3).astype(np.float32)
+
+    def shares(live: Float32, site: Float32) -> tuple[int, int]:
+        return sight(live, ground, site, np.eye(4), 30.0, 0.4, 0.7, 2.0)
+
+    assert shares(wall(8), wall(8)) == (len(y), 0)
+    assert shares(wall(8), wall(11)) == (0, 0)  # hidden
+    seen, through = shares(wall(8), wall(5))
+    assert seen == 0 and through > 0.5 * len(y)
 
 
 def test_confidence_rises_with_both_witnesses() -> None:

@@ -42,6 +42,16 @@ def prosac(
     max_hypotheses: int,
     seed: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+def sight(
+    structure: NDArray[np.float32],
+    ground: NDArray[np.float32],
+    site: NDArray[np.float32],
+    T_local_site: NDArray[np.float64],
+    range: float,
+    near: float,
+    margin: float,
+    bin_deg: float,
+) -> tuple[int, int]: ...
 
 class PointIndex:
     def __init__(self, points: NDArray[np.float32], radius: float) -> None: ...

@@ -171,6 +171,7 @@ def _localization(
         T_map_sensor=None if reason else best.T_map_local @ cloud.T_local_sensor,
         inliers=best.inliers,
         overlap=best.overlap,
+        seen=best.seen,
         rmse=best.rmse,
         confidence=verdict.confidence,
         covariance=(

@@ -232,13 +232,17 @@ class Hypothesis:
         Distinct query segments that agree with the pose (one map segment each).
     overlap : float
         Share of the live cloud's points that have a map point near them, in [0, 1].
+    seen : float
+        The other way round: share of the map's points in view that have a live point near them, in
+        [0, 1]; the others were looked through. NaN where too few are in view.
     rmse : float
-        Root mean square distance of those pairs, metres.
+        Root mean square distance of the pairs that overlap counts, metres.
     """
 
     T_map_local: Pose
     inliers: int
     overlap: float = 0.0
+    seen: float = float("nan")
     rmse: float = float("nan")
     covariance: Float64 | None = None
 
@@ -257,6 +261,9 @@ class Localization:
         Distinct segments that agree with the best hypothesis.
     overlap : float
         Share of the live cloud explained by the map at the best hypothesis, in [0, 1].
+    seen : float
+        Share of the map in view that the live cloud confirms there, in [0, 1]; the rest was looked
+        through. NaN where too little of the map is in view to tell.
     rmse : float
         Residual of the refined alignment, metres (NaN where nothing was aligned).
     confidence : float
@@ -278,6 +285,7 @@ class Localization:
     T_map_sensor: Pose | None = None
     inliers: int = 0
     overlap: float = 0.0
+    seen: float = float("nan")
     rmse: float = float("nan")
     confidence: float = 0.0
     covariance: Float64 | None = None

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import small_gicp
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import _native, geometry
+from .refinement import Refiner
 from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
 
-MIN_ICP_POINTS = 20
-COVARIANCE_SCALE = 20.0
-"""Neighbouring correspondences err together, so the curvature of the cost alone claims far too
-much. With this factor the normalised squared error is about 1 on simulated towns."""
+MIN_SIGHTED = 50
 
 
 class VerificationConfig(BaseModel):
@@ -37,6 +32,9 @@ class VerificationConfig(BaseModel):
     ambiguity: float = Field(
         0.85, gt=0, description="a second place with this share of the support is one too many"
     )
+    likeness: float = Field(
+        0.9, gt=0, le=1, description="so is one where the clouds fit this well, beside the best"
+    )
     separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
     coarse_radius: float = Field(0.5, gt=0, description="neighbourhood before ICP, metres")
     overlap_radius: float = Field(0.3, gt=0, description="neighbourhood after ICP, metres")
@@ -48,6 +46,19 @@ class VerificationConfig(BaseModel):
     icp_tile: float = Field(10.0, gt=0, description="prepared map tiles lie this far apart, metres")
     icp_tiles: int = Field(32, ge=1, description="prepared map tiles kept in memory")
     sample: int = Field(2000, ge=1, description="points of the live cloud that overlap is taken of")
+    seen_radius: float = Field(
+        0.4, gt=0, description="a map point with a live point so near is seen, metres"
+    )
+    sight_range: float = Field(
+        30.0, gt=0, le=200, description="how far the map must agree with what is seen, metres"
+    )
+    sight_bin: float = Field(
+        2.0, ge=0.1, le=10, description="width of the directions that are looked in, degrees"
+    )
+    sight_margin: float = Field(
+        0.7, gt=0, description="what is looked through lies so far before the surface, metres"
+    )
+    sight_sample: int = Field(4000, ge=1, description="points of the map that are looked for")
     coarse_sample: int = Field(500, ge=1, description="the same while candidates are ranked")
 
 
@@ -83,7 +94,7 @@ class Verifier:
         self._index = _native.PointIndex(
             cloud, max(self.config.coarse_radius, self.config.overlap_radius)
         )
-        self._tile = lru_cache(maxsize=self.config.icp_tiles)(self._prepared_tile)
+        self._refiner = Refiner(cloud, self._index, self.config)
 
     def verify(
         self, scene: Segmentation, hypotheses: list[Hypothesis], *, escalated: bool = False
@@ -148,65 +159,74 @@ class Verifier:
             reason = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
         elif runner_up and _support(runner_up) > config.ambiguity * _support(coarse):
             reason = "ambiguous"
+        elif double := self._double(ranked, coarse, best, scene, sample):
+            reason, runner_up = "ambiguous", double
         elif p < config.min_confidence:
             reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
         else:
             reason = ""
         return Verdict(reason, best, runner_up, p)
 
+    def _double(
+        self,
+        ranked: list[Hypothesis],
+        coarse: Hypothesis,
+        best: Hypothesis,
+        scene: Segmentation,
+        sample: Float32,
+    ) -> Hypothesis | None:
+        """A different place at which the clouds fit as well, however few segments were matched.
+
+        Where a place repeats itself, it is chance which of its parts a segment is matched to.
+        """
+        config = self.config
+        # Refinement gains most where the pose was roughest: the bar before it is lower.
+        bar = config.likeness**2 * coarse.overlap
+        alike = [h for h in ranked if h.overlap >= bar and _apart(h, best, config.separation)]
+        alike.sort(key=lambda h: -h.overlap)
+        for candidate in alike[: config.max_refined]:
+            other = self._refined(candidate, scene, sample)
+            fits = other.overlap >= config.likeness * best.overlap
+            hidden = other.seen < config.likeness * best.seen
+            if fits and not hidden and _apart(other, best, config.separation):
+                return other
+        return None
+
     def _refined(self, coarse: Hypothesis, scene: Segmentation, sample: Float32) -> Hypothesis:
         config = self.config
         T = self._relative(coarse.T_map_local)
         covariance = None
         if config.refine:
-            T, covariance = self._icp(T, scene)
+            T, covariance = self._refiner.refine(T, scene)
         overlap, rmse = self._index.overlap(sample, T[None], config.overlap_radius)
         return Hypothesis(
             geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
             coarse.inliers,
             float(overlap[0]),
+            self._seen(scene, T),
             float(rmse[0]),
             covariance,
         )
 
-    def _icp(self, T: Pose, scene: Segmentation) -> tuple[Pose, Float64 | None]:
-        """Generalised ICP against the map around the candidate; unchanged where it fails."""
+    def _seen(self, scene: Segmentation, T: Pose) -> float:
+        """Share of the map in view that the live cloud has, too; NaN where too little is."""
         config = self.config
-        tile = self._tile(
-            round(float(T[0, 3]) / config.icp_tile), round(float(T[1, 3]) / config.icp_tile)
+        x, y = float(T[0, 3]), float(T[1, 3])
+        near = self._cloud[self._index.within(x, y, config.sight_range)]
+        near = _thinned(near, config.sight_sample)
+        T_local_site = np.ascontiguousarray(geometry.inverse(T))
+        seen, through = _native.sight(
+            scene.structure,
+            scene.ground,
+            near,
+            T_local_site,
+            config.sight_range,
+            config.seen_radius,
+            config.sight_margin,
+            config.sight_bin,
         )
-        surface = scene.surface
-        near = (surface[:, :2] ** 2).sum(axis=1) < config.icp_radius**2
-        if tile is None or near.sum() < MIN_ICP_POINTS:
-            return T, None
-        target, tree = tile
-        source, _ = small_gicp.preprocess_points(surface[near].astype(np.float64), config.icp_voxel)
-        result = small_gicp.align(
-            target, source, tree, T, "GICP", max_correspondence_distance=config.icp_reach
-        )
-        refined = np.array(result.T_target_source)
-        moved = geometry.inverse(T) @ refined
-        if not np.isfinite(refined).all() or np.linalg.norm(moved[:3, 3]) > config.separation:
-            return T, None
-        return geometry.orthonormal(refined), _covariance(result)
-
-    def _prepared_tile(self, x: int, y: int) -> tuple[Any, Any] | None:
-        """The map around a tile's centre, thinned and with its normals, and its search tree.
-
-        Preparing it costs far more than the alignment does; successive queries of one robot share
-        it. Which tile is used depends on the candidate alone, so the answer does not depend on
-        what was asked before.
-        """
-        config = self.config
-        near = self._index.within(
-            x * config.icp_tile, y * config.icp_tile, config.icp_radius + config.icp_tile
-        )
-        if len(near) < MIN_ICP_POINTS:
-            return None
-        prepared: tuple[Any, Any] = small_gicp.preprocess_points(
-            self._cloud[near].astype(np.float64), config.icp_voxel
-        )
-        return prepared
+        judged = seen + through
+        return seen / judged if judged >= MIN_SIGHTED else math.nan
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
@@ -227,26 +247,16 @@ def _support(hypothesis: Hypothesis) -> float:
 
 def _elsewhere(ranked: list[Hypothesis], best: Hypothesis, separation: float) -> Hypothesis | None:
     """The best hypothesis at a different place or with a different heading."""
-    for other in ranked:
-        delta = geometry.inverse(best.T_map_local) @ other.T_map_local
-        turned = abs(geometry.heading(delta)) > math.radians(15)
-        if turned or np.linalg.norm(delta[:2, 3]) > separation:
-            return other
-    return None
+    return next((other for other in ranked if _apart(other, best, separation)), None)
+
+
+def _apart(a: Hypothesis, b: Hypothesis, separation: float) -> bool:
+    delta = geometry.inverse(b.T_map_local) @ a.T_map_local
+    turned = abs(geometry.heading(delta)) > math.radians(15)
+    return bool(turned or np.linalg.norm(delta[:2, 3]) > separation)
 
 
 def _thinned(points: Float32, count: int) -> Float32:
     """At most ``count`` of the points, evenly spread over their (spatially sorted) order."""
     step = max(1, -(-len(points) // count))
     return np.ascontiguousarray(points[::step])
-
-
-def _covariance(result: small_gicp.RegistrationResult) -> Float64 | None:
-    """Covariance of (rotation, translation) from the curvature of the ICP cost."""
-    degrees = 3 * result.num_inliers - 6
-    H = np.array(result.H)
-    if degrees <= 0 or not np.isfinite(H).all() or np.linalg.cond(H) > 1e12:
-        return None
-    inverse = np.linalg.inv(H) * (COVARIANCE_SCALE * 2.0 * result.error / degrees)
-    covariance: Float64 = (inverse + inverse.T) / 2
-    return covariance

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import _native
-from ..datasets import Swathes, open_sequence
+from ..datasets import Sequence, Swathes, open_sequence
 from ..errors import ConfigError, DatasetError
 from ..segmentation import SegmentationConfig, Segmenter
 from ..simulation import LineLidar, SimulatedSequence
@@ -105,13 +105,34 @@ class _Surveyed:
 
 @dataclass(frozen=True)
 class _Job:
-    """All sessions of one world of a simulated domain."""
+    """One session of one world of a simulated domain."""
 
     folder: Path
     domain: str
     split: str
     scale: str
     seed: int
+    session: int
+
+    def drive(self) -> Sequence:
+        """The session, whose scans are cast when asked for."""
+        if self.split == "train":
+            return _suite(self.domain).training(1, self.scale, seed=self.seed)[self.session]
+        return list(_suite(self.domain).sessions(self.scale, seed=self.seed).values())[self.session]
+
+
+def _suite(domain: str) -> TestSet:
+    return next(each for each in SIX if each.name == domain)
+
+
+def _jobs(folder: Path, domain: str, split: str, size: DomainSize, seed: int) -> list[_Job]:
+    suite = _suite(domain)
+    sessions = 2 if split == "train" else 1 + len(suite.tests)
+    return [
+        _Job(folder, domain, split, size.scale, seed + world, session)
+        for world in range(size.worlds(split))
+        for session in range(sessions)
+    ]
 
 
 def dataset_folder(root: Path, domain: str, split: str, size: DomainSize, seed: int) -> Path:
@@ -148,7 +169,7 @@ def simulated(
     workers : int
         Processes that simulate.
     progress : callable
-        Called with (worlds done, worlds in all).
+        Called with (sessions done, sessions in all).
 
     Returns
     -------
@@ -166,39 +187,33 @@ def simulated(
     if (folder / INDEX).exists():
         return folder
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [_Job(folder, domain, split, size.scale, seed + k) for k in range(size.worlds(split))]
+    jobs = _jobs(folder, domain, split, size, seed)
     sessions: list[Session] = []
-    for done, found in enumerate(in_parallel(_simulate, jobs, workers), start=1):
-        sessions += found
+    for done, session in enumerate(in_parallel(_simulate, jobs, workers), start=1):
+        sessions.append(session)
         progress(done, len(jobs))
     finish(folder, sessions, _EXTRACT.label)
     return folder
 
 
-def _simulate(job: _Job) -> list[Session]:
-    """Write the shards of one world, in whatever process."""
-    suite: TestSet = next(each for each in SIX if each.name == job.domain)
-    if job.split == "train":
-        drives = suite.training(1, job.scale, seed=job.seed)
-    else:
-        drives = list(suite.sessions(job.scale, seed=job.seed).values())
+def _simulate(job: _Job) -> Session:
+    """Write the shard of one session, in whatever process."""
+    name = f"{job.domain}-{job.split}-{job.seed}"
+    session = Session(name, f"session-{job.session}", _suite(job.domain).sensor)
     segmentation = SegmentationConfig()
-    segmenter, sessions = Segmenter(segmentation), []
-    for k, drive in enumerate(drives):
-        session = Session(f"{job.domain}-{job.split}-{job.seed}", f"session-{k}", suite.sensor)
-        sessions.append(session)
-        options = options_of(
-            _EXTRACT, segmentation=segmentation.model_dump(mode="json"), scale=job.scale
-        )
-        if finished(job.folder, session, options):
-            continue
-        source = drive.source if isinstance(drive, Swathes) else drive
-        assert isinstance(source, SimulatedSequence)  # what test sets are made of
-        lengths = (SWATHE_M,) if isinstance(source.sensor, LineLidar) else _EXTRACT.lengths_m
-        config = _EXTRACT.model_copy(update={"lengths_m": lengths})
-        extract = extract_session(_Surveyed(source), segmenter.segment, config)
-        write_shard(job.folder, session, extract, options)
-    return sessions
+    options = options_of(
+        _EXTRACT, segmentation=segmentation.model_dump(mode="json"), scale=job.scale
+    )
+    if finished(job.folder, session, options):
+        return session
+    drive = job.drive()
+    source = drive.source if isinstance(drive, Swathes) else drive
+    assert isinstance(source, SimulatedSequence)  # what test sets are made of
+    lengths = (SWATHE_M,) if isinstance(source.sensor, LineLidar) else _EXTRACT.lengths_m
+    config = _EXTRACT.model_copy(update={"lengths_m": lengths})
+    extract = extract_session(_Surveyed(source), Segmenter(segmentation).segment, config)
+    write_shard(job.folder, session, extract, options)
+    return session
 
 
 def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] = print) -> Path:

@@ -259,6 +259,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "T_map_sensor": _nested(result.T_map_sensor),
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
+        "seen": _finite(result.seen),
         "rmse": _finite(result.rmse),
         "confidence": _finite(result.confidence),
         "runner_up": None

@@ -1,0 +1,32 @@
+"""A robot that drives on until it is sure: views that agree through odometry are believed.
+
+python examples/track.py
+"""
+
+from __future__ import annotations
+
+from segloc import Config, Localizer, build_map
+from segloc.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
+from segloc.tracker import Tracker
+
+LENGTH_M = 80.0
+
+
+def main() -> None:
+    world, later = town(7, size_m=150.0), Conditions(foliage=0.7, replaced=0.1)
+    first = simulate_sessions(world, hdl64e(600), [Conditions()], length_m=LENGTH_M)[0]
+    # Back with another sensor: 16 beams, and odometry in a frame of its own.
+    sessions = [Conditions(), later]
+    drive = simulate_sessions(world, vlp16(600), sessions, length_m=LENGTH_M)[1].with_odometry()
+
+    config = Config.preset("profile")
+    tracker = Tracker(Localizer(build_map(first, config), config))
+    for i in range(0, len(drive), 3):
+        scan = drive.scan(i)
+        track = tracker.update(scan, drive.poses[i])
+        where = "not sure yet" if track.T_map_odom is None else f"sure, by {track.views} views"
+        print(f"after {drive.indices[i]} scans: {where}")
+
+
+if __name__ == "__main__":
+    main()
