@@ -1,10 +1,11 @@
 r"""Fit the confidence of a pose on simulated worlds, and show how reliable it is.
 
 Every scene is mapped by one sensor in one session and asked for by several in another, in autumn
-and with a fifth of the things replaced; the same queries, asked in the map of the world before,
-are negatives, and so are real recordings, asked in every map. Each query is asked with accumulated
-scans and with a single one, all gates of verification open, so that the best candidate is always
-refined and shown. The logistic model of ``segloc.verification.confidence`` is then fitted to
+and with a fifth of the things replaced; the same queries, asked in the mirror image of that
+map and in the map of the world before, are negatives; so are real recordings, asked in every
+simulated map and in the mirror image of their own. Each query is asked with accumulated
+scans and with a single one, the gates of verification open, so that the best candidate is always
+refined. The logistic model of ``segloc.verification.confidence`` is then fitted to
 (inliers, overlap, seen) -> right or wrong. The figure shows each world judged by the model that was
 fitted to all the others.
 
@@ -23,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from segloc import Config, Localizer, build_map, geometry
+from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.datasets import Sequence, open_sequence
 from segloc.evaluation.localization import query_positions
 from segloc.local_cloud import window
@@ -34,15 +35,15 @@ from segloc.simulation import (
     SimulatedSequence,
     simulate_sessions,
 )
-from segloc.types import Hypothesis
+from segloc.types import Descriptors, Hypothesis
 from segloc.verification import confidence
 
-EVERY_M = 8.0
+EVERY_M = 12.0
 LENGTH_M = 160.0
-REAL_EVERY_M = 60.0
+REAL_EVERY_M = 200.0
 MAPPED_BY = "hdl64e"
 SIZE_M = {"town": 200.0, "industrial": 200.0, "park": 200.0, "meadow": 200.0, "forest": 150.0}
-OPEN_GATES = {"min_inliers": 2, "min_overlap": 0.0, "min_confidence": 0.0, "ambiguity": 1e9}
+OPEN = {"min_inliers": 2, "min_overlap": 0.0, "min_confidence": 0.0}
 LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
 Row = tuple[float, ...]
@@ -83,37 +84,70 @@ def ask(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> l
     for i in query_positions(poses, every_m, local.max_gap_m):
         behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
         for scans in ([drive.scan(k) for k in behind], drive.scan(i)):
-            result = localizer.localize(scans)
-            if result.T_map_sensor is None:
+            cloud = localizer.accumulator.gather(scans)
+            scene = localizer.segmenter.segment(cloud)
+            described = localizer.descriptor.describe(scene.segments)
+            best = localizer.search(scene, described).verdict.best
+            if best is None:
                 continue
-            delta = geometry.inverse(poses[i]) @ result.T_map_sensor
+            delta = geometry.inverse(poses[i]) @ best.T_map_local @ cloud.T_local_sensor
             right = known and np.linalg.norm(delta[:3, 3]) < RIGHT_M
-            rows.append((float(result.inliers), result.overlap, result.seen, float(right)))
+            rows.append((float(best.inliers), best.overlap, best.seen, float(right)))
     return rows
 
 
-def collect(found_in: Iterator[SimulatedWorld], real: list[Sequence], out: Path) -> np.ndarray:
-    """Rows (inliers, overlap, seen, right, world) of all worlds; kept in ``out`` after each."""
-    config = Config.preset("profile")
-    gates = config.verification.model_copy(update=OPEN_GATES)
-    opened = config.model_copy(update={"verification": gates, "threads": 1})
-    rows: list[Row] = []
-    names: list[str] = []
-    before: Localizer | None = None
-    for k, world in enumerate(found_in):
-        here = Localizer(build_map(world.mapped, config), opened)
-        found = [row for drive in world.asked.values() for row in ask(here, drive, True, EVERY_M)]
-        elsewhere = [] if before is None else [(before, drive) for drive in world.asked.values()]
-        for localizer, drive in [*elsewhere, *((here, recording) for recording in real)]:
-            every = EVERY_M if localizer is before else REAL_EVERY_M
-            found += ask(localizer, drive, False, every)
-        rows += [(*row, float(k)) for row in found]
-        names.append(world.name)
-        np.savez(out, rows=np.array(rows), names=np.array(names))
-        right = sum(row[3] > 0 for row in found)
-        print(f"{world.name}: {len(found)} candidates, {right} right", flush=True)
-        before = here
-    return np.array(rows)
+def mirrored(site: SegmentMap) -> SegmentMap:
+    """The map behind a mirror, in which every pose is wrong, however much of it fits."""
+    flip = np.array([1.0, -1.0, 1.0])
+    other = SegmentMap.empty(
+        site.descriptor, site.fingerprint, site.dim, site.origin, cloud_voxel=site.cloud_voxel
+    )
+    described = Descriptors(site.vectors, site.quality)
+    cloud = (site.cloud + site.origin) * flip
+    other.add(described, site.centroids * flip, site.sizes, session=0, stamp=0.0, cloud=cloud)
+    return other
+
+
+class Calibration:
+    """Gathers rows (inliers, overlap, seen, right, world); they are kept in ``out``."""
+
+    def __init__(self, out: Path) -> None:
+        self.config = Config.preset("profile")
+        gates = self.config.verification.model_copy(update=OPEN)
+        self._opened = self.config.model_copy(update={"verification": gates, "threads": 1})
+        self._out = out
+        self.rows: list[Row] = []
+        self._names: list[str] = []
+
+    def localizer(self, site: SegmentMap) -> Localizer:
+        return Localizer(site, self._opened)
+
+    def add(self, name: str, rows: list[Row]) -> None:
+        self.rows += [(*row, float(len(self._names))) for row in rows]
+        self._names.append(name)
+        np.savez(self._out, rows=np.array(self.rows), names=np.array(self._names))
+        print(f"{name}: {len(rows)} candidates, {sum(r[3] > 0 for r in rows)} right", flush=True)
+
+    def real(self, recording: Sequence) -> None:
+        """A recording, asked in the mirror image of its own map."""
+        behind_the_mirror = self.localizer(mirrored(build_map(recording, self.config)))
+        self.add(f"{recording.name}, mirrored", ask(behind_the_mirror, recording, False, EVERY_M))
+
+    def world(
+        self, world: SimulatedWorld, before: SegmentMap | None, real: list[Sequence]
+    ) -> SegmentMap:
+        """All drives of a world, in its map, behind a mirror, and in the map of another world."""
+        site = build_map(world.mapped, self.config)
+        elsewhere = [mirrored(site), *([] if before is None else [before])]
+        rows: list[Row] = []
+        for drive in world.asked.values():
+            rows += ask(self.localizer(site), drive, True, EVERY_M)
+            for other in elsewhere:
+                rows += ask(self.localizer(other), drive, False, EVERY_M)
+        for recording in real:
+            rows += ask(self.localizer(site), recording, False, REAL_EVERY_M)
+        self.add(world.name, rows)
+        return site
 
 
 def fit(rows: np.ndarray) -> np.ndarray:
@@ -214,7 +248,12 @@ def main() -> None:
     args = parser.parse_args()
     if args.rows is None:
         real = [open_sequence(*map(Path, pair.split("="))) for pair in args.real]
-        rows = collect(worlds(args.sensors, args.first_seed, args.each), real, args.out)
+        calibration, before = Calibration(args.out), None
+        for recording in real:
+            calibration.real(recording)
+        for world in worlds(args.sensors, args.first_seed, args.each):
+            before = calibration.world(world, before, real)
+        rows = np.array(calibration.rows)
     else:
         rows = np.load(args.rows)["rows"]
     p = held_out(rows)

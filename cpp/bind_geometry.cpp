@@ -148,7 +148,7 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
     const std::size_t m = points.shape(0);
     for (std::size_t h = 0; h < share.size(); ++h) {
       const auto found = index.overlap(points.data(), m, poses.data() + 16 * h, radius);
-      share[h] = m == 0 ? 0.0 : double(found.near) / double(m);
+      share[h] = found.judged == 0 ? 0.0 : double(found.near) / double(found.judged);
       rmse[h] = std::sqrt(found.squared_sum / double(found.near));  // NaN where nothing is near
     }
   }

@@ -24,7 +24,8 @@ std::uint64_t PointIndex::key(std::int64_t x, std::int64_t y, std::int64_t z) co
 }
 
 // Cells twice as wide as the radius: a neighbourhood touches eight of them at most.
-PointIndex::PointIndex(const float* points, std::size_t n, double radius) : cell_(2.0 * radius) {
+PointIndex::PointIndex(const float* points, std::size_t n, double radius)
+    : reach_(points, n), cell_(2.0 * radius) {
   const CellOrder cells = sort_into_cells(points, n, cell_);
   points_.resize(n);
   original_.assign(cells.order.begin(), cells.order.end());
@@ -106,6 +107,8 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
     for (int a = 0; a < 3; ++a) {
       moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] + T[4 * a + 3]);
     }
+    if (!reach_.contains(moved[0], moved[1], moved[2])) continue;
+    ++result.judged;
     const float d2 = nearest_squared(moved, limit);
     if (d2 > limit) continue;
     ++result.near;

@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "reach.h"
+
 namespace segloc {
 
 class PointIndex {
@@ -16,8 +18,9 @@ class PointIndex {
   using Point = std::array<float, 3>;
 
   struct Overlap {
-    std::size_t near = 0;    // points with a map point within the radius
-    double squared_sum = 0;  // of the distances of those
+    std::size_t judged = 0;  // points no higher than the indexed ones reach around them
+    std::size_t near = 0;    // those with an indexed point within the radius
+    double squared_sum = 0;  // of the distances of the latter
   };
 
   // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
@@ -47,6 +50,7 @@ class PointIndex {
   const Slot* find(std::uint64_t key) const;
   void fill_tiles();
 
+  Reach reach_;
   double cell_;
   std::vector<Point> points_;
   std::vector<std::uint32_t> original_;

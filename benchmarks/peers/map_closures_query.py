@@ -1,54 +1,61 @@
-"""The queries of ``bench_query.py`` by map-closures, in a virtual environment of its own.
+"""map-closures (Gupta et al., ICRA 2024): ORB features of density images of local maps.
 
-    python benchmarks/bench_query.py KITTI00 --export clouds.npz
-    python3 -m venv peers && peers/bin/pip install map-closures "numpy<2.3"
-    peers/bin/python benchmarks/peers/map_closures_query.py clouds.npz
+    python benchmarks/peers/map_closures_query.py OUT/accumulated --views long
 
-Each view of the map becomes a local map of map-closures; a query is found if the best closure
-gives a pose within 3 m. Times are of the processor, for storing and asking at once: there is no
-call for asking alone.
+Run it in an environment of its own (see README.md). There is no call that asks without
+storing, so the time of a query includes storing it, and closures with earlier queries are left out.
 """
 
-import statistics
-import sys
-import time
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
 
 import numpy as np
+from exchange import Answers, Clouds
 from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
 
-NEAR_M = 3.0
-MIN_INLIERS = 5
+REACH_M = 50.0
 
 
-def main(path: str) -> None:
-    data = np.load(path)
-    for kind in ("single", "accumulated"):
-        ask(data, kind)
+def near(points: np.ndarray) -> np.ndarray:
+    return points[np.hypot(points[:, 0], points[:, 1]) < REACH_M].astype(np.float64)
 
 
-def ask(data: np.lib.npyio.NpzFile, kind: str) -> None:
-    """Store the views, ask for every query of a kind, and print what came of it."""
-    views = sum(name.startswith("view_pose") for name in data.files)
-    queries = sum(name.startswith("pose") for name in data.files)
-    closures = MapClosures(MapClosuresConfig())
-    for k in range(views):
-        closures.get_best_closure(k, data[f"view{k}"].astype(np.float64))
-    times, found, wrong = [], 0, 0
-    for k in range(queries):
-        cloud, truth = data[f"{kind}{k}"].astype(np.float64), data[f"pose{k}"]
-        start = time.process_time()
-        best = closures.get_best_closure(views + k, cloud)
-        times.append(1e3 * (time.process_time() - start))
-        if not 0 <= best.source_id < views or best.number_of_inliers < MIN_INLIERS:
-            continue
-        # The pose takes points of the view to the query.
-        T = data[f"view_pose{best.source_id}"] @ np.linalg.inv(np.asarray(best.pose))
-        right = np.linalg.norm(T[:2, 3] - truth[:2, 3]) < NEAR_M
-        found, wrong = found + right, wrong + (not right)
-    print(f"map-closures, {views} views, {queries} {kind} clouds: {found} found, ", end="")
-    print(f"{wrong} wrong, median {statistics.median(times):.0f} ms a query")
+def ask(folder: Path, options: argparse.Namespace) -> None:
+    views = Clouds.load(folder / f"views-{options.views}.npz")
+    queries = Clouds.load(folder / "queries.npz")
+    closures = MapClosures(MapClosuresConfig(density_map_resolution=options.resolution))
+    for i in range(len(views)):
+        closures.get_best_closure(i, near(views[i]))
+    answers = Answers(len(queries))
+    for q in range(0, len(queries), options.every):
+        cloud = near(queries[q])
+        with answers.timed(q):
+            found = closures.get_top_k_closures(len(views) + q, cloud, options.top)
+        mapped = [
+            c for c in found if 0 <= c.source_id < len(views) and c.target_id == len(views) + q
+        ]
+        if mapped:
+            best = max(mapped, key=lambda closure: closure.number_of_inliers)
+            # The pose takes points of the view to the query.
+            T = views.poses[best.source_id] @ np.linalg.inv(np.asarray(best.pose))
+            answers.give(q, T, float(best.number_of_inliers))
+        answers.save(folder, f"map_closures-{options.views}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--views", default="long", help="long, short or scan")
+    parser.add_argument("--resolution", type=float, default=0.5, help="of the images, metres")
+    parser.add_argument("--top", type=int, default=20, help="closures looked at")
+    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
+    options = parser.parse_args()
+    for folder in options.folders:
+        ask(folder, options)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()

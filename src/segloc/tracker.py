@@ -22,8 +22,8 @@ class TrackerConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    min_inliers: int = Field(5, ge=2, description="weaker hypotheses are not kept")
-    min_overlap: float = Field(0.5, ge=0, le=1, description="after refinement; the same")
+    min_inliers: int = Field(4, ge=2, description="weaker hypotheses are not kept")
+    min_confidence: float = Field(0.3, ge=0, le=1, description="after refinement; the same")
     tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
     tolerance_deg: float = Field(3.0, gt=0, description="the same for their headings, degrees")
     drift: float = Field(0.02, ge=0, description="odometry errs by this share of the way")
@@ -137,7 +137,7 @@ class Tracker:
             return [kept(verdict.best, True)]
         strong = [h for h in found.hypotheses if h.inliers >= config.min_inliers]
         refined = [localizer.verifier.refined(h, scene) for h in strong[: config.candidates]]
-        fitting = [h for h in refined if h.overlap >= config.min_overlap]
+        fitting = [h for h in refined if confidence(h) >= config.min_confidence]
         return sorted((kept(h, False) for h in fitting), key=lambda k: -k.confidence)
 
     def _merge(self, view: _Kept) -> None:

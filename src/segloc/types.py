@@ -231,7 +231,8 @@ class Hypothesis:
     inliers : int
         Distinct query segments that agree with the pose (one map segment each).
     overlap : float
-        Share of the live cloud's points that have a map point near them, in [0, 1].
+        Share of the live cloud's points, up to the height that the map reaches there, that have a
+        map point near them, in [0, 1].
     seen : float
         The other way round: share of the map's points in view that have a live point near them, in
         [0, 1]; the others were looked through. NaN where too few are in view.
@@ -260,7 +261,8 @@ class Localization:
     inliers : int
         Distinct segments that agree with the best hypothesis.
     overlap : float
-        Share of the live cloud explained by the map at the best hypothesis, in [0, 1].
+        Share of the live cloud, up to the height that the map reaches there, that lies on the map
+        at the best hypothesis, in [0, 1].
     seen : float
         Share of the map in view that the live cloud confirms there, in [0, 1]; the rest was looked
         through. NaN where too little of the map is in view to tell.

@@ -21,14 +21,14 @@ class VerificationConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    min_inliers: int = Field(6, ge=2, description="distinct segments that must agree")
+    min_inliers: int = Field(5, ge=2, description="distinct segments that must agree")
     extra_inliers: int = Field(
         2, ge=0, description="so many more among more neighbours, where more agree by chance"
     )
     min_overlap: float = Field(
-        0.55, ge=0, le=1, description="share of the live cloud that must lie on the map"
+        0.25, ge=0, le=1, description="share of the live cloud that must lie on the map"
     )
-    min_confidence: float = Field(0.5, ge=0, le=1, description="calibrated probability needed")
+    min_confidence: float = Field(0.7, ge=0, le=1, description="calibrated probability needed")
     ambiguity: float = Field(
         0.85, gt=0, description="a second place with this share of the support is one too many"
     )
@@ -102,7 +102,8 @@ class Verifier:
         """Rank the candidates, refine the best and decide.
 
         A pose is believed when enough distinct segments agree with it, enough of the live cloud
-        lies on the map after ICP, and no different place explains the scan about as well.
+        lies on the map after ICP, enough of the map in view is seen, and no different place
+        explains the scan about as well.
         """
         if not hypotheses:
             return Verdict("no consistent matches", None, None, 0.0, starved=True)
@@ -148,26 +149,25 @@ class Verifier:
         needed: int,
     ) -> Verdict:
         config, coarse = self.config, ranked[chosen]
+        starved = coarse.inliers < needed + config.extra_inliers
         if coarse.inliers < needed:
             reason = f"too few inliers ({coarse.inliers} < {needed})"
             other = _elsewhere(ranked, coarse, config.separation)
-            return Verdict(reason, coarse, other, 0.0, starved=True)
+            return Verdict(reason, coarse, other, 0.0, starved)
         best = self._refined(coarse, scene, sample)
         runner_up = _elsewhere(ranked, best, config.separation)
         p = confidence(best)
         if best.overlap < config.min_overlap:
             reason = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
-        elif runner_up and _support(runner_up) > config.ambiguity * _support(coarse):
-            reason = "ambiguous"
-        elif double := self._double(ranked, coarse, best, scene, sample):
-            reason, runner_up = "ambiguous", double
         elif p < config.min_confidence:
             reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
+        elif rival := self._rival(ranked, coarse, best, scene, sample):
+            return Verdict("ambiguous", best, rival, p)
         else:
-            reason = ""
-        return Verdict(reason, best, runner_up, p)
+            return Verdict("", best, runner_up, p)
+        return Verdict(reason, best, runner_up, p, starved)
 
-    def _double(
+    def _rival(
         self,
         ranked: list[Hypothesis],
         coarse: Hypothesis,
@@ -175,20 +175,27 @@ class Verifier:
         scene: Segmentation,
         sample: Float32,
     ) -> Hypothesis | None:
-        """A different place at which the clouds fit as well, however few segments were matched.
+        """A different place that explains the scan about as well: by its segments or its clouds.
 
-        Where a place repeats itself, it is chance which of its parts a segment is matched to.
+        Where a place repeats itself, it is chance which of its parts a segment is matched to: few
+        matches do not speak against a place at which the clouds fit.
         """
         config = self.config
-        # Refinement gains most where the pose was roughest: the bar before it is lower.
+        # Refinement gains most where a pose was rough: the bar before it is lower.
         bar = config.likeness**2 * coarse.overlap
-        alike = [h for h in ranked if h.overlap >= bar and _apart(h, best, config.separation)]
-        alike.sort(key=lambda h: -h.overlap)
+        alike = [
+            other
+            for other in ranked
+            if _apart(other, best, config.separation)
+            and (other.overlap >= bar or _support(other) > config.ambiguity * _support(coarse))
+        ]
+        alike.sort(key=lambda other: -other.overlap)
         for candidate in alike[: config.max_refined]:
             other = self._refined(candidate, scene, sample)
+            supported = _support(other) > config.ambiguity * _support(best)
             fits = other.overlap >= config.likeness * best.overlap
-            hidden = other.seen < config.likeness * best.seen
-            if fits and not hidden and _apart(other, best, config.separation):
+            likely = confidence(other) >= 0.5 * confidence(best)
+            if (supported or fits) and likely and _apart(other, best, config.separation):
                 return other
         return None
 
@@ -233,11 +240,14 @@ class Verifier:
 
 
 def confidence(hypothesis: Hypothesis) -> float:
-    """Probability that a refined hypothesis is right, from its inliers and its overlap.
+    """Probability that a refined hypothesis is right, from its three witnesses.
 
-    A logistic model, fitted on simulated towns by ``benchmarks/calibrate_confidence.py``.
+    A logistic model of the logarithm of the inliers, the overlap, and what of the map is seen,
+    fitted by ``benchmarks/calibrate_confidence.py``.
     """
-    score = -10.5 + 4.8 * math.log(max(hypothesis.inliers, 1)) + 5.8 * hypothesis.overlap
+    seen = hypothesis.overlap if math.isnan(hypothesis.seen) else hypothesis.seen
+    inliers = math.log(max(hypothesis.inliers, 1))
+    score = -13.6 + 3.7 * inliers + 7.4 * hypothesis.overlap + 5.8 * seen
     return 1.0 / (1.0 + math.exp(-score))
 
 

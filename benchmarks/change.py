@@ -1,0 +1,177 @@
+"""Places that changed: mapped in summer, asked later, the way that was mapped and back against it.
+
+Five simulated worlds are mapped in summer. In another session most leaves have fallen, other cars
+are parked, other people about, and a share of the things that can be moved is replaced. There the
+mapped way is driven again, in another lane, and then back in the opposite direction; all scans are
+asked, each by itself, and clouds accumulated by odometry that drifts.
+
+    python benchmarks/change.py                                     # our method
+    python benchmarks/change.py --methods profile geo dsm --worlds town
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from segloc import Config, Localization, Localizer, Scan
+from segloc.datasets import Recording
+from segloc.descriptors import Descriptor, create
+from segloc.evaluation.asking import Site, build_site
+from segloc.evaluation.failures import funnel
+from segloc.evaluation.localization import Evaluation, query_positions, query_scans
+from segloc.local_cloud import Accumulator
+from segloc.segmentation import Segmenter
+from segloc.simulation import SCENES, Conditions, Lidar, Route, SimulatedSequence, World, hdl64e
+from segloc.simulation.drives import lane, mapped_way
+from segloc.simulation.traversal import simulate_session
+from segloc.types import Float64, Int64
+
+SIZES_M = {"town": 200.0, "park": 200.0, "industrial": 220.0, "meadow": 240.0, "forest": 200.0}
+LENGTH_M = 200.0
+
+
+class Alone:
+    """A drive whose scans are asked one by one: level, but from nowhere."""
+
+    poses = None
+
+    def __init__(self, drive: SimulatedSequence) -> None:
+        self.name, self.indices, self._drive = drive.name, drive.indices, drive
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i."""
+        return self._drive.scan(i)
+
+
+@dataclass(frozen=True)
+class Course:
+    """Queries of one kind: a recording, the positions that are asked, and where all scans were."""
+
+    name: str
+    recording: Recording
+    positions: Int64
+    truths: Float64
+
+
+def way_through(world: World, seed: int) -> tuple[int, ...]:
+    """The way that is mapped."""
+    return tuple(mapped_way(world, np.random.default_rng([seed, 31]), LENGTH_M))
+
+
+def mapped(world: World, seed: int, sensor: Lidar) -> SimulatedSequence:
+    """The drive that the map is made of: summer, nothing replaced."""
+    route = Route(way_through(world, seed), lane(world, 0))
+    return simulate_session(world, 0, route, sensor, seed, name="map")
+
+
+def drives(
+    world: World, seed: int, sensor: Lidar, conditions: Conditions
+) -> dict[str, SimulatedSequence]:
+    """The way in a later session, in another lane, and back against the mapped direction."""
+    way = way_through(world, seed)
+    return {
+        name: simulate_session(
+            world,
+            1,
+            Route(route, lane(world, 1)),
+            sensor,
+            seed + k,
+            name=name,
+            conditions=conditions,
+        )
+        for k, (name, route) in enumerate({"same way": way, "opposite": way[::-1]}.items())
+    }
+
+
+def courses(drive: SimulatedSequence, every: int, accumulated_every_m: float) -> list[Course]:
+    """Its scans alone, and clouds accumulated by odometry that drifts."""
+    alone = np.arange(0, len(drive), every, dtype=np.int64)
+    gathered = query_positions(drive.truth, accumulated_every_m, np.inf)
+    return [
+        Course(f"{drive.name}, single", Alone(drive), alone, drive.truth),
+        Course(f"{drive.name}, accumulated", drive.with_odometry(), gathered, drive.truth),
+    ]
+
+
+def answers(
+    site: Site, course: Course, descriptors: Mapping[str, Descriptor]
+) -> dict[str, Evaluation]:
+    """What every method says; clouds are gathered and segmented once for all."""
+    config = Config(threads=1)
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    found: dict[str, list[Localization]] = {name: [] for name in descriptors}
+    for scans in query_scans(course.recording, course.positions, config.local_cloud):
+        cloud = accumulator.gather(scans)
+        scene = segmenter.segment(cloud)
+        for name, descriptor in descriptors.items():
+            described = descriptor.describe(scene.segments)
+            found[name].append(localizer_of(site, name).locate(cloud, scene, described))
+    truths = course.truths[course.positions]
+    return {
+        name: Evaluation(course.positions, results, site.trajectory, truths)
+        for name, results in found.items()
+    }
+
+
+def localizer_of(site: Site, method: str) -> Localizer:
+    """The one that votes."""
+    return site.localizers[method]["consensus"]
+
+
+def losses(localizer: Localizer, course: Course, e: Evaluation) -> str:
+    """The stages at which the queries were lost that have a place and were not found there."""
+    failed = course.positions[e.with_place & ~e.correct]
+    lost = funnel(localizer, course.recording, course.truths, failed)
+    stages = [f"{n} {stage}" for stage, n in lost.counts().items() if n]
+    gates = [f"{n} {gate}" for gate, n in lost.details().items()]
+    return ", ".join(stages) + (f" ({', '.join(gates)})" if gates else "") or "-"
+
+
+def row(label: str, site: Site, course: Course, descriptors: Mapping[str, Descriptor]) -> str:
+    """Found at a place by each method, all false ones, and where the first method lost some."""
+    scored = answers(site, course, descriptors)
+    first = next(iter(scored))
+    places = int(scored[first].with_place.sum())
+    found = [str(int((e.with_place & e.correct).sum())) for e in scored.values()]
+    false = [str(int(e.false.sum())) for e in scored.values()]
+    lost = losses(localizer_of(site, first), course, scored[first])
+    cells = [label, course.name, str(places), *found, " ".join(false), lost]
+    return f"| {' | '.join(cells)} |"
+
+
+def head(methods: list[str]) -> str:
+    """The head of a table of such rows."""
+    cells = ["world", "queries", "places", *methods, "false", f"lost by {methods[0]}"]
+    return f"| {' | '.join(cells)} |\n|{'---|' * len(cells)}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--methods", nargs="+", default=["profile"])
+    parser.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
+    parser.add_argument("--seed", type=int, default=9000)
+    parser.add_argument("--foliage", type=float, default=0.3)
+    parser.add_argument("--replaced", type=float, default=0.2)
+    parser.add_argument("--every", type=int, default=1, help="scans, 2 m apart, between queries")
+    parser.add_argument("--accumulated-every", type=float, default=4.0, metavar="METRES")
+    args = parser.parse_args()
+    conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
+    descriptors = {name: create(name, 1) for name in args.methods}
+    print(head(args.methods), flush=True)
+    for name in args.worlds:
+        world, sensor = SCENES[name](args.seed, size_m=SIZES_M[name]), hdl64e(900)
+        site = build_site(mapped(world, args.seed, sensor), descriptors)
+        for drive in drives(world, args.seed, sensor, conditions).values():
+            for course in courses(drive, args.every, args.accumulated_every):
+                print(row(name, site, course, descriptors), flush=True)
+
+
+if __name__ == "__main__":
+    main()

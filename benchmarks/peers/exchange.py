@@ -1,0 +1,124 @@
+"""What the systems are given and what they answer, as ``.npz`` files of plain arrays.
+
+It needs NumPy alone, so that it can be imported in the environment of any system. A protocol is a
+folder: ``views-*.npz`` (what a map may be made of), ``queries.npz`` and, from each system,
+``answers-*.npz``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass
+class Clouds:
+    """Point clouds with the true pose of each.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) float64
+        T_map_cloud. A level frame where scans were accumulated, and the sensor's where not.
+    scans : (N,) int64
+        From how many scans each cloud was gathered.
+    has_place : (N,) bool
+        Whether the map holds the place of a query.
+    group : (N,) str
+        What is told apart in the tables; the same for all where nothing is.
+    points : (M, 3) float32
+        Of all clouds, one after another; cloud i is ``points[offsets[i]:offsets[i + 1]]``.
+    """
+
+    poses: NDArray[np.float64]
+    scans: NDArray[np.int64]
+    has_place: NDArray[np.bool_]
+    group: NDArray[np.str_]
+    points: NDArray[np.float32]
+    offsets: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __getitem__(self, i: int) -> NDArray[np.float32]:
+        return self.points[self.offsets[i] : self.offsets[i + 1]]
+
+    def save(self, path: Path) -> None:
+        np.savez(path, **vars(self))
+
+    @classmethod
+    def load(cls, path: Path) -> Clouds:
+        with np.load(path) as arrays:
+            return cls(**arrays)
+
+
+@dataclass
+class Gathering:
+    """Clouds that are still being gathered."""
+
+    items: list[tuple[NDArray[np.float32], NDArray[np.float64], int, bool, str]] = field(
+        default_factory=list
+    )
+
+    def add(
+        self,
+        points: NDArray[np.float32],
+        pose: NDArray[np.float64],
+        scans: int = 1,
+        has_place: bool = True,
+        group: str = "all",
+    ) -> None:
+        self.items.append((points, pose, scans, has_place, group))
+
+    def clouds(self) -> Clouds:
+        points, poses, scans, has_place, group = zip(*self.items, strict=True)
+        return Clouds(
+            np.stack(poses),
+            np.array(scans, dtype=np.int64),
+            np.array(has_place, dtype=bool),
+            np.array(group),
+            np.concatenate(points).astype(np.float32),
+            np.cumsum([0, *map(len, points)], dtype=np.int64),
+        )
+
+
+class Answers:
+    """One system's answers to the queries of a protocol.
+
+    A system with a verdict of its own says of each answer whether it believes it; the others give
+    scores, and their threshold is set afterwards (see ``compare.py``).
+    """
+
+    def __init__(self, count: int, *, verdict: bool = False) -> None:
+        self.poses = np.full((count, 4, 4), np.nan)
+        self.scores = np.full(count, -np.inf)
+        self.ms = np.zeros(count)
+        self.asked = np.zeros(count, dtype=bool)
+        self.verdict = np.array(verdict)
+
+    @contextmanager
+    def timed(self, query: int) -> Iterator[None]:
+        """Adds processor time spent on a query."""
+        start = time.process_time()
+        yield
+        self.ms[query] += 1e3 * (time.process_time() - start)
+        self.asked[query] = True
+
+    def give(self, query: int, pose: NDArray[np.float64], score: float) -> None:
+        self.poses[query], self.scores[query] = pose, score
+
+    def save(self, folder: Path, system: str) -> None:
+        np.savez(folder / f"answers-{system}.npz", **vars(self))
+
+    @classmethod
+    def load(cls, path: Path) -> Answers:
+        answers = cls(0)
+        with np.load(path) as arrays:
+            for name, array in arrays.items():
+                setattr(answers, name, array)
+        return answers

@@ -1,0 +1,86 @@
+"""segloc on the clouds that the other systems get, with its own verdict.
+
+    python benchmarks/peers/segloc_query.py OUT/single
+
+Its map is made as ``segloc map build`` makes one, of long and short views. Its own answer to how
+sure it is stands: no threshold is set afterwards.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from exchange import Answers, Clouds
+
+from segloc import Config, Localizer, SegmentMap, geometry
+from segloc.descriptors import create
+from segloc.local_cloud import Accumulator
+from segloc.segmentation import Segmenter
+from segloc.types import LocalCloud, Scan
+
+
+def local_cloud(clouds: Clouds, i: int, config: Config) -> LocalCloud:
+    """A cloud as segloc takes it in, cut to its own radius."""
+    near = Accumulator(config.local_cloud).gather(Scan(clouds[i]))
+    return LocalCloud(near.points, np.eye(4), int(clouds.scans[i]))
+
+
+def site_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
+    """A map of views, each segmented and described."""
+    descriptor, segmenter = create(config.method, config.threads), Segmenter(config.segmentation)
+    parts = [Clouds.load(folder / f"views-{name}.npz") for name in names]
+    origin = parts[0].poses[0, :3, 3]
+    site = SegmentMap.empty(
+        descriptor.name,
+        descriptor.fingerprint,
+        descriptor.dim,
+        origin,
+        cloud_voxel=config.mapping.cloud_voxel,
+    )
+    for views in parts:
+        for i, T in enumerate(views.poses):
+            scene = segmenter.segment(local_cloud(views, i, config))
+            site.add(
+                descriptor.describe(scene.segments),
+                geometry.transform(T, scene.segments.centroids),
+                scene.segments.sizes,
+                session=0,
+                stamp=float(i),
+                cloud=geometry.transform(T, scene.surface),
+            )
+    return site
+
+
+def ask(folder: Path, options: argparse.Namespace) -> None:
+    config = Config.preset(options.method).model_copy(update={"threads": 1})
+    localizer = Localizer(site_of(folder, options.views, config), config)
+    queries = Clouds.load(folder / "queries.npz")
+    answers = Answers(len(queries), verdict=True)
+    for q in range(0, len(queries), options.every):
+        with answers.timed(q):
+            result = localizer.localize(local_cloud(queries, q, config))
+        if result.T_map_sensor is not None:
+            answers.give(q, result.T_map_sensor, result.confidence)
+        answers.save(folder, f"segloc-{options.method}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--views", nargs="+", default=["long", "short"])
+    parser.add_argument("--method", default="profile")
+    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
+    options = parser.parse_args()
+    for folder in options.folders:
+        ask(folder, options)
+
+
+if __name__ == "__main__":
+    main()
