@@ -209,6 +209,11 @@ def test_the_command_writes_all_of_it(
     with (out / "loops.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert sum(row["accepted"] == "1" for row in rows) == facts["loops"]["accepted"]
+    rejected = [row for row in rows if row["accepted"] == "0"]
+    assert len(rejected) == facts["loops"]["rejected"]
+    assert all(row["reason"] for row in rejected)
+    for row in rows:  # residuals before and after of what was believed
+        assert row["accepted"] == "0" or float(row["after_m"]) <= float(row["before_m"]) + 0.5
     assert (out / "before_after.png").read_bytes()[:4] == b"\x89PNG"
     poses = read_trajectory(out / "session_1.tum")
     assert len(poses) == 15
@@ -228,7 +233,17 @@ def test_the_command_writes_all_of_it(
     assert min(far) > 20
     assert max(near) < 1.0  # both within 0.5 m of the object's largest view
     assert any(p["first_session"] != p["second_session"] for p in pairs if p["match"] == "1")
-    assert (out / "dataset" / "index.json").is_file()
+    _trains_on(out / "dataset", tmp_path / "weights.safetensors", monkeypatch)
+
+
+def _trains_on(dataset: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    arguments = ["--out", str(weights), "--steps", "20", "--threads", "1"]
+    monkeypatch.setattr("sys.argv", ["segloc", "train", "profile", str(dataset), *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    assert weights.is_file()
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,13 @@ def test_without_poses_and_without_numbers(tmp_path: Path) -> None:
     assert sequence.scan(1).T_odom_sensor is None
 
 
+def test_the_file_of_one_scan_is_a_recording_of_it(tmp_path: Path) -> None:
+    folder = recording(tmp_path / "run", ["7.ply", "8.ply"])
+    one = open_sequence(folder / "8.ply")
+    assert (one.name, one.indices.tolist()) == ("8.ply", [8])
+    np.testing.assert_array_equal(one.scan(0).points, FolderSequence(folder).scan(1).points)
+
+
 def test_text_files_are_scans_only_among_themselves(tmp_path: Path) -> None:
     folder = recording(tmp_path / "run", ["1.csv", "2.csv"])
     write_kitti(folder / "poses.txt", straight([0, 1, 2]))
@@ -138,10 +145,15 @@ def test_folders_that_are_no_recordings(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no scans in a known format"):
         FolderSequence(empty)
     (empty / "photo.png").write_bytes(b"")
-    with pytest.raises(DatasetError, match="not a folder"):
+    with pytest.raises(DatasetError, match=r"photo\.png: no recording in a known format"):
         FolderSequence(empty / "photo.png")
     with pytest.raises(DatasetError, match="no scans in a known format among its 1 files"):
         open_sequence(empty)
+    over = tmp_path / "over"
+    over.mkdir()
+    recording(over / "more", ["0.npy"])
+    with pytest.raises(DatasetError, match="among its 0 files; there are some in more"):
+        open_sequence(over)
     twice = recording(tmp_path / "twice", ["a_01.npy", "b_1.npy"])
     with pytest.raises(DatasetError, match=r"a_01\.npy and b_1\.npy are both scan 1"):
         FolderSequence(twice)

@@ -88,7 +88,7 @@ def test_a_capture_that_was_cut_off_or_is_none(tmp_path: Path) -> None:
         path.write_bytes(whole[:size])
         with pytest.raises(DatasetError, match=r"drive\.pcap: (cut off|no turn)"):
             open_sequence(path)
-    path.write_bytes(b"\n\r\r\n" + whole)
+    path.write_bytes(b"none" + whole)
     with pytest.raises(DatasetError, match="not a capture in the format of libpcap"):
         open_sequence(path)
     path.write_bytes(whole[:-700])

@@ -1,4 +1,4 @@
-"""Sessions of a push-broom sensor in RobotCar's layout: aligned, made training data, mapped, asked.
+"""Sessions of a push-broom sensor in RobotCar's layout, through `examples/robotcar.sh`.
 
 The sweeps are a simulated LMS-151's and the poses drift; the simulator's poses are only compared
 with.
@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
+import os
+import subprocess
+import sysconfig
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +18,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("torch", reason="training needs the extra 'train'")
 
 from dataset_samples import FLIP, START
 from robotcar_samples import FRONT, T_sensor_car, write_drive
 
-from segloc import Config, Localizer, SegmentMap, cli, geometry
+from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.datasets import open_sequence, swathes
 from segloc.evaluation.localization import localize_sequence, query_positions
 from segloc.io import read_trajectory
@@ -30,13 +33,7 @@ from segloc.training.shards import load_dataset
 from segloc.types import Float64
 
 LENGTH_M = 110.0
-
-
-def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> None:
-    monkeypatch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    assert not left.value.code
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "robotcar.sh"
 
 
 @dataclass
@@ -45,7 +42,12 @@ class Traversals:
 
     folders: list[Path]
     truths: list[Float64]
-    aligned: Path
+    out: Path
+    said: str
+
+    @property
+    def aligned(self) -> Path:
+        return self.out / "aligned"
 
     def error(self, session: int, index: int, T_world_car: Float64) -> float:
         """How far a pose in the aligned world is off, seen from the nearest pose of session 0."""
@@ -68,10 +70,27 @@ def traversals(tmp_path_factory: pytest.TempPathFactory) -> Traversals:
     for k, drive in enumerate(drives):
         folders.append(write_drive(root / f"2014-11-2{k}-16-07-03", drive.with_odometry()))
         truths.append(drive.truth @ T_sensor_car(drive.sensor))
-    aligned = root / "aligned"
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        segloc(monkeypatch, "align", *folders, "--pairs", "--threads", "1", "--out", aligned)
-    return Traversals(folders, truths, aligned)
+    out = root / "out"
+    scripts = sysconfig.get_path("scripts")
+    given = {"NETWORK": "profile", "STEPS": "20", "EVERY": "8"}
+    run = subprocess.run(
+        ["bash", str(EXAMPLE), str(out), *map(str, folders)],
+        env={**os.environ, **given, "PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr[-2000:]
+    return Traversals(folders, truths, out, run.stdout)
+
+
+def test_every_step_says_what_it_found(traversals: Traversals) -> None:
+    said = " ".join(traversals.said.split())
+    assert said.count("Oxford RobotCar") == 3
+    assert said.count("2D, one plane") == 3
+    for fact in ("loops accepted", "profile.safetensors: auc", "recall@25", "not localized"):
+        assert fact in said
+    assert (traversals.out / "profile.safetensors").is_file()
 
 
 def test_sessions_are_aligned(traversals: Traversals) -> None:
@@ -101,21 +120,16 @@ def test_pairs_are_of_swathes_and_across_sessions(traversals: Traversals) -> Non
     assert max(near) < 1.0
 
 
-def test_a_map_of_one_session_localizes_another(
-    traversals: Traversals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, _, last = traversals.folders
-    site, out = tmp_path / "site.segmap", tmp_path / "results"
-    poses = traversals.aligned / "session_0.tum"
-    one = ("--threads", "1")
-    segloc(monkeypatch, "map", "build", first, "--poses", poses, "--out", site, *one)
-    segloc(monkeypatch, "localize", last, "--map", site, "--every", "8", "--out", out, *one)
-    found = read_trajectory(out / "poses.tum")
+def test_a_map_of_one_session_localizes_another(traversals: Traversals) -> None:
+    last, out = traversals.folders[-1], traversals.out
+    found = read_trajectory(out / "results" / "poses.tum")
     assert len(found) >= 10  # of 14
     for number, pose in zip(found.stamps, found.poses, strict=True):
         assert traversals.error(2, int(number), pose) < 1.0
+    summary = json.loads((out / "results" / "summary.json").read_text())
+    assert (summary["correct"], summary["false"]) == (len(found), 0)
 
-    localizer = Localizer(SegmentMap.load(site), Config(threads=1))
+    localizer = Localizer(SegmentMap.load(out / "site.segmap"), Config(threads=1))
     gathered = swathes(open_sequence(last), 30.0)
     answers = [localizer.localize(gathered.scan(i)) for i in range(len(gathered))]
     places = [answer.T_map_sensor for answer in answers]

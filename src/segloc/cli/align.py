@@ -80,7 +80,7 @@ def align(
 
 def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
     """Refuse sessions without poses before the work, and say where sensors differ."""
-    from ..datasets.inspection import sensor_of
+    from ..datasets.signature import sensor_of
     from ..errors import DatasetError
     from .console import note
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -26,7 +27,12 @@ def info(
     from ..datasets.inspection import Inspectable, inspect
 
     recording = cast(Inspectable, open_sequence(sequence, poses, select, topic=topic))
-    show(recording, inspect(recording, sample))
+    found = inspect(recording, sample)
+    show(recording, found)
+    sequence = sequence.resolve()
+    if recording.poses is None and poses is None:
+        for name in pose_files(sequence):
+            print(f"- {name} beside the scans may be their poses: --poses {name}")
 
 
 def show(recording: Inspectable, found: Inspection) -> None:
@@ -52,3 +58,10 @@ def show(recording: Inspectable, found: Inspection) -> None:
     table(recording.name, ("", ""), rows)
     for line in found.problems:
         print(f"- {line}")
+
+
+def pose_files(sequence: Path) -> list[str]:
+    """Files that ``--poses`` finds by their names alone and that may be a recording's poses."""
+    inside = sorted(sequence.glob("*.tum")) if sequence.is_dir() else []
+    beside = [sequence.parent / f"{sequence.name}{end}" for end in (".tum", ".odometry.tum")]
+    return [path.name for path in (*inside, *beside) if path.is_file()]

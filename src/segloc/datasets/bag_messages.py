@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..types import Scan
-from . import laserscan, livox, pointcloud2
+from . import bag_ouster, laserscan, livox, pointcloud2
 from .bag_headers import seconds
 from .velodyne import decode
 
@@ -16,7 +16,9 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 _LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
 _PACKETS = "velodyne_msgs/msg/VelodyneScan"
 _SWEEP = "sensor_msgs/msg/LaserScan"
-KINDS: tuple[tuple[str, ...], ...] = ((_CLOUD,), _LIVOX, (_PACKETS,), (_SWEEP,))
+KINDS: tuple[tuple[str, ...], ...] = (
+    (_CLOUD,), _LIVOX, (_PACKETS,), bag_ouster.KINDS, (_SWEEP,),
+)  # fmt: skip
 """Types of messages; those of an earlier group are taken where nothing is chosen."""
 _FIELDS = {
     _PACKETS: "x y z intensity ring time",

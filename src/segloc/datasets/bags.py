@@ -6,17 +6,15 @@ the package rosbags; here is which messages are scans, and how one of them is fo
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import DatasetError, MissingDependency
-from ..io._columns import one_line
+from ..errors import DatasetError
 from ..types import Scan
+from . import bag_ouster
+from .bag_file import BagFile, faults_of, opened
 from .bag_headers import Headers, read_headers
 from .bag_messages import KINDS, fields_of, scan_of
 from .recorded import Found
@@ -60,8 +58,11 @@ def find(path: Path, topic: str | None) -> Found:
     from .bag_poses import find_track
 
     paths = bag_paths(path)
+    name = path.resolve().stem if path.is_file() else path.resolve().name
     with opened(paths) as reader:
         chosen = _choose(path, reader, topic)
+        if bag_ouster.on(reader, chosen):
+            return bag_ouster.find(reader, paths, chosen, name, _kind(paths[0]))
         headers = read_headers(reader, paths, chosen)
         if not len(headers):
             raise DatasetError(f"{path}: no message on {chosen}")
@@ -69,7 +70,7 @@ def find(path: Path, topic: str | None) -> Found:
         track, remarks = find_track(reader, headers.frames[0])
         fields = _fields(reader, chosen)
     return Found(
-        name=path.resolve().stem if path.is_file() else path.resolve().name,
+        name=name,
         format=_kind(paths[0]),
         source=BagSource(paths, chosen, headers),
         indices=np.arange(len(headers)),
@@ -86,42 +87,6 @@ def _kind(path: Path) -> str:
     if path.is_file():
         return _STORAGE[path.suffix]
     return f"ROS 2 bag, {'MCAP' if '.mcap' in _stored(path)[0].name else 'SQLite'}"
-
-
-@contextmanager
-def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
-    """A reader of the bag; whatever goes wrong with it is a fault of the bag.
-
-    Raises
-    ------
-    DatasetError
-        If it is cut off, damaged or of a kind that cannot be read.
-    MissingDependency
-        If the package rosbags is not installed.
-    """
-    with faults_of(paths[0]), _reader(paths) as reader:
-        yield reader
-
-
-def _reader(paths: tuple[Path, ...]) -> AnyReader:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingDependency("rosbags", "ros", "reading bags") from error
-    # Older ROS 2 bags do not hold the definitions of their messages.
-    return AnyReader(list(paths), default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-
-
-@contextmanager
-def faults_of(path: Path) -> Iterator[None]:
-    """Turn any error into one of the file's: damaged bytes show in any way."""
-    try:
-        yield
-    except (DatasetError, MissingDependency):
-        raise
-    except Exception as error:
-        raise DatasetError(f"{path}: cannot be read as a bag: {one_line(error)}") from error
 
 
 def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
@@ -146,7 +111,7 @@ def _counts(reader: AnyReader, kinds: tuple[str, ...]) -> dict[str, int]:
     """How many messages there are on each topic of some types."""
     counts: dict[str, int] = {}
     for item in reader.connections:
-        if item.msgtype in kinds:
+        if item.msgtype in kinds and not bag_ouster.inertial(item):
             counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
     return counts
 
@@ -192,28 +157,27 @@ class BagSource:
     """
 
     def __init__(self, paths: tuple[Path, ...], topic: str, headers: Headers) -> None:
-        self._paths, self._topic, self._headers = paths, topic, headers
-        self._reader: AnyReader | None = None
+        self._file, self._topic, self._headers = BagFile(paths), topic, headers
 
     def __len__(self) -> int:
         return len(self._headers)
 
     def where(self, k: int) -> str:
         """The message, as errors name it."""
-        return f"{self._paths[0]}: message {k} of {self._topic}"
+        return f"{self._file.path}: message {k} of {self._topic}"
 
     def read(self, k: int) -> Scan:
         """The cloud at position k."""
         stamp = float(self._headers.stamps[k])
-        with faults_of(self._paths[0]):
+        with faults_of(self._file.path):
             data, kind = self._message(k)
             try:
-                return scan_of(self._open(), data, kind, stamp, self.where(k))
+                return scan_of(self._file.reader(), data, kind, stamp, self.where(k))
             except DatasetError as error:
                 raise DatasetError(f"{self.where(k)}: {error}") from error
 
     def _message(self, k: int) -> tuple[bytes, str]:
-        reader = self._open()
+        reader = self._file.reader()
         logged, rank = int(self._headers.logged[k]), int(self._headers.ranks[k])
         wanted = [item for item in reader.connections if item.topic == self._topic]
         messages = reader.messages(wanted, start=logged, stop=logged + 1)
@@ -221,14 +185,3 @@ class BagSource:
             if position == rank:
                 return data, item.msgtype
         raise DatasetError(f"{self.where(k)}: is not there any more")
-
-    def _open(self) -> AnyReader:
-        if self._reader is None:
-            reader = _reader(self._paths)
-            reader.open()
-            weakref.finalize(self, reader.close)
-            self._reader = reader
-        return self._reader
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "_reader": None}  # a process opens the bag for itself

@@ -18,6 +18,7 @@ from .base import Selection
 from .recorded import corrected
 
 _TEXT_SUFFIXES = frozenset({".csv", ".txt"})  # that poses and lists come in, too
+_LISTED = 5
 _DIGITS = re.compile(r"\d+", re.ASCII)
 
 
@@ -38,6 +39,7 @@ class FolderSequence:
     Parameters
     ----------
     folder : path
+        Or the file of one scan.
     poses : path, optional
         A TUM file whose stamps are the scans' indices, or seconds: one with stamps that are no
         whole numbers, and as many rows as there are scans, is taken in the order of the scans. Or
@@ -165,8 +167,11 @@ class FolderSequence:
 
 
 def _scan_paths(folder: Path, poses: Path | None) -> list[Path]:
+    if folder.is_file() and scan_suffix(folder):
+        return [folder]
     if not folder.is_dir():
-        raise DatasetError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
+        fault = "no recording in a known format" if folder.exists() else "no such folder or file"
+        raise DatasetError(f"{folder}: {fault}")
     try:
         files = [path for path in folder.iterdir() if path.is_file()]
     except OSError as error:
@@ -178,8 +183,21 @@ def _scan_paths(folder: Path, poses: Path | None) -> list[Path]:
     ]
     others = [path for path in scans if scan_suffix(path) not in _TEXT_SUFFIXES]
     if not scans:
-        raise DatasetError(f"{folder}: no scans in a known format among its {len(files)} files")
+        raise DatasetError(
+            f"{folder}: no scans in a known format among its {len(files)} files{_below(folder)}"
+        )
     return sorted(others or scans, key=_natural_key)
+
+
+def _below(folder: Path) -> str:
+    """Which folders in it may be meant."""
+    names = sorted(
+        path.name
+        for path in folder.iterdir()
+        if path.is_dir() and any(scan_suffix(file) for file in path.iterdir())
+    )
+    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    return f"; there are some in {listed}" if names else ""
 
 
 def _same(path: Path, other: Path) -> bool:

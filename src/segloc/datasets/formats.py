@@ -15,6 +15,7 @@ from . import (
     nclt,
     newer_college,
     nuscenes,
+    ouster,
     robotcar,
     velodyne,
 )
@@ -42,7 +43,7 @@ class Format(Protocol):
 
 _MODULES = (
     bags, kitti_raw, kitti, robotcar, newer_college, nclt, boreas, helipr, mulran, nuscenes,
-    velodyne,
+    ouster, velodyne,
 )  # fmt: skip
 FORMATS = tuple(cast(Format, module) for module in _MODULES)
 """The first that recognises a path reads it."""

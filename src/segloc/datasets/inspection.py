@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import geometry
 from ..errors import DatasetError
-from ..types import Float32, Float64, Int64, Scan
-from .base import Recording
+from ..types import Float64, Int64, Scan
 from .recorded import times_fit
+from .signature import Signature, signature
 from .tracks import Track
 
 _FASTEST_M_S = 60.0
 _ODD_SIZE = 3.0  # times more or fewer points than the median
-_FLAT_M = 0.005
-_BIN_DEG = 0.02
-_MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
 _SUBSTANTIAL = 0.05
-PUSH_BROOM = "a sweep of one plane"
+_FEWEST_POINTS = 1000  # that tell a sensor from another
+_MOST_CHANGES = 3  # of the sensor that are listed
 
 
 class Inspectable(Protocol):
@@ -100,13 +98,14 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
         except DatasetError as error:
             problems.append(str(error))
     problems += _scan_problems(recording, scans)
+    problems += _sensor_problems(recording, scans)
     problems += _time_problems(recording) + _pose_problems(recording)
     sizes = [len(scan) for _, scan in scans]
     dropped = sum(scan.dropped for _, scan in scans)
     stamps, poses = recording.stamps, recording.poses
     steps = np.diff(stamps) if stamps is not None else np.empty(0)
     return Inspection(
-        sensor=_sensor([scan.points for _, scan in scans]),
+        sensor=_sensor(scans),
         sampled=len(scans),
         points=int(np.median(sizes)) if sizes else 0,
         dropped=dropped / max(1, dropped + sum(sizes)),
@@ -129,15 +128,61 @@ def _source(recording: Inspectable) -> str:
 def _scan_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
     problems = []
     median = float(np.median([len(scan) for _, scan in scans])) if scans else 0.0
+    if scans and not any(len(scan) for _, scan in scans):
+        return [f"no point in any of the {len(scans)} scans that were read"]
     for i, scan in scans:
-        where, whole = recording.where(i), len(scan) + scan.dropped
-        if not _within(len(scan), median):
-            problems.append(f"{where}: {len(scan)} points, where others have {median:.0f}")
-        elif scan.dropped > _SUBSTANTIAL * whole:
+        where = recording.where(i)
+        if _broken(scan):
+            whole = len(scan) + scan.dropped
             problems.append(f"{where}: {scan.dropped} of {whole} points are not finite")
+        elif not _within(len(scan), median):
+            problems.append(f"{where}: {len(scan)} points, where others have {median:.0f}")
         if scan.times is not None and len(scan) and not times_fit(scan):
             problems.append(f"{where}: times are not seconds after the stamp: not de-skewed")
     return problems
+
+
+def _sensor(scans: list[tuple[int, Scan]]) -> str:
+    """What the largest scan was measured by."""
+    largest = max((scan for _, scan in scans), key=len, default=None)
+    found = None if largest is None else signature(largest.points)
+    return "unknown" if found is None else str(found)
+
+
+def _sensor_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
+    """Where scans begin to be of another sensor: between those of the sample it is searched for."""
+    whole = [(i, scan) for i, scan in scans if not _broken(scan) and len(scan) >= _FEWEST_POINTS]
+    signed = [(i, signature(scan.points)) for i, scan in whole]
+    known = [(i, found) for i, found in signed if found is not None]
+    changes = []
+    for (low, old), (high, new) in pairwise(known):
+        if new.is_like(old):
+            continue
+        place = _first_unlike(recording, old, low, high)
+        changes.append(
+            f"{recording.where(place)}: another sensor from here on: {new}, before it {old}"
+        )
+    more = len(changes) - _MOST_CHANGES
+    return [*changes[:_MOST_CHANGES], *([f"{more} more changes of the sensor"] if more > 0 else [])]
+
+
+def _first_unlike(recording: Inspectable, old: Signature, low: int, high: int) -> int:
+    """The position of the change; ``low`` is like ``old``, ``high`` is not."""
+    while high - low > 1:
+        middle = (low + high) // 2
+        try:
+            found = signature(recording.raw(middle).points)
+        except DatasetError:
+            found = None
+        if found is None or found.is_like(old):
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _broken(scan: Scan) -> bool:
+    return scan.dropped > _SUBSTANTIAL * (len(scan) + scan.dropped)
 
 
 def _within(size: int, median: float) -> bool:
@@ -189,70 +234,3 @@ def _pose_problems(recording: Inspectable) -> list[str]:
             f"behind scan {int(recording.indices[first])}"
         )
     return problems
-
-
-def _sensor(clouds: list[Float32]) -> str:
-    """What the points were measured by, from the angles at which they lie."""
-    cloud = max(clouds, key=len, default=np.empty((0, 3), np.float32)).astype(np.float64)
-    if len(cloud) < 3:
-        return "unknown"
-    if in_one_plane(cloud):
-        return "2D, one plane"
-    count, low, high = beams(cloud)
-    span = f"{low:.1f} to {high:.1f} deg"
-    if count > _MOST_COUNTED:
-        return f"3D, 64 or more beams, {span}"
-    return f"3D, {count} beams, {span}" if count >= 4 else f"3D, no separate beams, {span}"
-
-
-def in_one_plane(cloud: NDArray[np.floating]) -> bool:
-    """Whether the points (N, 3) lie in one plane, as those of a sensor that sweeps a line do."""
-    few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
-    spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
-    return bool(spread[-1] < _FLAT_M * np.sqrt(len(few)))
-
-
-def is_push_broom(recording: Recording) -> bool:
-    """Whether scans are sweeps of one plane, by the largest of a few.
-
-    Raises
-    ------
-    DatasetError
-        If one of them cannot be read.
-    """
-    return sensor_of(recording) == PUSH_BROOM
-
-
-def sensor_of(recording: Recording, sample: int = 5) -> str:
-    """Roughly what took the scans, by the largest of ``sample`` of them, and "" if all are empty.
-
-    Coarser than what :func:`inspect` says, so that sessions of one sensor are told alike: one of
-    "a sweep of one plane", "few beams" (less than 48), "many beams".
-
-    Raises
-    ------
-    DatasetError
-        If one of them cannot be read.
-    """
-    chosen = np.unique(np.linspace(0, len(recording) - 1, sample).round().astype(int))
-    clouds = [recording.scan(int(i)).points for i in chosen if len(recording)]
-    cloud = max(clouds, key=len, default=np.empty((0, 3), np.float32)).astype(np.float64)
-    if len(cloud) < 4:
-        return ""
-    if in_one_plane(cloud):
-        return PUSH_BROOM
-    return "many beams" if beams(cloud)[0] > _MOST_COUNTED else "few beams"
-
-
-def beams(cloud: Float64) -> tuple[int, float, float]:
-    """How many separate elevation angles points lie at, the lowest and the highest, degrees."""
-    reach = np.linalg.norm(cloud, axis=1)
-    far = cloud[reach > np.median(reach) / 4]  # near points suffer from where beams start
-    angles = np.degrees(np.arctan2(far[:, 2], np.hypot(far[:, 0], far[:, 1])))
-    counts, _ = np.histogram(angles, bins=np.arange(-90.0, 90.0 + _BIN_DEG, _BIN_DEG))
-    weights = np.exp(-0.5 * (np.arange(-4, 5) / 1.5) ** 2)
-    smooth = np.convolve(counts, weights / weights.sum(), "same")
-    level = 0.15 * np.percentile(smooth[smooth > 0], 90)
-    middle = smooth[1:-1]
-    peaks = (middle > smooth[:-2]) & (middle >= smooth[2:]) & (middle > level)
-    return int(peaks.sum()), float(angles.min()), float(angles.max())

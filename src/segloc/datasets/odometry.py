@@ -15,8 +15,8 @@ import numpy as np
 from ..errors import DatasetError, MissingDependency
 from ..io.trajectory import Trajectory, read_trajectory, write_tum
 from ..types import Float64, Int64, Scan
-from .inspection import in_one_plane
 from .recorded import times_fit
+from .signature import in_one_plane
 
 _FEWEST_POINTS = 50
 _LONGEST_STEP_M = 20.0

@@ -1,13 +1,11 @@
 """Captures of Velodyne packets (``.pcap``), a scan for each turn of the sensor.
 
-Formats: wiki.wireshark.org/Development/LibpcapFileFormat; the packets of 12 blocks in the manuals
-of the VLP-16 and the HDL-32E. The package velodyne-decoder turns packets into points.
+Format: the packets of 12 blocks in the manuals of the VLP-16 and the HDL-32E. The package
+velodyne-decoder turns them into points.
 """
 
 from __future__ import annotations
 
-import mmap
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,18 +16,12 @@ from ..errors import DatasetError, MissingDependency
 from ..io._columns import one_line
 from ..types import Float64, Int64, Scan
 from .binary import returned
+from .captures import mapped, records
 from .recorded import Found
 
 NAME = "Velodyne packets"
 INNER: tuple[str, ...] = ()
 PACKET = 1206  # bytes
-_ORDERS = {
-    b"\xd4\xc3\xb2\xa1": ("<", 1e-6),
-    b"\xa1\xb2\xc3\xd4": (">", 1e-6),
-    b"\x4d\x3c\xb2\xa1": ("<", 1e-9),
-    b"\xa1\xb2\x3c\x4d": (">", 1e-9),
-}
-"""Byte order and unit of time by a file's first bytes."""
 _BLOCK = b"\xff\xee"
 _FEWEST_PACKETS = 8  # of a turn; less is left from where the capture begins or ends
 
@@ -44,7 +36,10 @@ def find(path: Path, topic: str | None) -> Found:
     stamps, places, azimuths = _packets(path)
     turns = turns_of(azimuths)
     if not len(turns):
-        raise DatasetError(f"{path}: no turn of a Velodyne among its {len(places)} packets")
+        raise DatasetError(
+            f"{path}: no turn of a Velodyne among its {len(places)} packets, and no metadata of an "
+            f"Ouster beside it ({path.stem}.json)"
+        )
     return Found(
         name=path.stem,
         format=NAME,
@@ -66,25 +61,14 @@ def turns_of(azimuths: Int64) -> Int64:
 
 def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
     """Stamps, places in the file and first azimuths (hundredths of degrees) of data packets."""
-    if path.stat().st_size < 24:
-        raise DatasetError(f"{path}: cut off: no header of a capture")
     stamps, places, azimuths = [], [], []
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if data[:4] not in _ORDERS:
-            raise DatasetError(f"{path}: not a capture in the format of libpcap")
-        order, unit = _ORDERS[data[:4]]
-        record = struct.Struct(f"{order}IIII")
-        place = 24
-        while place + 16 <= len(data):
-            seconds, fraction, size, _ = record.unpack_from(data, place)
-            place += 16 + size
-            start = place - PACKET
-            if place > len(data):
-                break  # the last packet was cut off
-            if size >= PACKET and data[start : start + 2] == _BLOCK:
-                stamps.append(seconds + unit * fraction)
-                places.append(start)
-                azimuths.append(int.from_bytes(data[start + 2 : start + 4], "little"))
+    with mapped(path) as data:
+        for stamp, start, size in records(data):
+            place = start + size - PACKET
+            if size >= PACKET and data[place : place + 2] == _BLOCK:
+                stamps.append(stamp)
+                places.append(place)
+                azimuths.append(int.from_bytes(data[place + 2 : place + 4], "little"))
     return np.array(stamps, np.float64), np.array(places, np.int64), np.array(azimuths, np.int64)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets import Recording
-from ..datasets.inspection import is_push_broom
+from ..datasets.signature import is_push_broom
 from ..segmentation import SegmentationConfig, Segmenter
 from ..simulation import process_pool
 from .extract import ExtractConfig, extract_session

@@ -1,0 +1,124 @@
+"""What kind of sensor scans were taken by, from the angles at which their points lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..types import Float64
+from .base import Recording
+
+PUSH_BROOM = "a sweep of one plane"
+_FLAT_M = 0.005
+_BIN_DEG = 0.02
+_MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
+_OTHER_BEAMS = 1.5  # times as many
+_OTHER_DEG = 4.0  # between the lowest beams, which meet the ground in every scan
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What tells scans of one sensor from those of another.
+
+    Attributes
+    ----------
+    beams : int
+        Separate elevation angles that points lie at; 1 for a sweep of one plane.
+    low_deg, high_deg : float
+        The lowest and the highest.
+    """
+
+    beams: int
+    low_deg: float
+    high_deg: float
+
+    @property
+    def many(self) -> bool:
+        """Whether there are more beams than can be counted."""
+        return self.beams > _MOST_COUNTED
+
+    def is_like(self, other: Signature) -> bool:
+        """Whether both can be of one sensor."""
+        if 1 in (self.beams, other.beams):
+            return self.beams == other.beams
+        fewer, more = sorted((self.beams, other.beams))
+        same_beams = fewer > _MOST_COUNTED or more <= _OTHER_BEAMS * max(fewer, 4)
+        return same_beams and abs(self.low_deg - other.low_deg) < _OTHER_DEG
+
+    def __str__(self) -> str:
+        if self.beams == 1:
+            return "2D, one plane"
+        span = f"{self.low_deg:.1f} to {self.high_deg:.1f} deg"
+        if self.many:
+            return f"3D, 64 or more beams, {span}"
+        return (
+            f"3D, {self.beams} beams, {span}"
+            if self.beams >= 4
+            else f"3D, no separate beams, {span}"
+        )
+
+
+def signature(points: NDArray[np.floating]) -> Signature | None:
+    """That of a cloud (N, 3); None for one of too few points."""
+    if len(points) < 3:
+        return None
+    cloud = points.astype(np.float64)
+    if in_one_plane(cloud):
+        return Signature(1, 0.0, 0.0)
+    count, low, high = beams(cloud)
+    return Signature(max(count, 2), low, high)
+
+
+def in_one_plane(cloud: NDArray[np.floating]) -> bool:
+    """Whether the points (N, 3) lie in one plane, as those of a sensor that sweeps a line do."""
+    few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
+    spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] < _FLAT_M * np.sqrt(len(few)))
+
+
+def is_push_broom(recording: Recording) -> bool:
+    """Whether scans are sweeps of one plane, by the largest of a few.
+
+    Raises
+    ------
+    DatasetError
+        If one of them cannot be read.
+    """
+    return sensor_of(recording) == PUSH_BROOM
+
+
+def sensor_of(recording: Recording, sample: int = 5) -> str:
+    """Roughly what took the scans, by the largest of ``sample`` of them, and "" if all are empty.
+
+    Coarser than what :func:`inspect` says, so that sessions of one sensor are told alike: one of
+    "a sweep of one plane", "few beams" (less than 48), "many beams".
+
+    Raises
+    ------
+    DatasetError
+        If one of them cannot be read.
+    """
+    chosen = np.unique(np.linspace(0, len(recording) - 1, sample).round().astype(int))
+    clouds = [recording.scan(int(i)).points for i in chosen if len(recording)]
+    found = signature(max(clouds, key=len, default=np.empty((0, 3), np.float32)))
+    if found is None:
+        return ""
+    if found.beams == 1:
+        return PUSH_BROOM
+    return "many beams" if found.many else "few beams"
+
+
+def beams(cloud: Float64) -> tuple[int, float, float]:
+    """How many separate elevation angles points lie at, the lowest and the highest, degrees."""
+    reach = np.linalg.norm(cloud, axis=1)
+    far = cloud[reach > np.median(reach) / 4]  # near points suffer from where beams start
+    angles = np.degrees(np.arctan2(far[:, 2], np.hypot(far[:, 0], far[:, 1])))
+    counts, _ = np.histogram(angles, bins=np.arange(-90.0, 90.0 + _BIN_DEG, _BIN_DEG))
+    weights = np.exp(-0.5 * (np.arange(-4, 5) / 1.5) ** 2)
+    smooth = np.convolve(counts, weights / weights.sum(), "same")
+    level = 0.15 * np.percentile(smooth[smooth > 0], 90)
+    middle = smooth[1:-1]
+    peaks = (middle > smooth[:-2]) & (middle >= smooth[2:]) & (middle > level)
+    return int(peaks.sum()), float(angles.min()), float(angles.max())
