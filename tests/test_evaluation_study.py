@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from segloc.errors import ConfigError, SeglocError
+from segloc.evaluation.pool import in_parallel
 from segloc.evaluation.study import Figure, Study, Table, stored
 from segloc.evaluation.tables import escape, text, to_csv, to_latex
 from segloc.evaluation.workspace import Workspace
 
 CELLS = st.none() | st.integers(-(10**9), 10**9) | st.floats(allow_nan=False) | st.text()
+
+
+def ended(task: int) -> int:
+    """What a process does that the system ends."""
+    if task:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+def test_a_process_that_the_system_ends_is_one_clear_line() -> None:
+    with pytest.raises(SeglocError, match="memory ran out: try --workers 1"):
+        list(in_parallel(ended, [0, 1], 2))
 
 
 def study(rows: tuple[tuple[object, ...], ...] = (("a", 1, 2.5, None),)) -> Study:
