@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 import math
 from collections import Counter
+from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 from segloc import Config, Localization, Localizer, SegmentMap, build_map
@@ -18,15 +20,20 @@ from segloc.local_cloud import window
 from segloc.simulation import SimulatedSequence, demo_sessions
 from segloc.types import LocalCloud
 
+SCANS_IN_MEMORY = 48
 
-def clouds(drive: SimulatedSequence, localizer: Localizer) -> list[LocalCloud]:
+
+def clouds(drive: SimulatedSequence, localizer: Localizer) -> Iterator[LocalCloud]:
     """A local cloud of every scan alone, and one accumulated behind every fourth."""
     config = localizer.config.local_cloud
-    gathered = [localizer.accumulator.gather(drive.scan(i)) for i in range(len(drive))]
-    for i in range(8, len(drive), 4):
-        behind = window(drive.poses, i, config.window_m, centred=False, max_gap_m=config.max_gap_m)
-        gathered.append(localizer.accumulator.gather([drive.scan(k) for k in behind]))
-    return gathered
+    scan = lru_cache(SCANS_IN_MEMORY)(drive.scan)  # windows overlap, and casting takes longest
+    for i in range(len(drive)):
+        yield localizer.accumulator.gather(scan(i))
+        if i >= 8 and i % 4 == 0:
+            behind = window(
+                drive.poses, i, config.window_m, centred=False, max_gap_m=config.max_gap_m
+            )
+            yield localizer.accumulator.gather([scan(k) for k in behind])
 
 
 def main() -> None:
@@ -37,7 +44,7 @@ def main() -> None:
     parser.add_argument("--method", default="profile")
     args = parser.parse_args()
 
-    config = Config.preset(args.method)
+    config = Config.preset(args.method).model_copy(update={"threads": 1})
     drives = demo_sessions(args.first_seed - 1)
     sites = {"simulated town": build_map(drives["map"], config)}
     sites |= {path.name: SegmentMap.load(path) for path in args.maps}
