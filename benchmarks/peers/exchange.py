@@ -7,8 +7,9 @@ folder: ``views-*.npz`` (what a map may be made of), ``queries.npz`` and, from e
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -122,3 +123,12 @@ class Answers:
             for name, array in arrays.items():
                 setattr(answers, name, array)
         return answers
+
+
+def run(parser: argparse.ArgumentParser, ask: Callable[[Path, argparse.Namespace], None]) -> None:
+    """Ask the protocols that the command line names, with the options that all systems share."""
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
+    options = parser.parse_args()
+    for folder in options.folders:
+        ask(folder, options)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import kiss_matcher
 import numpy as np
-from exchange import Answers, Clouds
+from exchange import Answers, Clouds, run
 from numpy.typing import NDArray
 from scan_context import ScanContexts, sideways
 from verification import Places, Query, near
@@ -76,16 +76,12 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--views", default="scan", help="long, short or scan")
     parser.add_argument("--voxel", type=float, default=0.5, help="metres")
     parser.add_argument("--reach", type=float, default=80.0, help="of a context, metres")
     parser.add_argument("--top", type=int, default=3, help="places that are tried")
     parser.add_argument("--shifts", type=float, nargs="+", default=[0.0], help="sideways, metres")
-    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
-    options = parser.parse_args()
-    for folder in options.folders:
-        ask(folder, options)
+    run(parser, ask)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from exchange import Answers, Clouds
+from exchange import Answers, Clouds, run
 from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
 
@@ -47,14 +47,10 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--views", default="long", help="long, short or scan")
     parser.add_argument("--resolution", type=float, default=0.5, help="of the images, metres")
     parser.add_argument("--top", type=int, default=20, help="closures looked at")
-    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
-    options = parser.parse_args()
-    for folder in options.folders:
-        ask(folder, options)
+    run(parser, ask)
 
 
 if __name__ == "__main__":

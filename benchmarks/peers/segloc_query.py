@@ -17,7 +17,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from exchange import Answers, Clouds
+from exchange import Answers, Clouds, run
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.descriptors import create
@@ -73,13 +73,9 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--views", nargs="+", default=["long", "short"])
     parser.add_argument("--method", default="profile")
-    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
-    options = parser.parse_args()
-    for folder in options.folders:
-        ask(folder, options)
+    run(parser, ask)
 
 
 if __name__ == "__main__":
