@@ -143,7 +143,8 @@ class Verifier:
 
         Unchanged where the clouds do not fit at all. Its margin is that over the others.
         """
-        return self._refined(hypothesis, _Live(scene, self.config), among)
+        margin = _margin(hypothesis, among, self.config.separation)
+        return self._refined(replace(hypothesis, margin=margin), _Live(scene, self.config))
 
     def _ranked(self, hypotheses: list[Hypothesis], live: _Live) -> list[Hypothesis]:
         poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
@@ -171,7 +172,7 @@ class Verifier:
         if p < min(HOPELESS, config.min_confidence):
             reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
             return Verdict(reason, rough, other, p, unsure=True)
-        best = self._refined(coarse, live, ranked)
+        best = self._refined(rough, live)
         other = _elsewhere(ranked, best, config.separation)
         p = confidence(best)
         if best.overlap < config.min_overlap:
@@ -214,7 +215,8 @@ class Verifier:
         ]
         alike.sort(key=lambda other: -other.overlap)
         for candidate in alike[: config.max_refined]:
-            other = self._refined(candidate, live, ranked)
+            margin = _margin(candidate, ranked, config.separation)
+            other = self._refined(replace(candidate, margin=margin), live)
             supported = _support(other) > config.ambiguity * _support(best)
             fits = other.overlap >= config.likeness * best.overlap
             likely = confidence_alone(other) >= 0.5 * confidence_alone(best)
@@ -222,7 +224,7 @@ class Verifier:
                 return other
         return None
 
-    def _refined(self, coarse: Hypothesis, live: _Live, among: Sequence[Hypothesis]) -> Hypothesis:
+    def _refined(self, coarse: Hypothesis, live: _Live) -> Hypothesis:
         config = self.config
         T = self._relative(coarse.T_map_local)
         covariance = None
@@ -235,7 +237,7 @@ class Verifier:
             float(overlap[0]),
             self._seen(live, T, config.seen_radius),
             float(rmse[0]),
-            _margin(coarse, among, config.separation),
+            coarse.margin,
             covariance,
         )
 
