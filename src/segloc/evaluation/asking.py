@@ -115,7 +115,7 @@ def build_site(
     sites = build_maps(recording, descriptors, threads)
     whole = next(iter(sites.values()))
     # The cloud is the same for all methods, and so is what verification prepares of it.
-    verifier = Verifier(whole.cloud, whole.origin, Config().verification)
+    verifier = Verifier(whole.cloud, whole.origin, Config().verification, threads=threads)
     localizers = {
         name: _localizers(site, shared_config(name, threads), verifier)
         for name, site in sites.items()
