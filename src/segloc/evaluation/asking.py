@@ -21,9 +21,10 @@ from ..map import SegmentMap
 from ..mapping import map_views
 from ..pose import PoseEstimator
 from ..segmentation import Segmenter
-from ..types import Float64, Localization, Pose
+from ..types import Descriptors, Float64, Localization, Pose, Segments
 from ..verification import Verifier
 from .courses import Course, Opened
+from .learning import QUALITY
 from .localization import Evaluation, query_scans
 
 ESTIMATORS = ("consensus", "prosac")
@@ -84,10 +85,11 @@ def build_maps(
         segments = view.scene.segments
         centroids = geometry.transform(view.T_map_local, segments.centroids)
         surface = geometry.transform(view.T_map_local, view.scene.surface)
+        described = describe_all(descriptors, segments)
         for name, descriptor in descriptors.items():
             site = sites.setdefault(name, _empty(name, descriptor, poses[0], config))
             site.add(
-                descriptor.describe(segments),
+                described[name],
                 centroids,
                 segments.sizes,
                 session=0,
@@ -99,6 +101,19 @@ def build_maps(
     for site in sites.values():
         site.add_trajectory(poses)
     return sites
+
+
+def describe_all(
+    descriptors: Mapping[str, Descriptor], segments: Segments
+) -> dict[str, Descriptors]:
+    """The same segments described by every method; with and without quality it is one network."""
+    found: dict[str, Descriptors] = {}
+    for name in sorted(descriptors, key=len, reverse=True):  # those with quality first
+        rated = found.get(name + QUALITY)
+        found[name] = (
+            descriptors[name].describe(segments) if rated is None else Descriptors(rated.vectors)
+        )
+    return found
 
 
 def _empty(name: str, descriptor: Descriptor, near: Pose, config: Config) -> SegmentMap:
@@ -185,8 +200,7 @@ def _answered(
         cloud = accumulator.gather(scans)
         scene = segmenter.segment(cloud)
         found = {}
-        for method, descriptor in descriptors.items():
-            described = descriptor.describe(scene.segments)
+        for method, described in describe_all(descriptors, scene.segments).items():
             for place, site in places.items():
                 for estimator, localizer in site.localizers[method].items():
                     answer = localizer.locate(cloud, scene, described)
