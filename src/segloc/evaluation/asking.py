@@ -112,7 +112,11 @@ def build_site(
     recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
 ) -> Site:
     """The maps of :func:`build_maps`, ready to be asked."""
-    sites = build_maps(recording, descriptors, threads)
+    return site_of(build_maps(recording, descriptors, threads), threads)
+
+
+def site_of(sites: Mapping[str, SegmentMap], threads: int = 1) -> Site:
+    """Maps of one place by several methods, the first with the cloud of all, ready to be asked."""
     whole = next(iter(sites.values()))
     # The cloud is the same for all methods, and so is what verification prepares of it.
     verifier = Verifier(whole.cloud, whole.origin, Config().verification)
