@@ -212,11 +212,6 @@ void bind_geometry(nb::module_& m) {
       .def("__len__", &PointIndex::size)
       .def("overlap", &overlap_, nb::arg("points").noconvert(), nb::arg("poses").noconvert(),
            nb::arg("radius"))
-      .def("within",
-           [](const PointIndex& index, double x, double y, double radius) {
-             return to_numpy(index.within(x, y, radius));
-           },
-           nb::arg("x"), nb::arg("y"), nb::arg("radius"))
       .def("sample",
            [](const PointIndex& index, double x, double y, double radius, std::size_t count) {
              require(count > 0, "count must be positive");

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "point_index.h"
+#include "point_grid.h"
 
 namespace segloc {
 
@@ -61,7 +61,7 @@ class Sight {
 
  private:
   double range_;
-  PointIndex live_;
+  PointGrid live_;
   RangeImage image_, nearest_;
   GroundCeiling floor_;
 };

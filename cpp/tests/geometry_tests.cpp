@@ -6,11 +6,13 @@
 #include "check.h"
 #include "cluster.h"
 #include "consensus.h"
+#include "gicp.h"
 #include "ground.h"
 #include "lzf.h"
 #include "parallel.h"
 #include "point_index.h"
 #include "prosac.h"
+#include "surface.h"
 #include "voxel.h"
 
 namespace segloc {
@@ -31,7 +33,7 @@ void clouds() {
     const PointIndex index(points.data(), n, 0.5);
     const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
     CHECK(index.overlap(points.data(), n, identity, 0.5).near == n);
-    CHECK(index.within(0, 0, 1000).size() == n && index.within(500, 0, 1).empty());
+    CHECK(index.sample(0, 0, 1000, n + 1).size() == 3 * n && index.sample(500, 0, 1, 9).empty());
     const double away[16] = {1, 0, 0, 1e9, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
     CHECK(index.overlap(points.data(), n, away, 0.5).near == 0);
   }
@@ -63,6 +65,25 @@ void poses() {
     if (n < 200) continue;
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
     CHECK(std::fabs(found[0].t[0] - 5e6) < 0.5 && std::fabs(sampled[0].T.t[0] - 5e6) < 0.5);
+  }
+}
+
+void registration() {
+  for (const std::size_t n : kSizes) {
+    auto points = random_floats(3 * n, -8.0f, 8.0f, 7);
+    for (std::size_t i = 0; i < n; ++i) points[3 * i + i % 3] = -8.0f;  // three walls
+    const Surface site(points.data(), n, 1.5, 1.6);
+    Rigid start;
+    start.t = {0.2, -0.1, 0.15};
+    const GicpResult one = align(site, site, start, {}, 1), two = align(site, site, start, {}, 2);
+    CHECK(one.T.t == two.T.t && one.T.R == two.T.R && one.H == two.H);
+    CHECK(one.inliers <= n && std::isfinite(one.error));
+    if (n < 1000) continue;
+    for (const double t : one.T.t) CHECK(std::fabs(t) < 0.05);
+    start.t = {1e9, 0, 0};
+    CHECK(align(site, site, start, {}, 2).inliers == 0);
+    start.t = {std::nan(""), 0, 0};
+    CHECK(align(site, site, start, {}, 2).inliers == 0);
   }
 }
 
@@ -102,6 +123,7 @@ void threads() {
 void geometry_tests() {
   segloc::clouds();
   segloc::poses();
+  segloc::registration();
   segloc::decompression();
   segloc::threads();
 }

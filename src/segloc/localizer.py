@@ -70,7 +70,9 @@ class Localizer:
             site, config.matching, pruner=self.descriptor.pruner, threads=config.threads
         )
         self.estimator = PoseEstimator(config.pose, threads=config.threads, seed=config.seed)
-        self.verifier = Verifier(site.cloud, site.origin, config.verification)
+        self.verifier = Verifier(
+            site.cloud, site.origin, config.verification, threads=config.threads
+        )
 
     def localize(self, scans: Scan | Sequence[Scan] | LocalCloud) -> Localization:
         """The pose of the (last) scan in the map, or the reason why there is none.

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from . import _native, geometry
 from .confidence import CHANCE_INLIERS, confidence, confidence_alone
-from .refinement import Refiner
+from .registration import Aligner
 from .segmentation import Segmentation
 from .types import Float32, Float64, Hypothesis, Pose
 
@@ -45,8 +45,6 @@ class VerificationConfig(BaseModel):
     icp_voxel: float = Field(0.8, gt=0, description="clouds are thinned to this for ICP, metres")
     icp_reach: float = Field(1.5, gt=0, description="longest ICP correspondence, metres")
     icp_radius: float = Field(35.0, gt=0, description="how far around the sensor ICP looks, metres")
-    icp_tile: float = Field(10.0, gt=0, description="prepared map tiles lie this far apart, metres")
-    icp_tiles: int = Field(32, ge=1, description="prepared map tiles kept in memory")
     sample: int = Field(2000, ge=1, description="points of the live cloud that overlap is taken of")
     seen_radius: float = Field(
         0.4, gt=0, description="a map point with a live point so near is seen, metres"
@@ -79,19 +77,24 @@ class Verdict:
 class _Live:
     """A live cloud, made ready to be compared with the map at several poses."""
 
-    def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
-        self.scene = scene
+    def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = _thinned(scene.structure, config.sample)
-        self._config = config
+        self._scene, self._config, self._aligner = scene, config, aligner
 
     @cached_property
     def sight(self) -> _native.Sight:
         config = self._config
         radius = max(config.seen_radius, config.coarse_radius)
-        scene = self.scene
+        scene = self._scene
         return _native.Sight(
             scene.structure, scene.ground, config.sight_range, config.sight_bin, radius
         )
+
+    @cached_property
+    def surface(self) -> _native.Surface:
+        points = self._scene.surface
+        near = (points[:, :2] ** 2).sum(axis=1) < self._config.icp_radius**2
+        return self._aligner.surface(points[near])
 
 
 class Verifier:
@@ -103,18 +106,26 @@ class Verifier:
         The map's voxelised cloud, relative to ``origin``.
     origin : (3,) float64
         Added to the cloud it gives map coordinates.
+    config : VerificationConfig, optional
+    threads : int
+        0: all cores. No verdict depends on it.
     """
 
     def __init__(
-        self, cloud: Float32, origin: Float64, config: VerificationConfig | None = None
+        self,
+        cloud: Float32,
+        origin: Float64,
+        config: VerificationConfig | None = None,
+        *,
+        threads: int = 0,
     ) -> None:
         self.config = config or VerificationConfig()
-        self._cloud = cloud
         self._origin = origin
         self._index = _native.PointIndex(
             cloud, max(self.config.coarse_radius, self.config.overlap_radius)
         )
-        self._refiner = Refiner(cloud, self._index, self.config)
+        self._aligner = Aligner(self.config.icp_voxel, self.config.icp_reach, threads)
+        self._surface = self._aligner.surface(cloud)
 
     def verify(self, scene: Segmentation, hypotheses: list[Hypothesis]) -> Verdict:
         """Rank the candidates, refine the best and decide.
@@ -125,7 +136,7 @@ class Verifier:
         """
         if not hypotheses:
             return Verdict("no consistent matches", None, None, 0.0, unsure=True)
-        live = _Live(scene, self.config)
+        live = _Live(scene, self.config, self._aligner)
         ranked = self._ranked(hypotheses, live)
         first: Verdict | None = None
         for candidate in self._worth_judging(ranked):
@@ -144,7 +155,9 @@ class Verifier:
         Unchanged where the clouds do not fit at all. Its margin is that over the others.
         """
         margin = _margin(hypothesis, among, self.config.separation)
-        return self._refined(replace(hypothesis, margin=margin), _Live(scene, self.config))
+        return self._refined(
+            replace(hypothesis, margin=margin), _Live(scene, self.config, self._aligner)
+        )
 
     def _ranked(self, hypotheses: list[Hypothesis], live: _Live) -> list[Hypothesis]:
         poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
@@ -226,10 +239,7 @@ class Verifier:
 
     def _refined(self, coarse: Hypothesis, live: _Live) -> Hypothesis:
         config = self.config
-        T = self._relative(coarse.T_map_local)
-        covariance = None
-        if config.refine:
-            T, covariance = self._refiner.refine(T, live.scene)
+        T, covariance = self._aligned(self._relative(coarse.T_map_local), live)
         overlap, rmse = self._index.overlap(live.sample, T[None], config.overlap_radius)
         return Hypothesis(
             geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
@@ -240,6 +250,18 @@ class Verifier:
             coarse.margin,
             covariance,
         )
+
+    def _aligned(self, T: Pose, live: _Live) -> tuple[Pose, Float64 | None]:
+        """Where the clouds fit best; unchanged, and without covariance, where they do not fit."""
+        if not self.config.refine:
+            return T, None
+        aligned = self._aligner.align(self._surface, live.surface, T)
+        if aligned is None:
+            return T, None
+        moved = geometry.inverse(T) @ aligned.T_target_source
+        if np.linalg.norm(moved[:3, 3]) > self.config.separation:  # it has run away
+            return T, None
+        return aligned.T_target_source, aligned.covariance
 
     def _seen(self, live: _Live, T: Pose, radius: float) -> float:
         """Share of the map in view that the live cloud has, too; NaN where too little is."""

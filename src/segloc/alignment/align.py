@@ -103,7 +103,7 @@ def align_sessions(
         with stage(f"Describing session {k + 1} of {len(recordings)}") as update, _named(k):
             sessions.append(describe_session(recording, config, settings, update))
     chain = Chain.of(sessions)
-    register = Register(chain.submaps, settings)
+    register = Register(chain.submaps, settings, config.threads)
     with stage("Looking for loops") as update:
         found = find_loops(chain, register, config, settings, update)
     graph = _Graph(chain, supported(chain, found, settings), settings)

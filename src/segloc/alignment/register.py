@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import small_gicp
 
 from .. import _native, geometry
+from ..registration import Aligner
 from ..types import Float64, Pose
 from .config import AlignConfig
 from .submaps import Submap
 
 _LEAST_POINTS = 100
 _SAMPLE = 2000
-_COVARIANCE_SCALE = 20.0  # neighbouring correspondences err together
 _PREPARED = 64
 
 
@@ -45,45 +43,32 @@ class Fit:
 class Register:
     """Generalised ICP between submaps (A. Segal, D. Haehnel, S. Thrun, RSS 2009)."""
 
-    def __init__(self, submaps: list[Submap], config: AlignConfig) -> None:
+    def __init__(self, submaps: list[Submap], config: AlignConfig, threads: int = 0) -> None:
         self._submaps, self._config = submaps, config
-        self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)
+        self._aligner = Aligner(config.icp_voxel, config.icp_reach, threads)
+        self._surface = lru_cache(maxsize=_PREPARED)(self._make_surface)
         self._index = lru_cache(maxsize=_PREPARED)(self._make_index)
 
     def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
         """Align two submaps, by number, from a first guess; None where ICP cannot."""
-        clouds = self._prepared(target), self._prepared(source)
-        if clouds[0] is None or clouds[1] is None:
+        clouds = self._surface(target), self._surface(source)
+        if min(map(len, clouds)) < _LEAST_POINTS:
             return None
-        result: Any = small_gicp.align(
-            clouds[0][0],
-            clouds[1][0],
-            clouds[0][1],
-            T_target_source,
-            "GICP",
-            max_correspondence_distance=self._config.icp_reach,
-            num_threads=1,
-        )
-        T = np.array(result.T_target_source)
-        covariance = self._covariance(result)
-        if not np.isfinite(T).all() or covariance is None:
+        aligned = self._aligner.align(*clouds, T_target_source)
+        if aligned is None:
             return None
-        T = geometry.orthonormal(T)
+        T = aligned.T_target_source
         there, back = (
             self._shared(target, source, T),
             self._shared(source, target, geometry.inverse(T)),
         )
         shift = float(np.linalg.norm(T[:3, 3] - T_target_source[:3, 3]))
-        return Fit(T, covariance, max(there, back), shift)
+        # No loop is believed to be more exact than this.
+        least = np.repeat([np.radians(self._config.loop_deg), self._config.loop_m], 3) ** 2
+        return Fit(T, aligned.covariance + np.diag(least), max(there, back), shift)
 
-    def _prepare(self, k: int) -> tuple[Any, Any] | None:
-        surface = self._submaps[k].surface
-        if len(surface) < _LEAST_POINTS:
-            return None
-        prepared: tuple[Any, Any] = small_gicp.preprocess_points(
-            surface.astype(np.float64), self._config.icp_voxel, num_threads=1
-        )
-        return prepared
+    def _make_surface(self, k: int) -> _native.Surface:
+        return self._aligner.surface(self._submaps[k].surface)
 
     def _make_index(self, k: int) -> _native.PointIndex:
         return _native.PointIndex(self._submaps[k].structure, self._config.near_m)
@@ -95,14 +80,3 @@ class Register:
         sample = np.ascontiguousarray(points[:: max(1, len(points) // _SAMPLE)])
         overlap, _ = self._index(target).overlap(sample, T[None], self._config.near_m)
         return float(overlap[0])
-
-    def _covariance(self, result: Any) -> Float64 | None:
-        """From the curvature of the cost, and no smaller than loops are believed to be exact."""
-        degrees = 3 * result.num_inliers - 6
-        H = np.array(result.H)
-        if degrees <= 0 or not np.isfinite(H).all() or np.linalg.cond(H) > 1e12:
-            return None
-        scaled = np.linalg.inv(H) * (_COVARIANCE_SCALE * 2.0 * result.error / degrees)
-        least = np.repeat([np.radians(self._config.loop_deg), self._config.loop_m], 3) ** 2
-        covariance: Float64 = (scaled + scaled.T) / 2 + np.diag(least)
-        return covariance

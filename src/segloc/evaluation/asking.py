@@ -119,7 +119,7 @@ def site_of(sites: Mapping[str, SegmentMap], threads: int = 1) -> Site:
     """Maps of one place by several methods, the first with the cloud of all, ready to be asked."""
     whole = next(iter(sites.values()))
     # The cloud is the same for all methods, and so is what verification prepares of it.
-    verifier = Verifier(whole.cloud, whole.origin, Config().verification)
+    verifier = Verifier(whole.cloud, whole.origin, Config().verification, threads=threads)
     localizers = {
         name: _localizers(site, shared_config(name, threads), verifier)
         for name, site in sites.items()

@@ -200,7 +200,7 @@ class _Pipeline:
         prosac = config.pose.model_copy(update={"estimator": "prosac"})
         self._estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self._prosac = PoseEstimator(prosac, threads=threads, seed=config.seed)
-        self._verifier = Verifier(whole.cloud, whole.origin, config.verification)
+        self._verifier = Verifier(whole.cloud, whole.origin, config.verification, threads=threads)
 
     def stage_ms(self, cloud: LocalCloud, clock: Callable[[], float]) -> dict[str, float]:
         marks = [("", clock())]

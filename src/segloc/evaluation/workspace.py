@@ -133,7 +133,7 @@ class Workspace:
 
         ``fingerprints`` are those of weights and descriptors, by method.
         """
-        packages = ("numpy", "scipy", "small-gicp", "torch", "embreex", "scikit-learn")
+        packages = ("numpy", "scipy", "torch", "embreex", "scikit-learn")
         versions = {"segloc": __version__, "python": platform.python_version()}
         return {
             "command": self.command,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import small_gicp
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
 from .. import geometry
+from ..registration import Aligner
 from ..types import Float32, Pose
 
 _LEAST_POINTS = 200
@@ -47,7 +46,8 @@ class Registration:
 
     def __init__(self, structure: Float32, config: RegisterConfig | None = None) -> None:
         self.config = config or RegisterConfig()
-        self._structure = structure
+        self._aligner = Aligner(self.config.voxel_m, self.config.reach_m, threads=1)
+        self._surface = self._aligner.surface(structure)
         self._tree = cKDTree(structure) if len(structure) else None
         self._last: Pose | None = None  # the correction that was believed last, world frame
         self.accepted = self.rejected = self.alone = 0
@@ -79,29 +79,11 @@ class Registration:
         return float(np.isfinite(distances).mean())
 
     def _aligned(self, T: Pose, points: Float32) -> Pose | None:
-        """Generalised ICP in a frame with its origin at the sensor, for the sake of precision."""
-        origin = T[:3, 3].copy()
-        reach = self.config.radius_m + self.config.max_shift_m
-        around = np.abs(self._structure[:, :2] - origin[:2]).max(axis=1) < reach
-        if around.sum() < _LEAST_POINTS:
+        surface = self._aligner.surface(points)
+        if min(len(self._surface), len(surface)) < _LEAST_POINTS:
             return None
-        target = self._structure[around].astype(np.float64) - origin
-        source = points.astype(np.float64)
-        shifted = geometry.rigid(T[:3, :3], np.zeros(3))
-        result: Any = small_gicp.align(
-            target,
-            source,
-            shifted,
-            registration_type="GICP",
-            downsampling_resolution=self.config.voxel_m,
-            max_correspondence_distance=self.config.reach_m,
-            num_threads=1,
-        )
-        refined = np.array(result.T_target_source)
-        if not np.isfinite(refined).all():
-            return None
-        refined = geometry.orthonormal(refined)
-        return geometry.rigid(refined[:3, :3], refined[:3, 3] + origin)
+        aligned = self._aligner.align(self._surface, surface, T)
+        return None if aligned is None else aligned.T_target_source
 
     def _believed(self, before: Pose, after: Pose, points: Float32) -> bool:
         delta = geometry.inverse(before) @ after

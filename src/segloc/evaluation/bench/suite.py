@@ -10,6 +10,7 @@ from .geometric import clustering, knn, pose
 from .harness import Row, in_process
 from .network import dsm_vs_esm, network
 from .query import query
+from .registration import icp
 
 Benchmark = Callable[[int, int], Row]
 
@@ -20,6 +21,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "clustering": clustering,
     "knn": knn,
     "pose": pose,
+    "icp": icp,
     "query": query,
 }
 """Functions of (threads, repeats)."""

@@ -1,0 +1,49 @@
+// A cloud as a surface: its points, and the normals of what they lie on.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+#include "point_grid.h"
+
+namespace segloc {
+
+// A normal takes longer to find than a point, and an alignment needs few of a large map's: each is
+// found when it is first asked for, and kept. It depends on the points alone, so it does not matter
+// who asks first, and several threads may ask at once.
+class Surface {
+ public:
+  using Normal = std::array<double, 3>;
+
+  struct Nearest {
+    std::uint32_t point;  // its place in the grid's order; kNone where none is within reach
+    float distance;       // to it
+    float next;           // at least as far as this are all others: a bound, not a distance
+  };
+  static constexpr std::uint32_t kNone = 0xFFFFFFFFu;
+
+  // Copies n points, (n, 3) row-major. Nearest points are looked for up to `reach` metres; the
+  // points within `support` metres of one decide on its normal.
+  Surface(const float* points, std::size_t n, double reach, double support);
+
+  std::size_t size() const { return grid_.size(); }
+  double reach() const { return reach_; }
+  const PointGrid& grid() const { return grid_; }
+
+  Nearest nearest(const PointGrid::Point& p) const;
+
+  // Unit length, of either sign; zero where the points around do not span a plane.
+  Normal normal(std::size_t i) const;
+
+ private:
+  Normal found(std::size_t i) const;
+
+  PointGrid grid_;
+  double reach_, support_;
+  std::unique_ptr<std::atomic<std::uint64_t>[]> normals_;  // packed; 0: not yet found
+};
+
+}  // namespace segloc
