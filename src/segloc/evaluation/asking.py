@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import geometry
 from ..config import Config
 from ..datasets import Recording
 from ..descriptors import Descriptor, create
@@ -18,10 +17,10 @@ from ..errors import DatasetError
 from ..local_cloud import Accumulator
 from ..localizer import Localizer
 from ..map import SegmentMap
-from ..mapping import map_views
+from ..mapping import add_view, empty_map, map_views
 from ..pose import PoseEstimator
 from ..segmentation import Segmenter
-from ..types import Float64, Localization, Pose
+from ..types import Float64, Localization
 from ..verification import Verifier
 from .courses import Course, Opened
 from .localization import Evaluation, query_scans
@@ -75,37 +74,20 @@ def build_maps(
         If the recording has no poses, or nothing that could be segmented.
     """
     config = Config(threads=threads)
-    sites: dict[str, SegmentMap] = {}
     poses = recording.poses
     if poses is None or len(poses) == 0:
         raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
-    first, nothing = next(iter(descriptors)), np.empty((0, 3))
+    first = next(iter(descriptors))
+    sites = {name: empty_map(each, config, poses[0, :3, 3]) for name, each in descriptors.items()}
     for view in map_views(recording, config, progress=progress):
-        segments = view.scene.segments
-        centroids = geometry.transform(view.T_map_local, segments.centroids)
-        surface = geometry.transform(view.T_map_local, view.scene.surface)
         for name, descriptor in descriptors.items():
-            site = sites.setdefault(name, _empty(name, descriptor, poses[0], config))
-            site.add(
-                descriptor.describe(segments),
-                centroids,
-                segments.sizes,
-                session=0,
-                stamp=view.stamp,
-                cloud=surface if name == first else nothing,
-            )
+            described = descriptor.describe(view.scene.segments)
+            add_view(sites[name], view, described, with_cloud=name == first)
     if not len(sites[first]):
         raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
     for site in sites.values():
         site.add_trajectory(poses)
     return sites
-
-
-def _empty(name: str, descriptor: Descriptor, near: Pose, config: Config) -> SegmentMap:
-    voxel = config.mapping.cloud_voxel
-    return SegmentMap.empty(
-        name, descriptor.fingerprint, descriptor.dim, near[:3, 3], cloud_voxel=voxel
-    )
 
 
 def build_site(
