@@ -27,7 +27,7 @@ from city import padded
 from segloc import Config, Localization, Localizer, Scan, SegmentMap
 from segloc.datasets import Recording
 from segloc.descriptors import Descriptor, create
-from segloc.evaluation.asking import Site, build_maps, site_of
+from segloc.evaluation.asking import Site, build_maps, describe_all, site_of
 from segloc.evaluation.failures import funnel
 from segloc.evaluation.localization import Evaluation, query_positions, query_scans
 from segloc.local_cloud import Accumulator
@@ -182,8 +182,7 @@ def answers(
     for scans in query_scans(course.recording, course.positions, config.local_cloud):
         cloud = accumulator.gather(scans)
         scene = segmenter.segment(cloud)
-        for name, descriptor in descriptors.items():
-            described = descriptor.describe(scene.segments)
+        for name, described in describe_all(descriptors, scene.segments).items():
             found[name].append(localizer_of(site, name).locate(cloud, scene, described))
     truths = course.truths[course.positions]
     return {

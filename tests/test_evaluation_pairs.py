@@ -47,7 +47,7 @@ from segloc.training.shards import Session, load_dataset, write_shard  # noqa: E
 from segloc.types import Segments  # noqa: E402
 
 SIZES = dict.fromkeys(SIMULATED, DomainSize(1, 1, "small"))
-EFFORT = Effort({"dsm": 3, "esm": 1, "segmap": 1, "profile": 4}, 300)
+EFFORT = Effort({"dsm": 3, "esm": 1, "segmap": 1, "profile": 4}, 300, 2000)
 PLAN = transfer.Plan(SIZES, EFFORT, 60)
 METHODS = ("segmatch-eigen", "dsm", "dsm-fq", "geo", "profile")
 OBJECTS, SESSIONS = 70, 5

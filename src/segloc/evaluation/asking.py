@@ -20,9 +20,10 @@ from ..map import SegmentMap
 from ..mapping import add_view, empty_map, map_views
 from ..pose import PoseEstimator
 from ..segmentation import Segmenter
-from ..types import Float64, Localization
+from ..types import Descriptors, Float64, Localization, Segments
 from ..verification import Verifier
 from .courses import Course, Opened
+from .learning import QUALITY
 from .localization import Evaluation, query_scans
 
 ESTIMATORS = ("consensus", "prosac")
@@ -80,14 +81,27 @@ def build_maps(
     first = next(iter(descriptors))
     sites = {name: empty_map(each, config, poses[0, :3, 3]) for name, each in descriptors.items()}
     for view in map_views(recording, config, progress=progress):
-        for name, descriptor in descriptors.items():
-            described = descriptor.describe(view.scene.segments)
-            add_view(sites[name], view, described, with_cloud=name == first)
+        described = describe_all(descriptors, view.scene.segments)
+        for name in descriptors:
+            add_view(sites[name], view, described[name], with_cloud=name == first)
     if not len(sites[first]):
         raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
     for site in sites.values():
         site.add_trajectory(poses)
     return sites
+
+
+def describe_all(
+    descriptors: Mapping[str, Descriptor], segments: Segments
+) -> dict[str, Descriptors]:
+    """The same segments described by every method; with and without quality it is one network."""
+    found: dict[str, Descriptors] = {}
+    for name in sorted(descriptors, key=len, reverse=True):  # those with quality first
+        rated = found.get(name + QUALITY)
+        found[name] = (
+            descriptors[name].describe(segments) if rated is None else Descriptors(rated.vectors)
+        )
+    return found
 
 
 def build_site(
@@ -171,8 +185,7 @@ def _answered(
         cloud = accumulator.gather(scans)
         scene = segmenter.segment(cloud)
         found = {}
-        for method, descriptor in descriptors.items():
-            described = descriptor.describe(scene.segments)
+        for method, described in describe_all(descriptors, scene.segments).items():
             for place, site in places.items():
                 for estimator, localizer in site.localizers[method].items():
                     answer = localizer.locate(cloud, scene, described)

@@ -45,12 +45,13 @@ class Effort:
     ----------
     steps : dict of str to int
         By network.
-    forest_queries : int
-        Segments whose candidates a forest is grown on.
+    forest_queries, forest_segments : int
+        Segments whose candidates a forest is grown on, and segments in all.
     """
 
     steps: Mapping[str, int]
     forest_queries: int
+    forest_segments: int
 
     def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
         """The settings of a method's training.
@@ -60,17 +61,21 @@ class Effort:
         """
         if method in FORESTS:
             return ForestConfig(
-                queries=self.forest_queries, neighbours=_WIDE, map_segments=_WIDE, seed=seed
+                queries=self.forest_queries,
+                segments=self.forest_segments,
+                neighbours=_WIDE,
+                map_segments=_WIDE,
+                seed=seed,
             )
         return network_config(method, self.steps[method], seed=seed)
 
 
 EFFORTS = {
-    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 4_000),
-    "full": Effort({"dsm": 4000, "esm": 1000, "segmap": 400, "profile": 4000}, 8_000),
+    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 4_000, 30_000),
+    "full": Effort({"dsm": 3000, "esm": 600, "segmap": 200, "profile": 3000}, 8_000, 60_000),
 }
-"""By scale. Few steps, so that a whole table is trained in ten minutes (small) or an hour (full) of
-one core: methods then also differ in how fast they learn."""
+"""By scale. Every network gets about the same time of one core, half a minute (small) or three
+minutes (full): methods then also differ in how fast they learn."""
 
 
 class PairHead(Pruner):

@@ -62,8 +62,8 @@ class Plan:
     sizes: Mapping[str, DomainSize] | None = None
 
 
-PLANS = {"small": Plan(400, 300, 2_000), "full": Plan(1800, 1000, 10_000)}
-"""By scale: three and twelve minutes of one core for the trainings."""
+PLANS = {"small": Plan(400, 300, 2_000), "full": Plan(1500, 1000, 10_000)}
+"""By scale: three and ten minutes of one core for the trainings."""
 
 
 @dataclass(frozen=True)

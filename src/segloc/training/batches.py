@@ -123,15 +123,3 @@ class Batches:
             finally:
                 for future in waiting:
                     future.cancel()
-
-
-def limited(dataset: SegmentDataset, limit: int, seed: int) -> SegmentDataset:
-    """At most ``limit`` segments: whole objects (but the last), so that matches stay together."""
-    if len(dataset) <= limit:
-        return dataset
-    rng = np.random.default_rng(seed)
-    names = rng.permutation(np.unique(dataset.labels))
-    rank = np.empty(int(names.max()) + 1, np.int64)
-    rank[names] = np.arange(len(names))
-    order = np.argsort(rank[dataset.labels], kind="stable")[:limit]
-    return dataset.subset(np.sort(order))

@@ -106,6 +106,17 @@ class SegmentDataset:
         )
         return result
 
+    def limited(self, limit: int, seed: int) -> SegmentDataset:
+        """At most so many segments: whole objects (but the last), so that matches stay together."""
+        if len(self) <= limit:
+            return self
+        rng = np.random.default_rng(seed)
+        names = rng.permutation(np.unique(self.labels))
+        rank = np.empty(int(names.max()) + 1, np.int64)
+        rank[names] = np.arange(len(names))
+        order = np.argsort(rank[self.labels], kind="stable")[:limit]
+        return self.subset(np.sort(order))
+
     def split(self, share: float, seed: int) -> tuple[SegmentDataset, SegmentDataset]:
         """Training and validation sets.
 

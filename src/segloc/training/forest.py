@@ -31,6 +31,7 @@ class ForestConfig(BaseModel):
     max_leaves: int = Field(512, ge=2, description="of one tree: bounds the size of the file")
     min_pairs: int = Field(20, ge=1, description="training pairs in a leaf at least")
     pairs: int = Field(60_000, ge=2, description="right candidates at most; of wrong ones twice")
+    segments: int = Field(2_000_000, ge=2, description="of the dataset at most, whole objects")
     queries: int = Field(200_000, ge=1, description="segments whose candidates are looked at")
     map_segments: int = Field(8000, ge=1, description="of the maps that propose candidates")
     neighbours: int = Field(200, ge=1, description="candidates a segment, as in matching")
@@ -101,7 +102,8 @@ def train_forest(
     if not isinstance(descriptor, ForestDescriptor):
         raise ConfigError(f"{method} has no forest to train")
     model = _classifier(config)
-    training, validation = dataset.split(config.validation_share, config.seed)
+    some = dataset.limited(config.segments, config.seed)
+    training, validation = some.split(config.validation_share, config.seed)
     vectors = descriptor.describe(training.segments()).vectors
     rows, columns, same = training_pairs(vectors, training, config)
     progress(f"{method}: {same.sum()} right candidates, {(~same).sum()} wrong ones")

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ..types import Float32
-from .batches import limited
 from .dataset import SegmentDataset
 from .metrics import nearest_is_right
 from .tasks import Task
@@ -47,9 +46,9 @@ def judged(
     looked for among the other sessions and as many training segments, a pool of the size of a map.
     """
     config = task.config
-    dataset = limited(held, config.quality_limit, config.seed)
+    dataset = held.limited(config.quality_limit, config.seed)
     vectors = task.describe(network, dataset)
-    others = task.describe(network, limited(training, config.quality_limit, config.seed))
+    others = task.describe(network, training.limited(config.quality_limit, config.seed))
     right = nearest_is_right(vectors, dataset, config.threads, others)
     known = np.flatnonzero(~np.isnan(right))
     return Judged(dataset, vectors, known, right[known])

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from .. import _native
 from ..errors import ConfigError, DatasetError
 from ..files import replacing
-from .batches import Batches, limited
+from .batches import Batches
 from .config import TrainConfig
 from .dataset import SegmentDataset
 from .metrics import Scores, score
@@ -76,7 +76,7 @@ def train(
     torch.set_num_threads(config.threads)
     task = task or create_task(config)
     training, held = dataset.split(config.validation_share, config.seed)
-    validation = limited(held, config.validation_limit, config.seed)
+    validation = held.limited(config.validation_limit, config.seed)
     with Group(config.device) as group:
         run = _Run(task, training, validation, group, out.with_suffix(".checkpoint"))
         run.resume(progress)

@@ -75,4 +75,4 @@ def _structure(plaza: inputs.Plaza, T_world_sensor: Pose, seed: int) -> Float32:
 def _placed(plaza: inputs.Plaza, x: float, y: float) -> Float32:
     """What is seen from a place, in the world."""
     T = geometry.yaw_transform(0.0, (x, y, 1.5))
-    return geometry.transform(T, _structure(plaza, T, seed=int(x * 7 + y))).astype(np.float32)
+    return geometry.transform(T, _structure(plaza, T, seed=100 + int(x + y))).astype(np.float32)
