@@ -50,6 +50,7 @@ SIZES_M = {"town": 200.0, "park": 200.0, "industrial": 220.0, "meadow": 240.0, "
 LENGTH_M = 200.0
 STEPS = 900
 CLOUDS = ("single", "accumulated")
+SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
 
 
 @dataclass(frozen=True)
@@ -266,9 +267,9 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="scans, 2 m apart, between queries")
     parser.add_argument("--accumulated-every", type=float, default=4.0, metavar="METRES")
     parser.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
-    parser.add_argument("--sensor", default="hdl64e", help="that asks")
+    parser.add_argument("--sensor", default="hdl64e", choices=SPINNING, help="that asks")
     parser.add_argument("--beams", type=int, help="of the sensor that asks; by default all")
-    parser.add_argument("--map-sensor", default="hdl64e")
+    parser.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
     parser.add_argument("--pad", type=int, default=0, metavar="SEGMENTS", help="size of the maps")
     parser.add_argument("--others", type=int, default=2, help="worlds that pad a map")
     parser.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
