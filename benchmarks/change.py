@@ -30,6 +30,7 @@ from segloc.descriptors import Descriptor, create
 from segloc.evaluation.asking import Site, build_maps, describe_all, site_of
 from segloc.evaluation.failures import funnel
 from segloc.evaluation.localization import Evaluation, query_positions, query_scans
+from segloc.files import replacing
 from segloc.local_cloud import Accumulator
 from segloc.segmentation import Segmenter
 from segloc.simulation import (
@@ -89,9 +90,8 @@ class Kept:
         path = self.folder / f"{i}.npy"
         if not path.exists():
             self.folder.mkdir(parents=True, exist_ok=True)
-            part = path.with_suffix(".part.npy")  # so that an interruption leaves whole files only
-            np.save(part, self.drive.scan(i).points)
-            part.rename(path)
+            with replacing(path) as stream:  # several runs may share the folder
+                np.save(stream, self.drive.scan(i).points)
         stamp = float(self.indices[i])
         return Scan(np.load(path), stamp=stamp, T_odom_sensor=self.poses[i])
 
