@@ -1,6 +1,6 @@
 """A whole query on KITTI odometry 00: one full scan of an earlier pass in a map of later passes.
 
-    python benchmarks/bench_query.py KITTI00 [--methods geo,dsm] [--segments 0,50000,1000000]
+    python benchmarks/bench_query.py KITTI00 [--methods profile,geo] [--segments 0,50000,1000000]
 
 KITTI00 holds ``keyframes/`` (thinned), ``scans/`` (full) and their poses (``*.tum``). The map is
 built of keyframes and padded with perturbed copies of itself; 0 is the map as it is.
@@ -85,7 +85,7 @@ def measure(path: str, segments: int, threads: int, repeats: int) -> Row:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--methods", default="geo,dsm")
+    parser.add_argument("--methods", default="profile,geo,dsm")
     parser.add_argument("--segments", default="0,50000,1000000")
     parser.add_argument("--queries", type=int, default=12)
     parser.add_argument("--repeats", type=int, default=5)

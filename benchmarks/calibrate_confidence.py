@@ -27,6 +27,7 @@ from scipy.optimize import minimize
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.confidence import CONFIDENCE, witnesses
 from segloc.datasets import Sequence, open_sequence
+from segloc.evaluation.decoys import mirrored
 from segloc.evaluation.localization import query_positions
 from segloc.local_cloud import window
 from segloc.simulation import (
@@ -36,7 +37,6 @@ from segloc.simulation import (
     SimulatedSequence,
     simulate_sessions,
 )
-from segloc.types import Descriptors
 
 EVERY_M = 20.0
 LENGTH_M = 160.0
@@ -96,18 +96,6 @@ def ask(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> l
             right = known and np.linalg.norm(delta[:3, 3]) < RIGHT_M
             rows.append((*witnesses(best), float(best.inliers), float(right)))
     return rows
-
-
-def mirrored(site: SegmentMap) -> SegmentMap:
-    """The map behind a mirror, in which every pose is wrong, however much of it fits."""
-    flip = np.array([1.0, -1.0, 1.0])
-    other = SegmentMap.empty(
-        site.descriptor, site.fingerprint, site.dim, site.origin, cloud_voxel=site.cloud_voxel
-    )
-    described = Descriptors(site.vectors, site.quality)
-    cloud = (site.cloud + site.origin) * flip
-    other.add(described, site.centroids * flip, site.sizes, session=0, stamp=0.0, cloud=cloud)
-    return other
 
 
 class Calibration:

@@ -3,35 +3,106 @@
 Five simulated worlds are mapped in summer. In another session most leaves have fallen, other cars
 are parked, other people about, and a share of the things that can be moved is replaced. There the
 mapped way is driven again, in another lane, and then back in the opposite direction; all scans are
-asked, each by itself, and clouds accumulated by odometry that drifts.
+asked, each by itself, and clouds accumulated by odometry that drifts. It is made harder by fewer
+beams, another sensor, and maps padded with other worlds of the same kind (as in ``city.py``); all
+methods are asked the same clouds, cut into the same segments, each with its own preset.
 
     python benchmarks/change.py                                     # our method
     python benchmarks/change.py --methods profile geo dsm --worlds town
+    python benchmarks/change.py --methods profile geo dsm nsm segmatch-eigen segmap esm \
+      --sensor vlp16 --pad 100000 --clouds single --every 8 --kept SCANS
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from city import padded
 
-from segloc import Config, Localization, Localizer, Scan
+from segloc import Config, Localization, Localizer, Scan, SegmentMap
 from segloc.datasets import Recording
 from segloc.descriptors import Descriptor, create
-from segloc.evaluation.asking import Site, build_site
+from segloc.evaluation.asking import Site, build_maps, describe_all, site_of
 from segloc.evaluation.failures import funnel
 from segloc.evaluation.localization import Evaluation, query_positions, query_scans
+from segloc.files import replacing
 from segloc.local_cloud import Accumulator
 from segloc.segmentation import Segmenter
-from segloc.simulation import SCENES, Conditions, Lidar, Route, SimulatedSequence, World, hdl64e
+from segloc.simulation import (
+    SCENES,
+    SENSORS,
+    Conditions,
+    Lidar,
+    Route,
+    SimulatedSequence,
+    SpinningLidar,
+    World,
+)
 from segloc.simulation.drives import lane, mapped_way
 from segloc.simulation.traversal import simulate_session
 from segloc.types import Float64, Int64
 
 SIZES_M = {"town": 200.0, "park": 200.0, "industrial": 220.0, "meadow": 240.0, "forest": 200.0}
 LENGTH_M = 200.0
+STEPS = 900
+CLOUDS = ("single", "accumulated")
+SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A drive whose scans are cast once and kept in a folder; without one, cast when asked for."""
+
+    drive: SimulatedSequence
+    folder: Path | None
+
+    @property
+    def name(self) -> str:
+        return self.drive.name
+
+    @property
+    def indices(self) -> Int64:
+        return self.drive.indices
+
+    @property
+    def truth(self) -> Float64:
+        return self.drive.truth
+
+    @property
+    def poses(self) -> Float64:
+        return self.drive.poses
+
+    def __len__(self) -> int:
+        return len(self.drive)
+
+    def with_odometry(self) -> Kept:
+        return replace(self, drive=self.drive.with_odometry())
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i."""
+        if self.folder is None:
+            return self.drive.scan(i)
+        path = self.folder / f"{i}.npy"
+        if not path.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as stream:  # several runs may share the folder
+                np.save(stream, self.drive.scan(i).points)
+        stamp = float(self.indices[i])
+        return Scan(np.load(path), stamp=stamp, T_odom_sensor=self.poses[i])
+
+
+def kept(drive: SimulatedSequence, root: Path | None) -> Kept:
+    """The drive, its scans in a folder of its own."""
+    if root is None:
+        return Kept(drive, None)
+    key = repr((drive.world.name, drive.session, drive.seed, drive.sensor, drive.conditions))
+    digest = hashlib.sha256(key.encode() + drive.truth.tobytes()).hexdigest()[:12]
+    return Kept(drive, root / f"{drive.world.name}-{drive.name.replace(' ', '-')}-{digest}")
 
 
 class Alone:
@@ -39,7 +110,7 @@ class Alone:
 
     poses = None
 
-    def __init__(self, drive: SimulatedSequence) -> None:
+    def __init__(self, drive: SimulatedSequence | Kept) -> None:
         self.name, self.indices, self._drive = drive.name, drive.indices, drive
 
     def __len__(self) -> int:
@@ -90,7 +161,9 @@ def drives(
     }
 
 
-def courses(drive: SimulatedSequence, every: int, accumulated_every_m: float) -> list[Course]:
+def courses(
+    drive: SimulatedSequence | Kept, every: int, accumulated_every_m: float
+) -> list[Course]:
     """Its scans alone, and clouds accumulated by odometry that drifts."""
     alone = np.arange(0, len(drive), every, dtype=np.int64)
     gathered = query_positions(drive.truth, accumulated_every_m, np.inf)
@@ -110,8 +183,7 @@ def answers(
     for scans in query_scans(course.recording, course.positions, config.local_cloud):
         cloud = accumulator.gather(scans)
         scene = segmenter.segment(cloud)
-        for name, descriptor in descriptors.items():
-            described = descriptor.describe(scene.segments)
+        for name, described in describe_all(descriptors, scene.segments).items():
             found[name].append(localizer_of(site, name).locate(cloud, scene, described))
     truths = course.truths[course.positions]
     return {
@@ -152,6 +224,39 @@ def head(methods: list[str]) -> str:
     return f"| {' | '.join(cells)} |\n|{'---|' * len(cells)}"
 
 
+def sensor_of(name: str, beams: int | None = None) -> SpinningLidar:
+    """A sensor of so many columns; of its beams, every so many are kept that ``beams`` are left."""
+    sensor = SENSORS[name](STEPS)
+    if beams is None:
+        return sensor
+    return replace(
+        sensor, elevations_deg=sensor.elevations_deg[:: len(sensor.elevations_deg) // beams]
+    )
+
+
+class Places:
+    """Maps of simulated worlds by several methods, alone or among other worlds of their kind."""
+
+    def __init__(self, descriptors: Mapping[str, Descriptor], sensor: Lidar, scans: Path | None):
+        self.descriptors, self.sensor, self.scans = descriptors, sensor, scans
+
+    def maps(self, world: World, seed: int) -> dict[str, SegmentMap]:
+        """Of one world."""
+        drive = kept(mapped(world, seed, self.sensor), self.scans)
+        return build_maps(drive, self.descriptors)
+
+    def site(self, name: str, world: World, seed: int, pad: int, others: int) -> Site:
+        """A world, padded with so many ``others`` of its kind up to ``pad`` segments."""
+        alone = self.maps(world, seed)
+        if len(alone[next(iter(alone))]) >= pad:
+            return site_of(alone)
+        seeds = range(seed + 1, seed + 1 + others)
+        around = [self.maps(SCENES[name](k, size_m=SIZES_M[name]), k) for k in seeds]
+        return site_of(
+            {m: padded(site, [each[m] for each in around], pad) for m, site in alone.items()}
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--methods", nargs="+", default=["profile"])
@@ -161,16 +266,26 @@ def main() -> None:
     parser.add_argument("--replaced", type=float, default=0.2)
     parser.add_argument("--every", type=int, default=1, help="scans, 2 m apart, between queries")
     parser.add_argument("--accumulated-every", type=float, default=4.0, metavar="METRES")
+    parser.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
+    parser.add_argument("--sensor", default="hdl64e", choices=SPINNING, help="that asks")
+    parser.add_argument("--beams", type=int, help="of the sensor that asks; by default all")
+    parser.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
+    parser.add_argument("--pad", type=int, default=0, metavar="SEGMENTS", help="size of the maps")
+    parser.add_argument("--others", type=int, default=2, help="worlds that pad a map")
+    parser.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
     args = parser.parse_args()
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}
+    places = Places(descriptors, sensor_of(args.map_sensor), args.kept)
+    sensor = sensor_of(args.sensor, args.beams)
     print(head(args.methods), flush=True)
     for name in args.worlds:
-        world, sensor = SCENES[name](args.seed, size_m=SIZES_M[name]), hdl64e(900)
-        site = build_site(mapped(world, args.seed, sensor), descriptors)
+        world = SCENES[name](args.seed, size_m=SIZES_M[name])
+        site = places.site(name, world, args.seed, args.pad, args.others)
         for drive in drives(world, args.seed, sensor, conditions).values():
-            for course in courses(drive, args.every, args.accumulated_every):
-                print(row(name, site, course, descriptors), flush=True)
+            for course in courses(kept(drive, args.kept), args.every, args.accumulated_every):
+                if course.name.endswith(tuple(args.clouds)):
+                    print(row(name, site, course, descriptors), flush=True)
 
 
 if __name__ == "__main__":

@@ -54,20 +54,24 @@ def towns(out: Path, method: str, count: int, first_seed: int) -> list[SegmentMa
 
 
 def padded(site: SegmentMap, padding: list[SegmentMap], size: int) -> SegmentMap:
-    """The map with towns around it, up to ``size`` segments."""
+    """The map with other places around it, up to ``size`` segments.
+
+    Where segments are put depends on ``size`` alone: maps of one place by several methods, padded
+    with maps of other places by the same methods, are again maps of one place.
+    """
     city = site.crop(site.trajectory[:, :2, 3].mean(axis=0), math.inf)
     centre = site.centroids.mean(axis=0)
-    rng = np.random.default_rng(size)
+    turns, shifts, noise = (np.random.default_rng([size, k]) for k in range(3))
     place = 0
     while len(city) < size:
         town = padding[place % len(padding)]
         take = min(len(town), size - len(city))
         at = (FAR_M + APART_M * (place % 8), APART_M * (place // 8), 0.0)
-        turn = rng.uniform(-math.pi, math.pi)
+        turn = turns.uniform(-math.pi, math.pi)
         T = geometry.yaw_transform(turn, tuple((centre + at).tolist()))
         middle = np.append(town.centroids[:, :2].mean(axis=0), 0.0)
         spread = 0.2 * town.vectors.std(axis=0)
-        vectors = town.vectors[:take] + rng.normal(0, spread, (take, town.dim))
+        vectors = town.vectors[:take] + noise.normal(0, spread, (take, town.dim))
         centroids = geometry.transform(T, town.centroids[:take] - middle)
         cloud = np.empty((0, 3))
         if place < len(padding):
@@ -75,7 +79,7 @@ def padded(site: SegmentMap, padding: list[SegmentMap], size: int) -> SegmentMap
         quality = None if town.quality is None else town.quality[:take]
         city.add(
             Descriptors(vectors.astype(np.float32), quality),
-            centroids + rng.normal(0, 0.2, centroids.shape),
+            centroids + shifts.normal(0, 0.2, centroids.shape),
             town.sizes[:take],
             session=place + 1,
             stamp=0.0,

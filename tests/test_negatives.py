@@ -8,33 +8,12 @@ import numpy as np
 import pytest
 from conftest import Plaza, PlazaSequence
 
-from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc import Config, Localizer, build_map, geometry
 from segloc.datasets import open_sequence
-from segloc.types import Descriptors, Float64, Scan
+from segloc.evaluation.decoys import mirrored, shuffled
+from segloc.types import Float64, Scan
 
 METHODS = ("profile", "geo", "dsm")
-
-
-def remade(site: SegmentMap, centroids: Float64, vectors: Float64, cloud: Float64) -> SegmentMap:
-    """A map of the same segments elsewhere, or with other descriptors."""
-    other = SegmentMap.empty(
-        site.descriptor, site.fingerprint, site.dim, site.origin, cloud_voxel=site.cloud_voxel
-    )
-    described = Descriptors(vectors.astype(np.float32), site.quality)
-    other.add(described, centroids, site.sizes, session=0, stamp=0.0, cloud=cloud)
-    return other
-
-
-def mirrored(site: SegmentMap) -> SegmentMap:
-    """The map behind a mirror: all shapes and distances are right, the handedness is not."""
-    flip = np.array([1.0, -1.0, 1.0])
-    return remade(site, site.centroids * flip, site.vectors, (site.cloud + site.origin) * flip)
-
-
-def shuffled(site: SegmentMap) -> SegmentMap:
-    """The map with every descriptor at another segment."""
-    order = np.random.default_rng(0).permutation(len(site))
-    return remade(site, site.centroids, site.vectors[order], site.cloud + site.origin)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 from exchange import Answers, Clouds, run
 
-from segloc import Config, Localizer, SegmentMap, geometry
+from segloc import Config, Localizer, SegmentMap
 from segloc.descriptors import create
 from segloc.local_cloud import Accumulator
+from segloc.mapping import View, add_view, empty_map
 from segloc.segmentation import Segmenter
 from segloc.types import LocalCloud, Scan
 
@@ -36,25 +37,11 @@ def site_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
     """A map of views, each segmented and described."""
     descriptor, segmenter = create(config.method, config.threads), Segmenter(config.segmentation)
     parts = [Clouds.load(folder / f"views-{name}.npz") for name in names]
-    origin = parts[0].poses[0, :3, 3]
-    site = SegmentMap.empty(
-        descriptor.name,
-        descriptor.fingerprint,
-        descriptor.dim,
-        origin,
-        cloud_voxel=config.mapping.cloud_voxel,
-    )
+    site = empty_map(descriptor, config, parts[0].poses[0, :3, 3])
     for views in parts:
         for i, T in enumerate(views.poses):
             scene = segmenter.segment(local_cloud(views, i, config))
-            site.add(
-                descriptor.describe(scene.segments),
-                geometry.transform(T, scene.segments.centroids),
-                scene.segments.sizes,
-                session=0,
-                stamp=float(i),
-                cloud=geometry.transform(T, scene.surface),
-            )
+            add_view(site, View(T, float(i), scene), descriptor.describe(scene.segments))
     return site
 
 

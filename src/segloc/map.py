@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,17 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import mapfile
-from .columns import SEGMENT_DTYPES, checked, joined, row_shape
-from .errors import MapFormatError, MapMismatch, SeglocError
+from .columns import SEGMENT_DTYPES, Array, SegmentTable, checked, joined, no_segments
+from .errors import MapMismatch, SeglocError
 from .map_union import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .types import Descriptors, Float32, Float64, checked_pose
 from .voxel_cloud import VoxelCloud
 
-Int32 = NDArray[np.int32]
-Array = NDArray[Any]
 
-
-class SegmentMap:
+class SegmentMap(SegmentTable):
     """Segments of a place with their descriptors, and the cloud that they were cut from.
 
     Start from :meth:`empty` or :meth:`load`.
@@ -49,17 +45,11 @@ class SegmentMap:
         trajectory: Float64,
         metadata: Mapping[str, str] | None = None,
     ) -> None:
+        super().__init__(segments)
         self.descriptor = descriptor
         self.fingerprint = fingerprint
-        self.dim = int(segments["vectors"].shape[1])
         self.metadata = dict(metadata or {})
         self._cloud = cloud
-        # Rows are gathered in lists and joined when they are asked for. A map without segments
-        # does not know yet whether its descriptor tells quality.
-        self._columns = {
-            name: [array] for name, array in segments.items() if name != "quality" or len(array)
-        }
-        self._columns.setdefault("missed", [np.zeros(len(segments["session"]), np.int32)])
         self._trajectory = [trajectory]
 
     @classmethod
@@ -77,57 +67,14 @@ class SegmentMap:
             raise SeglocError(f"dim must be positive, not {dim}")
         if not (np.isfinite(cloud_voxel) and cloud_voxel > 0):
             raise SeglocError(f"cloud_voxel must be positive, not {cloud_voxel}")
-        segments: dict[str, Array] = {
-            name: np.empty(row_shape(name, 0, dim), dtype)
-            for name, dtype in SEGMENT_DTYPES.items()
-            if name != "quality"
-        }
         where = checked(origin, "origin", (3,), np.float64)
         cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
-        return cls(descriptor_name, fingerprint, segments, cloud, np.empty((0, 4, 4)))
+        return cls(descriptor_name, fingerprint, no_segments(dim), cloud, np.empty((0, 4, 4)))
 
     # --- what it holds -------------------------------------------------------------------------
 
-    def __len__(self) -> int:
-        return len(self.centroids)
-
     def __repr__(self) -> str:
         return f"SegmentMap({len(self)} segments, {self.descriptor!r}, {len(self.cloud)} points)"
-
-    @property
-    def vectors(self) -> Float32:
-        """Descriptors, (P, dim) float32."""
-        return self._column("vectors")
-
-    @property
-    def quality(self) -> Float32 | None:
-        """How much each descriptor can be trusted, (P,) float32, or None if it does not say."""
-        return self._column("quality") if "quality" in self._columns else None
-
-    @property
-    def centroids(self) -> Float64:
-        """Means of the segments, (P, 3) float64, map frame."""
-        return self._column("centroids")
-
-    @property
-    def sizes(self) -> Int32:
-        """Points in each segment, (P,) int32."""
-        return self._column("sizes")
-
-    @property
-    def session(self) -> Int32:
-        """The traversal that saw each segment, (P,) int32."""
-        return self._column("session")
-
-    @property
-    def stamps(self) -> Float64:
-        """Stamp of the view that each segment comes from, (P,) float64."""
-        return self._column("stamps")
-
-    @property
-    def missed(self) -> Int32:
-        """How many sessions in a row looked where each segment was and saw nothing, (P,) int32."""
-        return self._column("missed")
 
     @property
     def cloud(self) -> Float32:
@@ -205,32 +152,9 @@ class SegmentMap:
         SeglocError
             If a shape does not fit or a value is not finite; the map is then unchanged.
         """
-        count = len(descriptors)
-        values: dict[str, ArrayLike | None] = {
-            "vectors": descriptors.vectors,
-            "quality": descriptors.quality,
-            "centroids": centroids,
-            "sizes": sizes,
-            "session": np.full(count, session),
-            "stamps": np.full(count, stamp, dtype=np.float64),
-            "missed": np.zeros(count, np.int32),
-        }
-        columns = {
-            name: checked(value, name, row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
-            for name, value in values.items()
-            if value is not None
-        }
-        points = np.asarray(cloud)
-        if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
-            raise SeglocError(
-                f"cloud must be (N, 3) floating point, not {points.shape} {points.dtype}"
-            )
-        if count and len(self) and ("quality" in columns) != ("quality" in self._columns):
-            raise MapMismatch("either all views of a map have descriptor quality or none")
-        self._cloud.add(points)
-        if count:
-            for name, array in columns.items():
-                self._columns.setdefault(name, []).append(array)
+        columns = self._rows_of(descriptors, centroids, sizes, session, stamp)
+        self._cloud.add(np.asarray(cloud))
+        self._append(columns)
 
     def add_trajectory(self, poses: ArrayLike) -> None:
         """Add the way of the sensor: (V, 4, 4) poses T_map_sensor.
@@ -329,13 +253,10 @@ class SegmentMap:
         SeglocError
             If the file cannot be written; an older file of that name is then as it was.
         """
-        fields = {
-            "descriptor": self.descriptor,
-            "fingerprint": self.fingerprint,
-            "cloud_voxel": repr(self.cloud_voxel),
-            "metadata": json.dumps(self.metadata, sort_keys=True),
-        }
-        mapfile.write(path, self._arrays(), fields)
+        contents = mapfile.Contents(
+            self._arrays(), self.descriptor, self.fingerprint, self.cloud_voxel, self.metadata
+        )
+        mapfile.write(path, contents)
 
     @classmethod
     def load(cls, path: str | Path) -> SegmentMap:
@@ -346,30 +267,17 @@ class SegmentMap:
         MapFormatError
             If there is no such file, or it is truncated, corrupt, newer, or no map.
         """
-        arrays, fields = mapfile.read(path)
-        try:
-            voxel = float(fields["cloud_voxel"])
-            metadata = {str(k): str(v) for k, v in json.loads(fields["metadata"]).items()}
-        except (ValueError, AttributeError, RecursionError) as error:
-            raise MapFormatError(f"{path}: damaged: unreadable text fields") from error
-        if not (np.isfinite(voxel) and voxel > 0 and arrays["vectors"].shape[1] > 0):
-            raise MapFormatError(f"{path}: damaged: dim or cloud_voxel is not positive")
+        file = mapfile.read(path)
         return cls(
-            fields["descriptor"],
-            fields["fingerprint"],
-            {name: array for name, array in arrays.items() if name in SEGMENT_DTYPES},
-            VoxelCloud(arrays["cloud"], arrays["origin"], voxel),
-            arrays["trajectory"],
-            metadata,
+            file.descriptor,
+            file.fingerprint,
+            {name: array for name, array in file.arrays.items() if name in SEGMENT_DTYPES},
+            VoxelCloud(file.arrays["cloud"], file.arrays["origin"], file.cloud_voxel),
+            file.arrays["trajectory"],
+            file.metadata,
         )
 
     # --- inside --------------------------------------------------------------------------------
-
-    def _column(self, name: str) -> Array:
-        return joined(self._columns[name])
-
-    def _segments(self) -> dict[str, Array]:
-        return {name: self._column(name) for name in self._columns}
 
     def _part(
         self, segments: dict[str, Array], rows: Array, points: Array, trajectory: Float64
@@ -385,9 +293,7 @@ class SegmentMap:
 
     def _arrays(self) -> dict[str, Array]:
         arrays = self._segments()
-        if not arrays[
-            "missed"
-        ].any():  # nothing to tell: files are as they were before there was it
+        if not arrays["missed"].any():  # nothing to tell: as in files older than the column
             del arrays["missed"]
         arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
         return arrays

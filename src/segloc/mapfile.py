@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +47,38 @@ _DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4"}
 _VERSION, _CHECKSUM = "segmap_version", "checksum"
 
 
-def write(path: str | Path, arrays: Mapping[str, Array], fields: Mapping[str, str]) -> None:
-    """Write a map file: whole or not at all, and the same bytes for the same map.
+@dataclass(frozen=True)
+class Contents:
+    """What a map file holds.
 
-    Parameters
+    Attributes
     ----------
-    path : str or Path
     arrays : mapping
         The arrays of ``SCHEMA``.
-    fields : mapping
-        The text fields of ``REQUIRED_FIELDS``.
+    descriptor, fingerprint : str
+    cloud_voxel : float
+        Metres.
+    metadata : dict of str to str
+    """
+
+    arrays: Mapping[str, Array]
+    descriptor: str
+    fingerprint: str
+    cloud_voxel: float
+    metadata: Mapping[str, str]
+
+    def fields(self) -> dict[str, str]:
+        """The text fields of ``REQUIRED_FIELDS``."""
+        return {
+            "descriptor": self.descriptor,
+            "fingerprint": self.fingerprint,
+            "cloud_voxel": repr(self.cloud_voxel),
+            "metadata": json.dumps(dict(self.metadata), sort_keys=True),
+        }
+
+
+def write(path: str | Path, contents: Contents) -> None:
+    """Write a map file: whole or not at all, and the same bytes for the same map.
 
     Raises
     ------
@@ -63,12 +86,12 @@ def write(path: str | Path, arrays: Mapping[str, Array], fields: Mapping[str, st
         If the file cannot be written.
     """
     data = {
-        name: np.ascontiguousarray(arrays[name], dtype=_DTYPES[dtype])
+        name: np.ascontiguousarray(contents.arrays[name], dtype=_DTYPES[dtype])
         for name, (dtype, _) in SCHEMA.items()  # widest first, which keeps every buffer aligned
-        if name in arrays
+        if name in contents.arrays
     }
     shapes = {name: (SCHEMA[name][0], list(array.shape)) for name, array in data.items()}
-    texts = {**fields, _VERSION: str(FORMAT_VERSION)}
+    texts = {**contents.fields(), _VERSION: str(FORMAT_VERSION)}
     texts |= {f"{_CHECKSUM}.{name}": _digest(array) for name, array in data.items()}
     texts[_CHECKSUM] = _header_digest(texts, shapes)
     with replacing(path) as stream:
@@ -77,8 +100,8 @@ def write(path: str | Path, arrays: Mapping[str, Array], fields: Mapping[str, st
             stream.write(array.reshape(-1).view(np.uint8).data)
 
 
-def read(path: str | Path) -> tuple[dict[str, Array], dict[str, str]]:
-    """Read a map file: its arrays and its text fields.
+def read(path: str | Path) -> Contents:
+    """Read a map file.
 
     Sizes are checked against the length of the file before any array is allocated.
 
@@ -101,7 +124,7 @@ def read(path: str | Path) -> tuple[dict[str, Array], dict[str, str]]:
         raise MapFormatError(f"{path}: cannot be read: {error}") from error
 
 
-def _read_checked(path: str | Path, file: Any) -> tuple[dict[str, Array], dict[str, str]]:
+def _read_checked(path: str | Path, file: Any) -> Contents:
     texts: dict[str, str] = file.metadata() or {}
     _check_version(path, texts)
     shapes: dict[str, tuple[str, list[int]]] = {}
@@ -117,7 +140,18 @@ def _read_checked(path: str | Path, file: Any) -> tuple[dict[str, Array], dict[s
         arrays[name] = file.get_tensor(name)
         if texts.get(f"{_CHECKSUM}.{name}") != _digest(arrays[name]):
             raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
-    return arrays, {key: texts[key] for key in REQUIRED_FIELDS}
+    return _contents(path, arrays, texts)
+
+
+def _contents(path: str | Path, arrays: dict[str, Array], texts: Mapping[str, str]) -> Contents:
+    try:
+        voxel = float(texts["cloud_voxel"])
+        metadata = {str(k): str(v) for k, v in json.loads(texts["metadata"]).items()}
+    except (ValueError, AttributeError, RecursionError) as error:
+        raise MapFormatError(f"{path}: damaged: unreadable text fields") from error
+    if not (np.isfinite(voxel) and voxel > 0 and arrays["vectors"].shape[1] > 0):
+        raise MapFormatError(f"{path}: damaged: dim or cloud_voxel is not positive")
+    return Contents(arrays, texts["descriptor"], texts["fingerprint"], voxel, metadata)
 
 
 def _check_version(path: str | Path, texts: Mapping[str, str]) -> None:

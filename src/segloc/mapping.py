@@ -8,15 +8,16 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import geometry
-from .descriptors import create
+from .descriptors import Descriptor, create
 from .errors import DatasetError
 from .local_cloud import Accumulator, window
 from .map import SegmentMap
 from .segmentation import Segmentation, Segmenter
-from .types import Float64, Pose
+from .types import Descriptors, Float64, Pose
 
 if TYPE_CHECKING:
     from .config import Config
@@ -70,23 +71,9 @@ def build_map(
     """
     poses = _poses(sequence)
     descriptor = create(config.method, config.threads)
-    site = SegmentMap.empty(
-        descriptor.name,
-        descriptor.fingerprint,
-        descriptor.dim,
-        poses[0, :3, 3],
-        cloud_voxel=config.mapping.cloud_voxel,
-    )
+    site = empty_map(descriptor, config, poses[0, :3, 3])
     for view in map_views(sequence, config, every_m=every_m, progress=progress):
-        segments = view.scene.segments
-        site.add(
-            descriptor.describe(segments),
-            geometry.transform(view.T_map_local, segments.centroids),
-            segments.sizes,
-            session=0,
-            stamp=view.stamp,
-            cloud=geometry.transform(view.T_map_local, view.scene.surface),
-        )
+        add_view(site, view, descriptor.describe(view.scene.segments))
     if len(site) == 0:
         raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
     site.add_trajectory(poses)
@@ -102,6 +89,42 @@ class View:
     T_map_local: Pose
     stamp: float
     scene: Segmentation
+
+
+def empty_map(descriptor: Descriptor, config: Config, origin: ArrayLike) -> SegmentMap:
+    """A map of nothing yet, to be described by ``descriptor``; the origin is near its place."""
+    return SegmentMap.empty(
+        descriptor.name,
+        descriptor.fingerprint,
+        descriptor.dim,
+        origin,
+        cloud_voxel=config.mapping.cloud_voxel,
+    )
+
+
+def add_view(
+    site: SegmentMap, view: View, descriptors: Descriptors, *, with_cloud: bool = True
+) -> None:
+    """Add a view, whose segments have these descriptors, to a map of one session.
+
+    Parameters
+    ----------
+    site : SegmentMap
+    view : View
+    descriptors : Descriptors
+    with_cloud : bool
+        Whether the map is to hold the view's surface, which poses are verified against.
+    """
+    segments = view.scene.segments
+    surface = view.scene.surface if with_cloud else np.empty((0, 3))
+    site.add(
+        descriptors,
+        geometry.transform(view.T_map_local, segments.centroids),
+        segments.sizes,
+        session=0,
+        stamp=view.stamp,
+        cloud=geometry.transform(view.T_map_local, surface),
+    )
 
 
 def map_views(

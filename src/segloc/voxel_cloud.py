@@ -37,7 +37,17 @@ class VoxelCloud:
         self._pending_count = 0
 
     def add(self, points: NDArray[np.floating]) -> None:
-        """Add (N, 3) points in the map frame. Amortised: thinning waits until it is worth it."""
+        """Add (N, 3) points in the map frame. Amortised: thinning waits until it is worth it.
+
+        Raises
+        ------
+        SeglocError
+            If the shape or dtype is wrong or a point is not finite; the cloud is then unchanged.
+        """
+        if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
+            raise SeglocError(
+                f"cloud must be (N, 3) floating point, not {points.shape} {points.dtype}"
+            )
         self.add_relative((points - self.origin).astype(np.float32))
 
     def add_relative(self, points: Float32) -> None:

@@ -15,6 +15,7 @@ from ..descriptors import create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator, window
 from ..map import SegmentMap
+from ..mapping import View, add_view, empty_map
 from ..segmentation import Segmentation, Segmenter
 from ..types import Descriptors, Float32, Float64, Int64, Pose, Segments
 from .config import AlignConfig
@@ -171,14 +172,7 @@ def _submap(reader: _Reader, anchor: int, settings: AlignConfig, site: SegmentMa
     scene, descriptors = reader.view(anchor, reader.config.local_cloud.window_m)
     short, short_descriptors = reader.view(anchor, settings.submap_m)
     for seen, described in ((scene, descriptors), (short, short_descriptors)):
-        site.add(
-            described,
-            geometry.transform(T_odom_local, seen.segments.centroids),
-            seen.segments.sizes,
-            session=0,
-            stamp=float(anchor),
-            cloud=geometry.transform(T_odom_local, seen.surface),
-        )
+        add_view(site, View(T_odom_local, float(anchor), seen), described)
     radius = settings.icp_radius
     lean = Segmentation(
         _without_points(scene.segments),
@@ -206,7 +200,7 @@ class _Parts:
 
     def __init__(self, config: Config, settings: AlignConfig, origin: Float64) -> None:
         self._descriptor = create(config.method, config.threads)
-        self._voxel, self._origin = config.mapping.cloud_voxel, origin
+        self._config, self._origin = config, origin
         self._length = settings.part_m
         self._nodes: dict[int, list[int]] = {}
         self._sites: dict[int, SegmentMap] = {}
@@ -216,13 +210,7 @@ class _Parts:
         part = int(way // self._length)
         if part not in self._sites:
             self._nodes[part] = []
-            self._sites[part] = SegmentMap.empty(
-                self._descriptor.name,
-                self._descriptor.fingerprint,
-                self._descriptor.dim,
-                self._origin,
-                cloud_voxel=self._voxel,
-            )
+            self._sites[part] = empty_map(self._descriptor, self._config, self._origin)
         self._nodes[part].append(node)
         return self._sites[part]
 

@@ -91,7 +91,7 @@ def _positions(
         return np.arange(len(recording), dtype=np.int64)
     way = recording.poses if recording.poses is not None else truths
     if way is None:
-        raise ConfigError("--every needs --poses or --truth to measure the way")
+        raise ConfigError("--every needs --poses, --odometry or --truth to measure the way")
     positions = query_positions(way, every, max_gap_m)
     if not len(positions):
         raise ConfigError(f"--every {every:g}: {recording.name} has no stretch of that length")

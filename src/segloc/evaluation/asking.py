@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import geometry
 from ..config import Config
 from ..datasets import Recording
 from ..descriptors import Descriptor, create
@@ -18,10 +17,10 @@ from ..errors import DatasetError
 from ..local_cloud import Accumulator
 from ..localizer import Localizer
 from ..map import SegmentMap
-from ..mapping import map_views
+from ..mapping import add_view, empty_map, map_views
 from ..pose import PoseEstimator
 from ..segmentation import Segmenter
-from ..types import Descriptors, Float64, Localization, Pose, Segments
+from ..types import Descriptors, Float64, Localization, Segments
 from ..verification import Verifier
 from .courses import Course, Opened
 from .learning import QUALITY
@@ -76,26 +75,15 @@ def build_maps(
         If the recording has no poses, or nothing that could be segmented.
     """
     config = Config(threads=threads)
-    sites: dict[str, SegmentMap] = {}
     poses = recording.poses
     if poses is None or len(poses) == 0:
         raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
-    first, nothing = next(iter(descriptors)), np.empty((0, 3))
+    first = next(iter(descriptors))
+    sites = {name: empty_map(each, config, poses[0, :3, 3]) for name, each in descriptors.items()}
     for view in map_views(recording, config, progress=progress):
-        segments = view.scene.segments
-        centroids = geometry.transform(view.T_map_local, segments.centroids)
-        surface = geometry.transform(view.T_map_local, view.scene.surface)
-        described = describe_all(descriptors, segments)
-        for name, descriptor in descriptors.items():
-            site = sites.setdefault(name, _empty(name, descriptor, poses[0], config))
-            site.add(
-                described[name],
-                centroids,
-                segments.sizes,
-                session=0,
-                stamp=view.stamp,
-                cloud=surface if name == first else nothing,
-            )
+        described = describe_all(descriptors, view.scene.segments)
+        for name in descriptors:
+            add_view(sites[name], view, described[name], with_cloud=name == first)
     if not len(sites[first]):
         raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
     for site in sites.values():
@@ -116,18 +104,15 @@ def describe_all(
     return found
 
 
-def _empty(name: str, descriptor: Descriptor, near: Pose, config: Config) -> SegmentMap:
-    voxel = config.mapping.cloud_voxel
-    return SegmentMap.empty(
-        name, descriptor.fingerprint, descriptor.dim, near[:3, 3], cloud_voxel=voxel
-    )
-
-
 def build_site(
     recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
 ) -> Site:
     """The maps of :func:`build_maps`, ready to be asked."""
-    sites = build_maps(recording, descriptors, threads)
+    return site_of(build_maps(recording, descriptors, threads), threads)
+
+
+def site_of(sites: Mapping[str, SegmentMap], threads: int = 1) -> Site:
+    """Maps of one place by several methods, the first with the cloud of all, ready to be asked."""
     whole = next(iter(sites.values()))
     # The cloud is the same for all methods, and so is what verification prepares of it.
     verifier = Verifier(whole.cloud, whole.origin, Config().verification, threads=threads)
