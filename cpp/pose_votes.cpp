@@ -1,8 +1,9 @@
 #include "pose_votes.h"
 
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <cmath>
-#include <numeric>
 
 #include "parallel.h"
 
@@ -13,44 +14,65 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr double kSlack = 1.0;  // metres that half a step of yaw moves a typical segment
 constexpr int kMinSteps = 36, kMaxSteps = 240;
 constexpr int kMinBits = 16, kMaxBits = 18;  // cells of a table; larger maps are folded into it
+constexpr int kMinBitsX = 5;  // a row of the table fills vectors
 constexpr std::size_t kCellsPerVoter = 16;
 constexpr std::uint32_t kFewest = 3;
 constexpr std::size_t kKeptPerStep = 48;
-
-// The object that voted last, from 1 (upper 16 bits), and the votes (lower 16 bits).
-using Counter = std::uint32_t;
+constexpr std::uint32_t kMostCounted = 63;  // in a cell: the sum of four fits its byte
+constexpr std::uint32_t kMarks = 255;       // objects that a byte tells apart
+constexpr std::size_t kFront = 32;          // values before a table
 
 // The matches that vote, one object after another.
 struct Voters {
   std::vector<float> qx, qy, mx, my;  // queries relative to their middle
   std::vector<std::uint32_t> group, index;
+  std::vector<std::uint16_t> mark;  // of the object, where a cell keeps it
+  std::vector<std::size_t> spans;   // borders of stretches in which objects have different marks
   double middle[2] = {0.0, 0.0};
   double radius = 0.0;  // root mean square distance to the middle
+
+  std::size_t size() const { return index.size(); }
+  MatchField columns() const { return {qx.data(), qy.data(), mx.data(), my.data()}; }
 };
+
+// The first `most` matches, by object; those of one object keep their order.
+std::vector<std::uint32_t> by_object(const Field& f, std::size_t most) {
+  std::vector<std::size_t> next(f.groups + 1, 0);
+  for (std::size_t i = 0; i < f.size(); ++i) next[f.group[i] + 1] += f.match[i] < most;
+  for (std::size_t g = 0; g < f.groups; ++g) next[g + 1] += next[g];
+  std::vector<std::uint32_t> order(next.back());
+  for (std::uint32_t i = 0; i < f.size(); ++i) {
+    if (f.match[i] < most) order[next[f.group[i]]++] = i;
+  }
+  return order;
+}
 
 Voters voters_of(const Field& f, std::size_t most) {
   Voters v;
-  for (std::uint32_t i = 0; i < f.size(); ++i) {
-    if (f.match[i] < most) v.index.push_back(i);
-  }
-  std::stable_sort(v.index.begin(), v.index.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return f.group[a] < f.group[b];
-  });
-  const double n = static_cast<double>(v.index.size());
+  v.index = by_object(f, most);
+  const std::size_t count = v.index.size();
+  for (std::vector<float>* column : {&v.qx, &v.qy, &v.mx, &v.my}) column->resize(count);
+  v.group.resize(count);
+  v.mark.resize(count);
+  const double n = static_cast<double>(count);
   for (const std::uint32_t i : v.index) {
     v.middle[0] += f.qx[i] / n;
     v.middle[1] += f.qy[i] / n;
   }
   double squares = 0.0;
-  for (const std::uint32_t i : v.index) {
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::uint32_t i = v.index[k], group = f.group[i];
     const double x = f.qx[i] - v.middle[0], y = f.qy[i] - v.middle[1];
     squares += x * x + y * y;
-    v.qx.push_back(static_cast<float>(x));
-    v.qy.push_back(static_cast<float>(y));
-    v.mx.push_back(f.mx[i]);
-    v.my.push_back(f.my[i]);
-    v.group.push_back(f.group[i]);
+    v.qx[k] = static_cast<float>(x);
+    v.qy[k] = static_cast<float>(y);
+    v.mx[k] = f.mx[i];
+    v.my[k] = f.my[i];
+    v.group[k] = group;
+    v.mark[k] = static_cast<std::uint16_t>((group % kMarks + 1) << 8);
+    if (k == 0 || group / kMarks != v.group[k - 1] / kMarks) v.spans.push_back(k);
   }
+  v.spans.push_back(count);
   v.radius = std::sqrt(squares / n);
   return v;
 }
@@ -61,6 +83,12 @@ struct Lattice {
   int bits_x = 0, bits_y = 0;
 
   std::size_t cells() const { return std::size_t{1} << (bits_x + bits_y); }
+  std::uint32_t mask_x() const { return (1u << bits_x) - 1; }
+  std::uint32_t mask_y() const { return (1u << bits_y) - 1; }
+  VoteLattice at(double yaw) const {
+    return {static_cast<float>(std::cos(yaw)), static_cast<float>(std::sin(yaw)), low_x, low_y,
+            per_metre, mask_x(), mask_y(), bits_x};
+  }
 };
 
 int bits_for(double cells, int most) {
@@ -71,87 +99,185 @@ int bits_for(double cells, int most) {
 
 Lattice make_lattice(const Voters& v, double width) {
   double farthest = 0.0;
-  for (std::size_t k = 0; k < v.qx.size(); ++k) {
-    farthest = std::max(farthest, std::hypot(double{v.qx[k]}, double{v.qy[k]}));
+  for (std::size_t k = 0; k < v.size(); ++k) {
+    farthest = std::max(farthest, double{v.qx[k]} * v.qx[k] + double{v.qy[k]} * v.qy[k]);
   }
+  farthest = std::sqrt(farthest);
   const auto [x0, x1] = std::minmax_element(v.mx.begin(), v.mx.end());
   const auto [y0, y1] = std::minmax_element(v.my.begin(), v.my.end());
   Lattice lattice;
   lattice.per_metre = static_cast<float>(1.0 / width);
   lattice.low_x = static_cast<float>(*x0 - farthest - 2.0 * width);
   lattice.low_y = static_cast<float>(*y0 - farthest - 2.0 * width);
-  const int bits = std::max(kMinBits, bits_for(double(kCellsPerVoter * v.qx.size()), kMaxBits));
+  const int bits = std::max(kMinBits, bits_for(double(kCellsPerVoter * v.size()), kMaxBits));
   const double across = (*x1 - *x0 + 2.0 * farthest) / width + 5.0;
   const double along = (*y1 - *y0 + 2.0 * farthest) / width + 5.0;
   lattice.bits_x = bits_for(across, bits - bits_for(along, bits / 2));
   lattice.bits_y = bits_for(along, bits - lattice.bits_x);
+  lattice.bits_x = std::max(lattice.bits_x, kMinBitsX);
   return lattice;
 }
 
+// A window of two by two cells, named by its last one.
 struct Crowd {
   std::uint32_t votes, slot, voter;
-  std::int32_t x, y;
+  std::int32_t x, y;  // on the lattice, not folded
 };
 
-// Scratch of one worker.
-struct Table {
-  std::vector<Counter> counters;
-  std::vector<std::int32_t> x, y;
-  std::vector<Crowd> crowds;
-};
+// How many votes a window needs to be among the fullest of all steps, as far as is known. Counts
+// only what is surely returned or surpassed, so it may be asked at any time, by any thread, and what
+// it keeps out could never have been returned.
+class Hurdle {
+ public:
+  explicit Hurdle(std::size_t most) : most_(most) {}
 
-void locate(const Voters& v, const Lattice& lattice, double yaw, Table& table) {
-  const auto c = static_cast<float>(std::cos(yaw)), s = static_cast<float>(std::sin(yaw));
-  const std::size_t n = v.qx.size();
-  for (std::size_t k = 0; k < n; ++k) {  // positive, so that cutting off is rounding down
-    const float x = v.mx[k] - (c * v.qx[k] - s * v.qy[k]) - lattice.low_x;
-    const float y = v.my[k] - (s * v.qx[k] + c * v.qy[k]) - lattice.low_y;
-    table.x[k] = static_cast<std::int32_t>(x * lattice.per_metre);
-    table.y[k] = static_cast<std::int32_t>(y * lattice.per_metre);
+  std::uint32_t height() const {
+    std::size_t fuller = 0;
+    for (std::uint32_t votes = kMostCounted; votes > kFewest; --votes) {
+      fuller += tally_[votes].load(std::memory_order_relaxed);
+      if (fuller >= most_) return votes;
+    }
+    return kFewest;
   }
-}
+  void add(std::uint32_t votes) {
+    tally_[std::min(votes, kMostCounted)].fetch_add(1, std::memory_order_relaxed);
+  }
 
-// Nearly every branch here would be a coin toss: there are none but the last.
-void count(const Voters& v, const Lattice& lattice, Table& table) {
-  table.crowds.clear();
-  std::fill(table.counters.begin(), table.counters.end(), 0);
-  Counter* const counters = table.counters.data();
-  const std::int32_t *const xs = table.x.data(), *const ys = table.y.data();
-  const std::uint32_t mask_x = (1u << lattice.bits_x) - 1, mask_y = (1u << lattice.bits_y) - 1;
-  const int shift = lattice.bits_x;
-  const auto voters = static_cast<std::uint32_t>(v.qx.size());
-  for (std::uint32_t k = 0; k < voters; ++k) {
-    const std::uint32_t group = (v.group[k] + 1) & 0xffffu;
-    const auto x = static_cast<std::uint32_t>(xs[k]), y = static_cast<std::uint32_t>(ys[k]);
-    const std::uint32_t columns[2] = {x & mask_x, (x + 1) & mask_x};
-    const std::uint32_t rows[2] = {(y & mask_y) << shift, ((y + 1) & mask_y) << shift};
-    for (std::uint32_t corner = 0; corner < 4; ++corner) {
-      const std::uint32_t slot = rows[corner >> 1] | columns[corner & 1];
-      const Counter old = counters[slot];
-      const std::uint32_t fresh = (old >> 16) != group;
-      const std::uint32_t votes = (old & 0xffffu) + fresh;
-      counters[slot] = group << 16 | votes;
-      if ((votes == kFewest) & fresh) {
-        table.crowds.push_back({0, slot, k, xs[k] + static_cast<std::int32_t>(corner & 1),
-                                ys[k] + static_cast<std::int32_t>(corner >> 1)});
+ private:
+  std::size_t most_;
+  std::array<std::atomic<std::size_t>, kMostCounted + 1> tally_{};
+};
+
+// One step of yaw after another, in the scratch memory of one worker. First every voter counts in
+// its own cell, which is quick. The votes of four cells together bound those of a window: an object
+// may have voted in several of them. Only where the bound reaches the hurdle, which few windows in a
+// million do, are the objects of the window counted.
+class Ballot {
+ public:
+  void resize(const Voters& v, const Lattice& lattice) {
+    if (!cells_.empty()) return;
+    cells_.resize(kFront + lattice.cells());
+    windows_.resize(lattice.cells());
+    counters_.resize(lattice.cells());
+    wanted_.resize(lattice.cells() / 64);
+    own_.resize(v.size());
+    inside_.resize(v.size());
+  }
+
+  // The fullest windows at that yaw, of those with at least `fewest` votes.
+  const std::vector<Crowd>& fullest(const Voters& v, const Lattice& lattice, double yaw,
+                                    std::uint32_t fewest, const Kernels& kernels) {
+    const VoteLattice at = lattice.at(yaw);
+    kernels.vote_cells(v.columns(), v.size(), at, own_.data());
+    count_cells(v);
+    const std::size_t found =
+        kernels.full_windows(cells_.data() + kFront, std::size_t{1} << lattice.bits_x,
+                             std::size_t{1} << lattice.bits_y, fewest, windows_.data());
+    crowds_.clear();
+    if (found == 0) return crowds_;
+    mark_windows(lattice, found, true);
+    count_objects(v, lattice, at);
+    mark_windows(lattice, found, false);
+    keep_fullest(fewest);
+    return crowds_;
+  }
+
+ private:
+  // Nearly every branch here would be a coin toss: there are none.
+  void count_cells(const Voters& v) {
+    std::uint16_t* const cells = cells_.data() + kFront;
+    for (std::size_t span = 0; span + 1 < v.spans.size(); ++span) {
+      if (span > 0) {  // marks are given again
+        for (std::uint16_t& cell : cells_) cell &= kVotes;
+      }
+      for (std::size_t k = v.spans[span]; k < v.spans[span + 1]; ++k) {
+        const std::uint32_t old = cells[own_[k]], mark = v.mark[k];
+        const std::uint32_t votes = (old & kVotes) + ((old & ~kVotes & 0xffffu) != mark);
+        cells[own_[k]] = static_cast<std::uint16_t>(mark | std::min(votes, kMostCounted));
       }
     }
   }
-}
 
-// The fullest cells of one step of yaw.
-void keep_fullest(Table& table) {
-  for (Crowd& crowd : table.crowds) crowd.votes = table.counters[crowd.slot] & 0xffffu;
-  const auto fuller = [](const Crowd& a, const Crowd& b) {
-    return a.votes != b.votes ? a.votes > b.votes : a.slot < b.slot;
-  };
-  if (table.crowds.size() > kKeptPerStep) {
-    const auto end = table.crowds.begin() + static_cast<std::ptrdiff_t>(kKeptPerStep);
-    std::nth_element(table.crowds.begin(), end, table.crowds.end(), fuller);
-    table.crowds.erase(end, table.crowds.end());
+  // Which cells belong to a window that was found.
+  void mark_windows(const Lattice& lattice, std::size_t found, bool wanted) {
+    for (std::size_t w = 0; w < found; ++w) {
+      const std::uint32_t x = windows_[w] & lattice.mask_x(), y = windows_[w] >> lattice.bits_x;
+      for (const std::uint32_t row : {y, (y - 1) & lattice.mask_y()}) {
+        for (const std::uint32_t column : {x, (x - 1) & lattice.mask_x()}) {
+          const std::uint32_t cell = row << lattice.bits_x | column;
+          const std::uint64_t bit = std::uint64_t{1} << (cell & 63);
+          wanted_[cell >> 6] = wanted ? wanted_[cell >> 6] | bit : wanted_[cell >> 6] & ~bit;
+        }
+      }
+    }
   }
-  std::sort(table.crowds.begin(), table.crowds.end(), fuller);
-}
+
+  // Distinct objects in the windows around the voters of wanted cells. A counter holds the object
+  // that voted last, from 1 (upper 16 bits), and the votes (lower 16 bits).
+  void count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at) {
+    std::size_t inside = 0;
+    for (std::uint32_t k = 0; k < v.size(); ++k) {
+      inside_[inside] = k;
+      inside += wanted_[own_[k] >> 6] >> (own_[k] & 63) & 1;
+    }
+    for (std::size_t i = 0; i < inside; ++i) {
+      const std::uint32_t k = inside_[i], group = (v.group[k] + 1) & 0xffffu;
+      for (std::uint32_t corner = 0; corner < 4; ++corner) {
+        const std::uint32_t slot = slot_of(lattice, own_[k], corner);
+        const std::uint32_t old = counters_[slot], fresh = (old >> 16) != group;
+        const std::uint32_t votes = (old & 0xffffu) + fresh;
+        counters_[slot] = group << 16 | votes;
+        if ((votes == kFewest) & fresh) crowds_.push_back(crowd_of(v, at, k, slot, corner));
+      }
+    }
+    for (Crowd& crowd : crowds_) crowd.votes = counters_[crowd.slot] & 0xffffu;
+    for (std::size_t i = 0; i < inside; ++i) {
+      for (std::uint32_t corner = 0; corner < 4; ++corner) {
+        counters_[slot_of(lattice, own_[inside_[i]], corner)] = 0;
+      }
+    }
+  }
+
+  // The window that ends `corner` cells after one: 0 or 1 along x, and 0 or 2 along y.
+  static std::uint32_t slot_of(const Lattice& lattice, std::uint32_t cell, std::uint32_t corner) {
+    const std::uint32_t x = (cell + (corner & 1)) & lattice.mask_x();
+    const std::uint32_t y = ((cell >> lattice.bits_x) + (corner >> 1)) & lattice.mask_y();
+    return y << lattice.bits_x | x;
+  }
+
+  static Crowd crowd_of(const Voters& v, const VoteLattice& l, std::uint32_t k, std::uint32_t slot,
+                        std::uint32_t corner) {
+    const float x = v.mx[k] - (l.cosine * v.qx[k] - l.sine * v.qy[k]) - l.low_x;
+    const float y = v.my[k] - (l.sine * v.qx[k] + l.cosine * v.qy[k]) - l.low_y;
+    return {0, slot, k, static_cast<std::int32_t>(x * l.per_metre) + std::int32_t(corner & 1),
+            static_cast<std::int32_t>(y * l.per_metre) + std::int32_t(corner >> 1)};
+  }
+
+  void keep_fullest(std::uint32_t fewest) {
+    // Of windows around wanted cells that are not wanted themselves not all voters were counted:
+    // they are emptier than the hurdle.
+    crowds_.erase(std::remove_if(crowds_.begin(), crowds_.end(),
+                                 [&](const Crowd& crowd) { return crowd.votes < fewest; }),
+                  crowds_.end());
+    const auto fuller = [](const Crowd& a, const Crowd& b) {
+      return a.votes != b.votes ? a.votes > b.votes : a.slot < b.slot;
+    };
+    if (crowds_.size() > kKeptPerStep) {
+      const auto end = crowds_.begin() + static_cast<std::ptrdiff_t>(kKeptPerStep);
+      std::nth_element(crowds_.begin(), end, crowds_.end(), fuller);
+      crowds_.erase(end, crowds_.end());
+    }
+    std::sort(crowds_.begin(), crowds_.end(), fuller);
+  }
+
+  std::vector<std::uint16_t> cells_;  // votes of each cell, behind kFront others; clear between steps
+  std::vector<std::uint32_t> own_;    // cell of each voter
+  std::vector<std::uint32_t> windows_;   // that may be full
+  std::vector<std::uint64_t> wanted_;    // cells of those, a bit each; clear between steps
+  std::vector<std::uint32_t> inside_;    // voters in wanted cells
+  std::vector<std::uint32_t> counters_;  // of windows; clear between steps
+  std::vector<Crowd> crowds_;
+};
 
 }  // namespace
 
@@ -168,20 +294,18 @@ PoseVotes vote_for_poses(const Field& f, const VoteOptions& o, int threads) {
   result.width = 2.0 * (0.7 * o.tolerance + 0.5 * turn * std::max(v.radius, 1.0));
   const Lattice lattice = make_lattice(v, result.width);
 
-  std::vector<Table> tables(static_cast<std::size_t>(resolve_threads(threads)));
+  const Kernels& kernel_table = kernels(parse_isa("auto"));
+  Hurdle hurdle(o.max_cells);
+  std::vector<Ballot> ballots(static_cast<std::size_t>(resolve_threads(threads)));
   std::vector<std::vector<PoseCell>> found(static_cast<std::size_t>(steps));
   parallel_for(found.size(), 1, threads, [&](std::size_t begin, std::size_t end, int worker) {
-    Table& table = tables[static_cast<std::size_t>(worker)];
-    table.counters.resize(lattice.cells(), 0);
-    table.x.resize(v.qx.size());
-    table.y.resize(v.qx.size());
+    Ballot& ballot = ballots[static_cast<std::size_t>(worker)];
+    ballot.resize(v, lattice);
     for (std::size_t step = begin; step < end; ++step) {
       const double yaw = static_cast<double>(step) * turn - kPi;
-      locate(v, lattice, yaw, table);
-      count(v, lattice, table);
-      keep_fullest(table);
       const double c = std::cos(yaw), s = std::sin(yaw);
-      for (const Crowd& crowd : table.crowds) {
+      for (const Crowd& crowd : ballot.fullest(v, lattice, yaw, hurdle.height(), kernel_table)) {
+        hurdle.add(crowd.votes);
         const double x = crowd.x * result.width + lattice.low_x;
         const double y = crowd.y * result.width + lattice.low_y;
         found[step].push_back({crowd.votes, v.index[crowd.voter], yaw,
