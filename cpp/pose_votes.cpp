@@ -148,6 +148,30 @@ class Hurdle {
   std::array<std::atomic<std::size_t>, kMostCounted + 1> tally_{};
 };
 
+// Nearly every branch in these two loops would be a coin toss: there are none.
+
+// Voters from `begin` to `end` each count in their own cell, once for each object in a row.
+void count_span(const std::uint32_t* own, const std::uint16_t* mark, std::size_t begin,
+                std::size_t end, std::uint16_t* cells) {
+  for (std::size_t k = begin; k < end; ++k) {
+    std::uint16_t& cell = cells[own[k]];
+    const std::uint32_t old = cell, voter = mark[k];
+    const std::uint32_t votes = (old & kVotes) + ((old ^ voter) > kVotes);
+    cell = static_cast<std::uint16_t>(voter | std::min(votes, kMostCounted));
+  }
+}
+
+// The voters whose cell has its bit set.
+std::size_t voters_inside(const std::uint32_t* own, std::size_t count, const std::uint64_t* wanted,
+                          std::uint32_t* inside) {
+  std::size_t found = 0;
+  for (std::uint32_t k = 0; k < count; ++k) {
+    inside[found] = k;
+    found += wanted[own[k] >> 6] >> (own[k] & 63) & 1;
+  }
+  return found;
+}
+
 // One step of yaw after another, in the scratch memory of one worker. First every voter counts in
 // its own cell, which is quick. The votes of four cells together bound those of a window: an object
 // may have voted in several of them. Only where the bound reaches the hurdle, which few windows in a
@@ -158,7 +182,8 @@ class Ballot {
     if (!cells_.empty()) return;
     cells_.resize(kFront + lattice.cells());
     windows_.resize(lattice.cells());
-    counters_.resize(lattice.cells());
+    full_.resize(lattice.cells() / 64);
+    first_.resize(lattice.cells() / 64);
     wanted_.resize(lattice.cells() / 64);
     own_.resize(v.size());
     inside_.resize(v.size());
@@ -176,73 +201,70 @@ class Ballot {
     crowds_.clear();
     if (found == 0) return crowds_;
     mark_windows(lattice, found, true);
-    count_objects(v, lattice, at);
+    count_objects(v, lattice, at, found);
     mark_windows(lattice, found, false);
     keep_fullest(fewest);
     return crowds_;
   }
 
  private:
-  // Nearly every branch here would be a coin toss: there are none.
   void count_cells(const Voters& v) {
     std::uint16_t* const cells = cells_.data() + kFront;
     for (std::size_t span = 0; span + 1 < v.spans.size(); ++span) {
       if (span > 0) {  // marks are given again
         for (std::uint16_t& cell : cells_) cell &= kVotes;
       }
-      for (std::size_t k = v.spans[span]; k < v.spans[span + 1]; ++k) {
-        const std::uint32_t old = cells[own_[k]], mark = v.mark[k];
-        const std::uint32_t votes = (old & kVotes) + ((old & ~kVotes & 0xffffu) != mark);
-        cells[own_[k]] = static_cast<std::uint16_t>(mark | std::min(votes, kMostCounted));
-      }
+      count_span(own_.data(), v.mark.data(), v.spans[span], v.spans[span + 1], cells);
     }
   }
 
-  // Which cells belong to a window that was found.
+  // Which windows were found, and which cells belong to one of them.
   void mark_windows(const Lattice& lattice, std::size_t found, bool wanted) {
+    const auto mark = [wanted](std::vector<std::uint64_t>& bits, std::uint32_t at) {
+      const std::uint64_t bit = std::uint64_t{1} << (at & 63);
+      bits[at >> 6] = wanted ? bits[at >> 6] | bit : bits[at >> 6] & ~bit;
+    };
     for (std::size_t w = 0; w < found; ++w) {
       const std::uint32_t x = windows_[w] & lattice.mask_x(), y = windows_[w] >> lattice.bits_x;
       for (const std::uint32_t row : {y, (y - 1) & lattice.mask_y()}) {
         for (const std::uint32_t column : {x, (x - 1) & lattice.mask_x()}) {
-          const std::uint32_t cell = row << lattice.bits_x | column;
-          const std::uint64_t bit = std::uint64_t{1} << (cell & 63);
-          wanted_[cell >> 6] = wanted ? wanted_[cell >> 6] | bit : wanted_[cell >> 6] & ~bit;
+          mark(wanted_, row << lattice.bits_x | column);
+        }
+      }
+      mark(full_, windows_[w]);
+    }
+  }
+
+  // Distinct objects in the windows that were found. A counter holds the object that voted last,
+  // from 1 (upper 16 bits), and the votes (lower 16 bits). The number of a window's counter is that
+  // of the first one in its word of bits, and one more for each bit below.
+  void count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at,
+                     std::size_t found) {
+    counters_.assign(found, 0);
+    for (std::size_t w = found; w-- > 0;) {
+      first_[windows_[w] >> 6] = static_cast<std::uint32_t>(w);
+    }
+    const std::size_t inside = voters_inside(own_.data(), v.size(), wanted_.data(), inside_.data());
+    for (std::size_t i = 0; i < inside; ++i) {
+      const std::uint32_t k = inside_[i], group = (v.group[k] + 1) & 0xffffu;
+      const std::uint32_t x = own_[k] & lattice.mask_x(), y = own_[k] >> lattice.bits_x;
+      for (std::uint32_t corner = 0; corner < 4; ++corner) {
+        const std::uint32_t column = (x + (corner & 1)) & lattice.mask_x();
+        const std::uint32_t slot = ((y + (corner >> 1)) & lattice.mask_y()) << lattice.bits_x | column;
+        const std::uint64_t word = full_[slot >> 6], bit = std::uint64_t{1} << (slot & 63);
+        if ((word & bit) == 0) continue;
+        const auto below = static_cast<std::uint32_t>(__builtin_popcountll(word & (bit - 1)));
+        const std::uint32_t number = first_[slot >> 6] + below;
+        const std::uint32_t old = counters_[number], fresh = (old >> 16) != group;
+        const std::uint32_t votes = (old & 0xffffu) + fresh;
+        counters_[number] = group << 16 | votes;
+        if ((votes == kFewest) & fresh) {
+          crowds_.push_back(crowd_of(v, at, k, slot, corner));
+          crowds_.back().votes = number;
         }
       }
     }
-  }
-
-  // Distinct objects in the windows around the voters of wanted cells. A counter holds the object
-  // that voted last, from 1 (upper 16 bits), and the votes (lower 16 bits).
-  void count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at) {
-    std::size_t inside = 0;
-    for (std::uint32_t k = 0; k < v.size(); ++k) {
-      inside_[inside] = k;
-      inside += wanted_[own_[k] >> 6] >> (own_[k] & 63) & 1;
-    }
-    for (std::size_t i = 0; i < inside; ++i) {
-      const std::uint32_t k = inside_[i], group = (v.group[k] + 1) & 0xffffu;
-      for (std::uint32_t corner = 0; corner < 4; ++corner) {
-        const std::uint32_t slot = slot_of(lattice, own_[k], corner);
-        const std::uint32_t old = counters_[slot], fresh = (old >> 16) != group;
-        const std::uint32_t votes = (old & 0xffffu) + fresh;
-        counters_[slot] = group << 16 | votes;
-        if ((votes == kFewest) & fresh) crowds_.push_back(crowd_of(v, at, k, slot, corner));
-      }
-    }
-    for (Crowd& crowd : crowds_) crowd.votes = counters_[crowd.slot] & 0xffffu;
-    for (std::size_t i = 0; i < inside; ++i) {
-      for (std::uint32_t corner = 0; corner < 4; ++corner) {
-        counters_[slot_of(lattice, own_[inside_[i]], corner)] = 0;
-      }
-    }
-  }
-
-  // The window that ends `corner` cells after one: 0 or 1 along x, and 0 or 2 along y.
-  static std::uint32_t slot_of(const Lattice& lattice, std::uint32_t cell, std::uint32_t corner) {
-    const std::uint32_t x = (cell + (corner & 1)) & lattice.mask_x();
-    const std::uint32_t y = ((cell >> lattice.bits_x) + (corner >> 1)) & lattice.mask_y();
-    return y << lattice.bits_x | x;
+    for (Crowd& crowd : crowds_) crowd.votes = counters_[crowd.votes] & 0xffffu;
   }
 
   static Crowd crowd_of(const Voters& v, const VoteLattice& l, std::uint32_t k, std::uint32_t slot,
@@ -254,8 +276,6 @@ class Ballot {
   }
 
   void keep_fullest(std::uint32_t fewest) {
-    // Of windows around wanted cells that are not wanted themselves not all voters were counted:
-    // they are emptier than the hurdle.
     crowds_.erase(std::remove_if(crowds_.begin(), crowds_.end(),
                                  [&](const Crowd& crowd) { return crowd.votes < fewest; }),
                   crowds_.end());
@@ -270,12 +290,14 @@ class Ballot {
     std::sort(crowds_.begin(), crowds_.end(), fuller);
   }
 
-  std::vector<std::uint16_t> cells_;  // votes of each cell, behind kFront others; clear between steps
-  std::vector<std::uint32_t> own_;    // cell of each voter
-  std::vector<std::uint32_t> windows_;   // that may be full
-  std::vector<std::uint64_t> wanted_;    // cells of those, a bit each; clear between steps
+  std::vector<std::uint16_t> cells_;    // votes of each, behind kFront others; clear between steps
+  std::vector<std::uint32_t> own_;      // cell of each voter
+  std::vector<std::uint32_t> windows_;  // that may be full, in rising order where bits share a word
+  std::vector<std::uint64_t> full_;     // those windows, a bit each; clear between steps
+  std::vector<std::uint64_t> wanted_;   // cells of those windows, likewise
+  std::vector<std::uint32_t> first_;    // number of the first window in each word of full_
+  std::vector<std::uint32_t> counters_;  // one for each of those windows
   std::vector<std::uint32_t> inside_;    // voters in wanted cells
-  std::vector<std::uint32_t> counters_;  // of windows; clear between steps
   std::vector<Crowd> crowds_;
 };
 
