@@ -17,13 +17,22 @@ constexpr std::size_t kTileFloats = 2048;    // 8 KiB: thresholds fall soon, and
 constexpr std::size_t kSampled = 32;         // points a centre that k-means looks at
 constexpr int kRounds = 8;                   // of k-means
 
-double squared_distance(const float* a, const float* b, std::size_t dim) {
-  double sum = 0.0;
+// Squared distances of four rows, each summed in order: a sum waits for each of its additions, four do not wait for each other.
+void squared_distances(const float* query, const float* const rows[4], std::size_t dim,
+                       double sums[4]) {
+  double sum[4] = {0.0, 0.0, 0.0, 0.0};
   for (std::size_t d = 0; d < dim; ++d) {
-    const double difference = double{a[d]} - double{b[d]};
-    sum += difference * difference;
+    for (int r = 0; r < 4; ++r) {
+      const double difference = double{query[d]} - double{rows[r][d]};
+      sum[r] += difference * difference;
+    }
   }
-  return sum;
+  std::copy_n(sum, 4, sums);
+}
+
+void prefetch(const float* row, std::size_t dim) {
+  constexpr std::size_t kLine = 16;  // floats
+  for (std::size_t d = 0; d < dim; d += kLine) __builtin_prefetch(row + d);
 }
 
 struct Points {
@@ -99,10 +108,9 @@ class Selection {
     std::size_t n = 0;
     for (std::size_t c = 0; c < count_; ++c) {
       const uint32_t id = database.ids[indices_[c]];
-      if (id >= database.count) continue;  // padding of a list
-      const float* point = database.values + id * database.dim;
-      ranked_[n++] = {squared_distance(query_, point, database.dim), id, indices_[c]};
+      if (id < database.count) ranked_[n++] = {0.0, id, indices_[c]};  // else padding of a list
     }
+    measure(database, n);
     const auto begin = ranked_.begin(), end = begin + static_cast<std::ptrdiff_t>(n);
     if (n > columns_) {
       std::nth_element(begin, begin + static_cast<std::ptrdiff_t>(columns_ - 1), end);
@@ -112,6 +120,24 @@ class Selection {
     for (std::size_t c = 0; c < count_; ++c) {
       indices_[c] = ranked_[c].position;
       distances2_[c] = static_cast<float>(ranked_[c].distance2);
+    }
+  }
+
+  // The rows are all over the database: they are asked for before they are read.
+  void measure(const Points& database, std::size_t n) {
+    constexpr std::size_t kAhead = 16;
+    const auto row = [&](std::size_t c) {
+      return database.values + ranked_[std::min(c, n - 1)].id * database.dim;
+    };
+    for (std::size_t c = 0; c < std::min(n, kAhead); ++c) prefetch(row(c), database.dim);
+    for (std::size_t c = 0; c < n; c += 4) {
+      for (std::size_t i = 0; i < 4; ++i) prefetch(row(c + kAhead + i), database.dim);
+      const float* const rows[4] = {row(c), row(c + 1), row(c + 2), row(c + 3)};
+      double sums[4];
+      squared_distances(query_, rows, database.dim, sums);
+      for (std::size_t i = 0; i < std::min<std::size_t>(4, n - c); ++i) {
+        ranked_[c + i].distance2 = sums[i];
+      }
     }
   }
 
@@ -170,6 +196,7 @@ void DescriptorIndex::divide(std::size_t lists, int threads) {
       }
     }
   }
+  coarse_ = std::make_unique<DescriptorIndex>(centres_.data(), lists, dim_, 1, kernels_.isa, threads);
   const std::vector<int64_t> at = nearest(database_, count_);
   for (std::size_t i = 0; i < count_; ++i) list_of[i] = static_cast<uint32_t>(at[i]);
   pack(list_of, threads);
@@ -198,21 +225,36 @@ void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
   });
 }
 
-// The lists to be read for a query, the nearest first.
-std::vector<uint32_t> DescriptorIndex::probed(const float* query, std::size_t columns,
-                                              std::size_t probes) const {
-  if (lists() == 1) return {0};
-  std::vector<std::pair<double, uint32_t>> order(lists());
-  for (uint32_t c = 0; c < lists(); ++c) {
-    order[c] = {squared_distance(query, centres_.data() + c * dim_, dim_), c};
+// The lists to be read for each query, the nearest first.
+std::vector<std::vector<uint32_t>> DescriptorIndex::probed(const float* queries,
+                                                           std::size_t query_count,
+                                                           std::size_t columns,
+                                                           std::size_t probes) const {
+  std::vector<std::vector<uint32_t>> chosen(query_count);
+  if (lists() == 1) {
+    for (auto& lists : chosen) lists = {0};
+    return chosen;
   }
-  std::sort(order.begin(), order.end());
-  std::vector<uint32_t> chosen;
-  std::size_t held = 0;
-  for (const auto& [distance2, list] : order) {
-    if (chosen.size() >= probes && held >= columns) break;
-    chosen.push_back(list);
-    held += sizes_[list];
+  const auto nearest = [&](const float* rows, std::size_t n, std::size_t count) {
+    std::vector<int64_t> at(n * count);
+    std::vector<float> distances(n * count);
+    coarse_->search(rows, n, count, 1, 1, at.data(), distances.data());
+    return at;
+  };
+  const auto choose = [&](const int64_t* order, std::size_t count, std::size_t q) {
+    std::size_t held = 0;
+    chosen[q].clear();
+    for (std::size_t i = 0; i < count && (i < probes || held < columns); ++i) {
+      chosen[q].push_back(static_cast<uint32_t>(order[i]));
+      held += sizes_[static_cast<std::size_t>(order[i])];
+    }
+    return held >= columns;
+  };
+  const std::size_t usual = std::min(std::max<std::size_t>(probes, 1), lists());
+  const std::vector<int64_t> order = nearest(queries, query_count, usual);
+  for (std::size_t q = 0; q < query_count; ++q) {
+    if (choose(order.data() + q * usual, usual, q)) continue;
+    choose(nearest(queries + q * dim_, 1, lists()).data(), lists(), q);
   }
   return chosen;
 }
@@ -232,11 +274,11 @@ void DescriptorIndex::search(const float* queries, std::size_t query_count, std:
     // For each list who probes it: those that are nearest to it, in a first pass, so that later
     // candidates meet a bound; then the others.
     std::vector<std::vector<uint32_t>> visits(2 * lists());
-    for (std::size_t q = begin; q < end; ++q) {
-      selections[q - begin].start(queries + q * dim_);
-      const std::vector<uint32_t> chosen = probed(queries + q * dim_, columns, probes);
-      for (std::size_t rank = 0; rank < chosen.size(); ++rank) {
-        visits[chosen[rank] + (rank == 0 ? 0 : lists())].push_back(uint32_t(q - begin));
+    const auto chosen = probed(queries + begin * dim_, end - begin, columns, probes);
+    for (std::size_t q = 0; q < end - begin; ++q) {
+      selections[q].start(queries + (begin + q) * dim_);
+      for (std::size_t rank = 0; rank < chosen[q].size(); ++rank) {
+        visits[chosen[q][rank] + (rank == 0 ? 0 : lists())].push_back(uint32_t(q));
       }
     }
     for (std::size_t visit = 0; visit < visits.size(); ++visit) {
