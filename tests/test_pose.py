@@ -82,6 +82,30 @@ def test_utm_coordinates_lose_no_precision(estimator: str) -> None:
     assert error(found[0], T, query) < 0.5
 
 
+def test_more_objects_than_a_mark_tells_apart() -> None:
+    query, site, matches, T = scene(6, segments=600, neighbours=50, true=40)
+    runs = [PoseEstimator(threads=n).estimate(query, site, matches) for n in (1, 3)]
+    assert error(runs[0][0], T, query) < 0.5 and runs[0][0].inliers >= 30
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a.T_map_local, b.T_map_local)
+
+
+def test_a_pose_across_the_edge_of_the_table_is_found() -> None:
+    """In a map far larger than the table of votes, whose cells are folded, wherever it is."""
+    for seed, shift in enumerate(np.linspace(0, 2000, 9)):
+        query, site, matches, T = scene(
+            seed, neighbours=4, T=geometry.yaw_transform(1.0, (shift, -shift, 0))
+        )
+        site[::7] = site[::7] * [40, 40, 1] * (np.arange(len(site))[::7, None] % 4 != 0)
+        right = (
+            np.linalg.norm(geometry.transform(T, query)[matches.query] - site[matches.map], axis=1)
+            < 0.6
+        )
+        found = PoseEstimator().estimate(query, site, matches)
+        assert found[0].inliers >= len(np.unique(matches.query[right]))
+        assert error(found[0], T, query) < 0.7
+
+
 def reference_support(query: np.ndarray, site: np.ndarray, matches: Matches) -> int:
     """Most distinct query segments that any two agreeing matches put on the map."""
     q, m, best = query[matches.query], site[matches.map], 0

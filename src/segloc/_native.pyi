@@ -113,6 +113,9 @@ class DescriptorIndex:
     @property
     def lists(self) -> int: ...
 
+def order_matches(
+    query: NDArray[np.int64], map: NDArray[np.int64], score: NDArray[np.float32]
+) -> NDArray[np.int64]: ...
 def segment_moments(
     points: NDArray[np.float32], offsets: NDArray[np.int64], threads: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
