@@ -90,20 +90,43 @@ def test_more_objects_than_a_mark_tells_apart() -> None:
         np.testing.assert_array_equal(a.T_map_local, b.T_map_local)
 
 
-def test_a_pose_across_the_edge_of_the_table_is_found() -> None:
-    """In a map far larger than the table of votes, whose cells are folded, wherever it is."""
-    for seed, shift in enumerate(np.linspace(0, 2000, 9)):
-        query, site, matches, T = scene(
-            seed, neighbours=4, T=geometry.yaw_transform(1.0, (shift, -shift, 0))
-        )
-        site[::7] = site[::7] * [40, 40, 1] * (np.arange(len(site))[::7, None] % 4 != 0)
-        right = (
-            np.linalg.norm(geometry.transform(T, query)[matches.query] - site[matches.map], axis=1)
-            < 0.6
-        )
-        found = PoseEstimator().estimate(query, site, matches)
-        assert found[0].inliers >= len(np.unique(matches.query[right]))
-        assert error(found[0], T, query) < 0.7
+def reference_votes(
+    q: np.ndarray, m: np.ndarray, witness: np.ndarray, cells: np.ndarray, width: float, turn: float
+) -> list[int]:
+    """Distinct witnesses in all windows of two by two cells at every step of yaw, most first."""
+    votes: list[int] = []
+    middle = q.mean(axis=0)
+    yaw, x, y = cells[0]
+    T = geometry.yaw_transform(yaw)[:2, :2]
+    corner = np.array([x, y]) + T @ middle  # of some cell: the lattice is the same at every yaw
+    for step in range(round(2 * math.pi / turn)):
+        T = geometry.yaw_transform(step * turn - math.pi)[:2, :2]
+        cell = np.floor((m - (q - middle) @ T.T - corner) / width).astype(np.int64)
+        pairs = [np.column_stack([cell + (i, j), witness]) for i in (0, 1) for j in (0, 1)]
+        windows = np.unique(np.concatenate(pairs), axis=0)
+        counts = np.unique(windows[:, :2], axis=0, return_counts=True)[1]
+        votes += np.sort(counts[counts >= 3])[::-1][:48].tolist()
+    return sorted(votes, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("segments", "neighbours", "true"), [(40, 5, 8), (60, 60, 20), (20, 2, 6), (300, 12, 100)]
+)
+def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, true: int) -> None:
+    query, site, matches, _ = scene(11, segments=segments, neighbours=neighbours, true=true)
+    for max_cells in (20, 512, 100_000):
+        runs = [
+            _native.pose_votes(
+                query, site, matches.query, matches.map, 0.6, 0.0, max_cells, threads
+            )
+            for threads in (1, 3)
+        ]
+        votes, cells, width, turn = runs[0]
+        np.testing.assert_array_equal(votes, runs[1][0])
+        np.testing.assert_array_equal(cells, runs[1][1])
+        q, m = query[matches.query, :2], site[matches.map, :2]
+        expected = reference_votes(q, m, matches.query, cells, width, turn)
+        assert votes.tolist() == expected[:max_cells]
 
 
 def reference_support(query: np.ndarray, site: np.ndarray, matches: Matches) -> int:
