@@ -114,7 +114,8 @@ def reference_votes(
 )
 def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, true: int) -> None:
     query, site, matches, _ = scene(11, segments=segments, neighbours=neighbours, true=true)
-    for max_cells in (20, 512, 100_000):
+    expected: list[int] = []
+    for max_cells in (100_000, 512, 20):
         runs = [
             _native.pose_votes(
                 query, site, matches.query, matches.map, 0.6, 0.0, max_cells, threads
@@ -124,8 +125,9 @@ def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, 
         votes, cells, width, turn = runs[0]
         np.testing.assert_array_equal(votes, runs[1][0])
         np.testing.assert_array_equal(cells, runs[1][1])
-        q, m = query[matches.query, :2], site[matches.map, :2]
-        expected = reference_votes(q, m, matches.query, cells, width, turn)
+        if not expected:
+            q, m = query[matches.query, :2], site[matches.map, :2]
+            expected = reference_votes(q, m, matches.query, cells, width, turn)
         assert votes.tolist() == expected[:max_cells]
 
 
