@@ -5,6 +5,7 @@
 #include "consensus.h"
 #include "ground.h"
 #include "point_index.h"
+#include "pose_votes.h"
 #include "prosac.h"
 #include "sight.h"
 #include "voxel.h"
@@ -94,6 +95,33 @@ auto consensus_(const In2<double>& query, const In2<double>& map,
                          to_numpy(std::move(inliers)), to_numpy(std::move(scores)));
 }
 
+auto pose_votes_(const In2<double>& query, const In2<double>& map,
+                 const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                 double tolerance, double distinct_radius, std::size_t max_cells, int threads) {
+  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  const MatchInput input = {query.data(), query.shape(0), map.data(), match_query.data(),
+                            match_map.data(), match_query.shape(0)};
+  VoteOptions options;
+  options.tolerance = tolerance;
+  options.max_cells = max_cells;
+  const double origin[3] = {0.0, 0.0, 0.0}, reach = 100.0;
+  PoseVotes found;
+  {
+    nb::gil_scoped_release release;
+    found = vote_for_poses(make_field(input, origin, distinct_radius, reach), options, threads);
+  }
+  std::vector<std::int64_t> votes;
+  std::vector<double> poses;
+  for (const PoseCell& cell : found.cells) {
+    votes.push_back(cell.votes);
+    poses.insert(poses.end(), {cell.yaw, cell.x, cell.y});
+  }
+  const std::size_t count = votes.size();
+  return std::make_tuple(to_numpy(std::move(votes)), to_numpy(std::move(poses), {count, 3}),
+                         found.width, found.turn);
+}
+
 auto prosac_(const In2<double>& query, const In2<double>& map,
              const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map, bool ordered,
              bool yaw_only, double edge_tolerance, double inlier_tolerance, double min_edge,
@@ -178,6 +206,11 @@ void bind_geometry(nb::module_& m) {
         nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
         nb::arg("inlier_tolerance"), nb::arg("height_tolerance"), nb::arg("distinct_radius"),
         nb::arg("separation"), nb::arg("max_refined"), nb::arg("max_hypotheses"),
+        nb::arg("threads"));
+
+  m.def("pose_votes", &pose_votes_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
+        nb::arg("tolerance"), nb::arg("distinct_radius"), nb::arg("max_cells"),
         nb::arg("threads"));
 
   m.def("prosac", &prosac_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),

@@ -2,6 +2,7 @@
 #include "bindings.h"
 #include "fps.h"
 #include "knn.h"
+#include "match_order.h"
 #include "neighbors.h"
 #include "network.h"
 #include "prepare.h"
@@ -126,6 +127,18 @@ nb::tuple search(const BoundIndex& bound, In2<float> queries, std::size_t k, std
                         to_numpy(std::move(distances), {Q, columns}));
 }
 
+Out<int64_t> order_matches_(In1<int64_t> query, In1<int64_t> map, In1<float> score) {
+  const std::size_t n = score.size();
+  require(query.size() == n && map.size() == n, "query, map and score must have the same length");
+  require(n < (std::size_t{1} << 32), "there are too many matches");
+  std::vector<int64_t> order;
+  {
+    nb::gil_scoped_release release;
+    order = order_matches(query.data(), map.data(), score.data(), n);
+  }
+  return to_numpy(std::move(order));
+}
+
 using LayerRow = std::tuple<int, int, int, int>;
 
 void construct(Network* self, const std::vector<LayerRow>& layers,
@@ -185,6 +198,8 @@ void bind_network(nb::module_& m) {
       .def("search", &search, "queries"_a.noconvert(), "k"_a, "probes"_a, "threads"_a = 0)
       .def("__len__", [](const BoundIndex& bound) { return bound.index.size(); })
       .def_prop_ro("lists", [](const BoundIndex& bound) { return bound.index.lists(); });
+  m.def("order_matches", &order_matches_, "query"_a.noconvert(), "map"_a.noconvert(),
+        "score"_a.noconvert());
   nb::class_<Network>(m, "Network")
       .def("__init__", &construct, "layers"_a, "tensors"_a, "points"_a = 256, "isa"_a = "auto")
       .def("describe", &describe, "prepared"_a.noconvert(), "threads"_a = 0)

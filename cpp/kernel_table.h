@@ -7,6 +7,7 @@
 #include "knn_kernel.h"
 #include "neighbors_kernel.h"
 #include "train_kernel.h"
+#include "votes_kernel.h"
 #include "xconv_kernel.h"
 
 namespace segloc {
@@ -15,7 +16,8 @@ namespace SEGLOC_ISA {
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth, kBlock, kPanel,   &fps,
                         &neighbors,      &xconv, &dense, &conv,    &knn_scan,
-                        &near_pose,      kTraining};
+                        &near_pose,      kTraining,
+                        &vote_cells,     &full_windows};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

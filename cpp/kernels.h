@@ -78,6 +78,16 @@ struct PoseTest {
   float reach2;
 };
 
+// Cells of translations at one yaw, folded into a table of 2^n columns and rows.
+struct VoteLattice {
+  float cosine, sine, low_x, low_y, per_metre;
+  uint32_t mask_x, mask_y;
+  int bits_x;
+};
+
+// A cell of the table holds its votes, and above them a mark of who voted last.
+static constexpr uint16_t kVotes = 0xff;
+
 // One point of an X-conv layer in training. rows is K padded to 4, width the channels and lanes K,
 // both padded to 16; whatever is padded is zero. x (rows, rows), f and t (rows, width), depthwise
 // (depth, rows, width), output (depth, width): the result, or the gradient that comes in.
@@ -142,6 +152,14 @@ struct Kernels {
   size_t (*near_pose)(const MatchField& f, const PoseTest& test, size_t begin, size_t end,
                       uint32_t* found);
   TrainKernels training;
+  // The cell that each match votes for.
+  void (*vote_cells)(const MatchField& f, size_t count, const VoteLattice& lattice,
+                     uint32_t* cells);
+  // Writes the windows with at least `fewest` votes, clears the table, and returns how many there
+  // are. The window of a cell are the two by two cells that end with it, across the edges of the
+  // table. A multiple of 32 columns; the value before the table may be read.
+  size_t (*full_windows)(uint16_t* cells, size_t columns, size_t rows, uint32_t fewest,
+                         uint32_t* found);
 };
 
 const Kernels& kernels(Isa isa);

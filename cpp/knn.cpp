@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "knn_selection.h"
 #include "parallel.h"
 
 namespace segloc {
@@ -16,112 +17,6 @@ constexpr std::size_t kTileFloats = 2048;    // 8 KiB: thresholds fall soon, and
 
 constexpr std::size_t kSampled = 32;         // points a centre that k-means looks at
 constexpr int kRounds = 8;                   // of k-means
-
-double squared_distance(const float* a, const float* b, std::size_t dim) {
-  double sum = 0.0;
-  for (std::size_t d = 0; d < dim; ++d) {
-    const double difference = double{a[d]} - double{b[d]};
-    sum += difference * difference;
-  }
-  return sum;
-}
-
-struct Points {
-  const float* values;  // (count, dim)
-  std::size_t count, dim;
-  const uint32_t* ids;  // row at each packed position
-};
-
-struct Candidate {
-  double distance2;
-  uint32_t id, position;
-  bool operator<(const Candidate& other) const {
-    return distance2 < other.distance2 || (distance2 == other.distance2 && id < other.id);
-  }
-};
-
-// The best points so far of one query. The scan proposes candidates by distances in float, with a
-// margin for what rounding can do; in the end they are ranked in double.
-class Selection {
- public:
-  Selection(std::size_t columns, std::size_t tile_points)
-      : columns_(columns),
-        indices_(3 * columns + 2 * tile_points),
-        distances2_(indices_.size()),
-        sorted_(indices_.size()),
-        ranked_(indices_.size()) {}
-
-  void start(const float* query) {
-    query_ = query;
-    count_ = 0;
-    threshold_ = std::numeric_limits<float>::infinity();
-  }
-  void offer(KnnScan& scan, std::size_t slot) {
-    scan.queries[slot] = query_;
-    scan.thresholds[slot] = threshold_;
-    scan.candidates[slot] = indices_.data();
-    scan.distances2[slot] = distances2_.data();
-    scan.counts[slot] = count_;
-  }
-  // After a tile: drops what is too far, once there is enough for that to pay.
-  void take(std::size_t count, const Points& database) {
-    count_ = count;
-    if (count_ < 2 * columns_) return;
-    std::copy_n(distances2_.begin(), count_, sorted_.begin());
-    const auto last = sorted_.begin() + static_cast<std::ptrdiff_t>(columns_ - 1);
-    std::nth_element(sorted_.begin(), last, sorted_.begin() + static_cast<std::ptrdiff_t>(count_));
-    bound(*last);
-    std::size_t kept = 0;
-    for (std::size_t c = 0; c < count_; ++c) {
-      indices_[kept] = indices_[c];
-      distances2_[kept] = distances2_[c];
-      kept += distances2_[c] <= threshold_;
-    }
-    count_ = kept;
-    if (count_ >= 2 * columns_) rank(database);  // very many at nearly the same distance
-  }
-  void finish(const Points& database, int64_t* indices, float* distances) {
-    rank(database);
-    std::sort(ranked_.begin(), ranked_.begin() + static_cast<std::ptrdiff_t>(count_));
-    for (std::size_t c = 0; c < count_; ++c) {
-      indices[c] = ranked_[c].id;
-      distances[c] = static_cast<float>(std::sqrt(ranked_[c].distance2));
-    }
-  }
-
- private:
-  void bound(double distance2) {
-    constexpr double kMargin = 1.0 + 1e-4, kTiny = 1e-37;
-    threshold_ = static_cast<float>(distance2 * kMargin + kTiny);
-  }
-  // Keeps the best `columns`, compared exactly.
-  void rank(const Points& database) {
-    std::size_t n = 0;
-    for (std::size_t c = 0; c < count_; ++c) {
-      const uint32_t id = database.ids[indices_[c]];
-      if (id >= database.count) continue;  // padding of a list
-      const float* point = database.values + id * database.dim;
-      ranked_[n++] = {squared_distance(query_, point, database.dim), id, indices_[c]};
-    }
-    const auto begin = ranked_.begin(), end = begin + static_cast<std::ptrdiff_t>(n);
-    if (n > columns_) {
-      std::nth_element(begin, begin + static_cast<std::ptrdiff_t>(columns_ - 1), end);
-      bound(ranked_[columns_ - 1].distance2);
-    }
-    count_ = std::min(n, columns_);
-    for (std::size_t c = 0; c < count_; ++c) {
-      indices_[c] = ranked_[c].position;
-      distances2_[c] = static_cast<float>(ranked_[c].distance2);
-    }
-  }
-
-  std::size_t columns_, count_ = 0;
-  std::vector<uint32_t> indices_;
-  std::vector<float> distances2_, sorted_;
-  std::vector<Candidate> ranked_;
-  const float* query_ = nullptr;
-  float threshold_ = 0;
-};
 
 }  // namespace
 
@@ -170,6 +65,7 @@ void DescriptorIndex::divide(std::size_t lists, int threads) {
       }
     }
   }
+  coarse_ = std::make_unique<DescriptorIndex>(centres_.data(), lists, dim_, 1, kernels_.isa, threads);
   const std::vector<int64_t> at = nearest(database_, count_);
   for (std::size_t i = 0; i < count_; ++i) list_of[i] = static_cast<uint32_t>(at[i]);
   pack(list_of, threads);
@@ -198,21 +94,36 @@ void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
   });
 }
 
-// The lists to be read for a query, the nearest first.
-std::vector<uint32_t> DescriptorIndex::probed(const float* query, std::size_t columns,
-                                              std::size_t probes) const {
-  if (lists() == 1) return {0};
-  std::vector<std::pair<double, uint32_t>> order(lists());
-  for (uint32_t c = 0; c < lists(); ++c) {
-    order[c] = {squared_distance(query, centres_.data() + c * dim_, dim_), c};
+// The lists to be read for each query, the nearest first.
+std::vector<std::vector<uint32_t>> DescriptorIndex::probed(const float* queries,
+                                                           std::size_t query_count,
+                                                           std::size_t columns,
+                                                           std::size_t probes) const {
+  std::vector<std::vector<uint32_t>> chosen(query_count);
+  if (lists() == 1) {
+    for (auto& lists : chosen) lists = {0};
+    return chosen;
   }
-  std::sort(order.begin(), order.end());
-  std::vector<uint32_t> chosen;
-  std::size_t held = 0;
-  for (const auto& [distance2, list] : order) {
-    if (chosen.size() >= probes && held >= columns) break;
-    chosen.push_back(list);
-    held += sizes_[list];
+  const auto nearest = [&](const float* rows, std::size_t n, std::size_t count) {
+    std::vector<int64_t> at(n * count);
+    std::vector<float> distances(n * count);
+    coarse_->search(rows, n, count, 1, 1, at.data(), distances.data());
+    return at;
+  };
+  const auto choose = [&](const int64_t* order, std::size_t count, std::size_t q) {
+    std::size_t held = 0;
+    chosen[q].clear();
+    for (std::size_t i = 0; i < count && (i < probes || held < columns); ++i) {
+      chosen[q].push_back(static_cast<uint32_t>(order[i]));
+      held += sizes_[static_cast<std::size_t>(order[i])];
+    }
+    return held >= columns;
+  };
+  const std::size_t usual = std::min(std::max<std::size_t>(probes, 1), lists());
+  const std::vector<int64_t> order = nearest(queries, query_count, usual);
+  for (std::size_t q = 0; q < query_count; ++q) {
+    if (choose(order.data() + q * usual, usual, q)) continue;
+    choose(nearest(queries + q * dim_, 1, lists()).data(), lists(), q);
   }
   return chosen;
 }
@@ -232,11 +143,11 @@ void DescriptorIndex::search(const float* queries, std::size_t query_count, std:
     // For each list who probes it: those that are nearest to it, in a first pass, so that later
     // candidates meet a bound; then the others.
     std::vector<std::vector<uint32_t>> visits(2 * lists());
-    for (std::size_t q = begin; q < end; ++q) {
-      selections[q - begin].start(queries + q * dim_);
-      const std::vector<uint32_t> chosen = probed(queries + q * dim_, columns, probes);
-      for (std::size_t rank = 0; rank < chosen.size(); ++rank) {
-        visits[chosen[rank] + (rank == 0 ? 0 : lists())].push_back(uint32_t(q - begin));
+    const auto chosen = probed(queries + begin * dim_, end - begin, columns, probes);
+    for (std::size_t q = 0; q < end - begin; ++q) {
+      selections[q].start(queries + (begin + q) * dim_);
+      for (std::size_t rank = 0; rank < chosen[q].size(); ++rank) {
+        visits[chosen[q][rank] + (rank == 0 ? 0 : lists())].push_back(uint32_t(q));
       }
     }
     for (std::size_t visit = 0; visit < visits.size(); ++visit) {

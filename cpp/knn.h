@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "aligned.h"
@@ -32,13 +33,15 @@ class DescriptorIndex {
  private:
   void divide(std::size_t lists, int threads);
   void pack(const std::vector<uint32_t>& list_of, int threads);
-  std::vector<uint32_t> probed(const float* query, std::size_t columns, std::size_t probes) const;
+  std::vector<std::vector<uint32_t>> probed(const float* queries, std::size_t query_count,
+                                            std::size_t columns, std::size_t probes) const;
 
   const float* database_;
   std::size_t count_, dim_;
   const Kernels& kernels_;
   std::size_t lanes_;
   std::vector<float> centres_;        // (lists, dim)
+  std::unique_ptr<const DescriptorIndex> coarse_;  // over the centres, if there are several
   std::vector<std::size_t> starts_;   // of each list, in packed positions: multiples of lanes_
   std::vector<std::size_t> sizes_;    // of each list
   std::vector<uint32_t> ids_;         // row of the database at each position; count_ for padding

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "cells.h"
 
@@ -30,31 +31,43 @@ std::vector<std::uint32_t> group_by_distance(const double* points, std::size_t n
 
 // Numbers the distinct values in rising order.
 std::size_t number(std::vector<std::uint32_t>& values) {
-  std::vector<std::uint32_t> distinct = values;
-  std::sort(distinct.begin(), distinct.end());
-  distinct.erase(std::unique(distinct.begin(), distinct.end()), distinct.end());
-  for (std::uint32_t& value : values) {
-    const auto at = std::lower_bound(distinct.begin(), distinct.end(), value);
-    value = static_cast<std::uint32_t>(at - distinct.begin());
+  std::vector<std::uint64_t> keys(values.begin(), values.end());
+  std::vector<std::uint32_t> order(values.size());
+  std::iota(order.begin(), order.end(), 0u);
+  int bits = 1;
+  const std::uint64_t largest = values.empty() ? 0 : *std::max_element(keys.begin(), keys.end());
+  while ((largest >> bits) != 0) ++bits;
+  radix_sort(keys, order, bits);
+  std::uint32_t distinct = 0;
+  for (std::size_t k = 0; k < order.size(); ++k) {
+    distinct += k > 0 && keys[k] != keys[k - 1];
+    values[order[k]] = distinct;
   }
-  return distinct.size();
+  return values.empty() ? 0 : distinct + 1;
 }
 
-void pad(Field& f) {
-  for (std::vector<float>* column : {&f.qx, &f.qy, &f.qz, &f.mx, &f.my, &f.mz}) {
-    column->resize(f.size() + kMaxWidth, 0.0f);
+// Where the matched segments of the map lie, (n, 3) relative to the origin. They are all over the
+// map, so they are asked for long before they are read.
+std::vector<float> matched_points(const MatchInput& in, const double* origin) {
+  constexpr std::size_t kAhead = 24;
+  std::vector<float> points(3 * in.n);
+  for (std::size_t k = 0; k < in.n; ++k) {
+    const double* later = in.map + 3 * in.mm[std::min(k + kAhead, in.n - 1)];
+    __builtin_prefetch(later);
+    __builtin_prefetch(later + 2);
+    for (int a = 0; a < 3; ++a) {
+      points[3 * k + a] = static_cast<float>(in.map[3 * in.mm[k] + a] - origin[a]);
+    }
   }
+  return points;
 }
 
 }  // namespace
 
 Field make_field(const MatchInput& in, const double* origin, double distinct, double reach) {
-  std::vector<float> plane(3 * in.n, 0.0f);
-  for (std::size_t k = 0; k < in.n; ++k) {
-    for (int a = 0; a < 2; ++a) {
-      plane[3 * k + a] = static_cast<float>(in.map[3 * in.mm[k] + a] - origin[a]);
-    }
-  }
+  const std::vector<float> site = matched_points(in, origin);
+  std::vector<float> plane = site;
+  for (std::size_t k = 0; k < in.n; ++k) plane[3 * k + 2] = 0.0f;
   CellOrder cells = sort_into_cells(plane.data(), in.n, reach);
   const std::vector<std::uint32_t> group = group_by_distance(in.query, in.q, distinct);
   Field f;
@@ -62,22 +75,30 @@ Field make_field(const MatchInput& in, const double* origin, double distinct, do
   f.stride = cells.stride_y;
   f.groups = in.q == 0 ? 0 : 1 + *std::max_element(group.begin(), group.end());
   f.match = std::move(cells.order);
-  for (const std::uint32_t k : f.match) {
-    const double *a = in.query + 3 * in.mq[k], *b = in.map + 3 * in.mm[k];
-    f.qx.push_back(static_cast<float>(a[0]));
-    f.qy.push_back(static_cast<float>(a[1]));
-    f.qz.push_back(static_cast<float>(a[2]));
-    f.mx.push_back(static_cast<float>(b[0] - origin[0]));
-    f.my.push_back(static_cast<float>(b[1] - origin[1]));
-    f.mz.push_back(static_cast<float>(b[2] - origin[2]));
-    f.group.push_back(group[static_cast<std::size_t>(in.mq[k])]);
-    f.site.push_back(static_cast<std::uint32_t>(in.mm[k]));
+  f.group.resize(in.n);
+  f.site.resize(in.n);
+  float farthest = 0.0f;
+  for (std::vector<float>* column : {&f.qx, &f.qy, &f.qz, &f.mx, &f.my, &f.mz}) {
+    column->resize(in.n + kMaxWidth, 0.0f);
   }
-  for (const std::vector<float>* column : {&f.qx, &f.qy, &f.qz, &f.mx, &f.my, &f.mz}) {
-    for (const float v : *column) f.farthest = std::max<double>(f.farthest, std::fabs(v));
+  for (std::size_t i = 0; i < in.n; ++i) {
+    const std::size_t k = f.match[i];
+    const double* q = in.query + 3 * in.mq[k];
+    const float* m = site.data() + 3 * k;
+    f.qx[i] = static_cast<float>(q[0]);
+    f.qy[i] = static_cast<float>(q[1]);
+    f.qz[i] = static_cast<float>(q[2]);
+    f.mx[i] = m[0];
+    f.my[i] = m[1];
+    f.mz[i] = m[2];
+    f.group[i] = group[static_cast<std::size_t>(in.mq[k])];
+    f.site[i] = static_cast<std::uint32_t>(in.mm[k]);
+    for (const float v : {f.qx[i], f.qy[i], f.qz[i], m[0], m[1], m[2]}) {
+      farthest = std::max(farthest, std::fabs(v));
+    }
   }
+  f.farthest = farthest;
   f.sites = number(f.site);
-  pad(f);
   return f;
 }
 

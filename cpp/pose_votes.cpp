@@ -1,9 +1,11 @@
 #include "pose_votes.h"
 
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <cmath>
-#include <numeric>
 
+#include "ballot.h"
 #include "parallel.h"
 
 namespace segloc {
@@ -13,55 +15,50 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr double kSlack = 1.0;  // metres that half a step of yaw moves a typical segment
 constexpr int kMinSteps = 36, kMaxSteps = 240;
 constexpr int kMinBits = 16, kMaxBits = 18;  // cells of a table; larger maps are folded into it
+constexpr int kMinBitsX = 6;  // no two rows of the table share a word of bits
 constexpr std::size_t kCellsPerVoter = 16;
-constexpr std::uint32_t kFewest = 3;
-constexpr std::size_t kKeptPerStep = 48;
 
-// The object that voted last, from 1 (upper 16 bits), and the votes (lower 16 bits).
-using Counter = std::uint32_t;
-
-// The matches that vote, one object after another.
-struct Voters {
-  std::vector<float> qx, qy, mx, my;  // queries relative to their middle
-  std::vector<std::uint32_t> group, index;
-  double middle[2] = {0.0, 0.0};
-  double radius = 0.0;  // root mean square distance to the middle
-};
+// The first `most` matches, by object; those of one object keep their order.
+std::vector<std::uint32_t> by_object(const Field& f, std::size_t most) {
+  std::vector<std::size_t> next(f.groups + 1, 0);
+  for (std::size_t i = 0; i < f.size(); ++i) next[f.group[i] + 1] += f.match[i] < most;
+  for (std::size_t g = 0; g < f.groups; ++g) next[g + 1] += next[g];
+  std::vector<std::uint32_t> order(next.back());
+  for (std::uint32_t i = 0; i < f.size(); ++i) {
+    if (f.match[i] < most) order[next[f.group[i]]++] = i;
+  }
+  return order;
+}
 
 Voters voters_of(const Field& f, std::size_t most) {
   Voters v;
-  for (std::uint32_t i = 0; i < f.size(); ++i) {
-    if (f.match[i] < most) v.index.push_back(i);
-  }
-  std::stable_sort(v.index.begin(), v.index.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return f.group[a] < f.group[b];
-  });
-  const double n = static_cast<double>(v.index.size());
+  v.index = by_object(f, most);
+  const std::size_t count = v.index.size();
+  for (std::vector<float>* column : {&v.qx, &v.qy, &v.mx, &v.my}) column->resize(count);
+  v.group.resize(count);
+  v.mark.resize(count);
+  const double n = static_cast<double>(count);
   for (const std::uint32_t i : v.index) {
     v.middle[0] += f.qx[i] / n;
     v.middle[1] += f.qy[i] / n;
   }
   double squares = 0.0;
-  for (const std::uint32_t i : v.index) {
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::uint32_t i = v.index[k], group = f.group[i];
     const double x = f.qx[i] - v.middle[0], y = f.qy[i] - v.middle[1];
     squares += x * x + y * y;
-    v.qx.push_back(static_cast<float>(x));
-    v.qy.push_back(static_cast<float>(y));
-    v.mx.push_back(f.mx[i]);
-    v.my.push_back(f.my[i]);
-    v.group.push_back(f.group[i]);
+    v.qx[k] = static_cast<float>(x);
+    v.qy[k] = static_cast<float>(y);
+    v.mx[k] = f.mx[i];
+    v.my[k] = f.my[i];
+    v.group[k] = group;
+    v.mark[k] = static_cast<std::uint16_t>((group % kMarks + 1) << 8);
+    if (k == 0 || group / kMarks != v.group[k - 1] / kMarks) v.spans.push_back(k);
   }
+  v.spans.push_back(count);
   v.radius = std::sqrt(squares / n);
   return v;
 }
-
-// The lattice of translations: cells are folded into a table, so that it stays in cache.
-struct Lattice {
-  float per_metre = 1.0f, low_x = 0.0f, low_y = 0.0f;
-  int bits_x = 0, bits_y = 0;
-
-  std::size_t cells() const { return std::size_t{1} << (bits_x + bits_y); }
-};
 
 int bits_for(double cells, int most) {
   int bits = 2;
@@ -71,87 +68,48 @@ int bits_for(double cells, int most) {
 
 Lattice make_lattice(const Voters& v, double width) {
   double farthest = 0.0;
-  for (std::size_t k = 0; k < v.qx.size(); ++k) {
-    farthest = std::max(farthest, std::hypot(double{v.qx[k]}, double{v.qy[k]}));
+  for (std::size_t k = 0; k < v.size(); ++k) {
+    farthest = std::max(farthest, double{v.qx[k]} * v.qx[k] + double{v.qy[k]} * v.qy[k]);
   }
+  farthest = std::sqrt(farthest);
   const auto [x0, x1] = std::minmax_element(v.mx.begin(), v.mx.end());
   const auto [y0, y1] = std::minmax_element(v.my.begin(), v.my.end());
   Lattice lattice;
   lattice.per_metre = static_cast<float>(1.0 / width);
   lattice.low_x = static_cast<float>(*x0 - farthest - 2.0 * width);
   lattice.low_y = static_cast<float>(*y0 - farthest - 2.0 * width);
-  const int bits = std::max(kMinBits, bits_for(double(kCellsPerVoter * v.qx.size()), kMaxBits));
+  const int bits = std::max(kMinBits, bits_for(double(kCellsPerVoter * v.size()), kMaxBits));
   const double across = (*x1 - *x0 + 2.0 * farthest) / width + 5.0;
   const double along = (*y1 - *y0 + 2.0 * farthest) / width + 5.0;
   lattice.bits_x = bits_for(across, bits - bits_for(along, bits / 2));
   lattice.bits_y = bits_for(along, bits - lattice.bits_x);
+  lattice.bits_x = std::max(lattice.bits_x, kMinBitsX);
   return lattice;
 }
 
-struct Crowd {
-  std::uint32_t votes, slot, voter;
-  std::int32_t x, y;
-};
+// How many votes a window needs to be among the fullest of all steps, as far as is known. Counts
+// only what is surely returned or surpassed, so it may be asked at any time, by any thread, and what
+// it keeps out could never have been returned.
+class Hurdle {
+ public:
+  explicit Hurdle(std::size_t most) : most_(most) {}
 
-// Scratch of one worker.
-struct Table {
-  std::vector<Counter> counters;
-  std::vector<std::int32_t> x, y;
-  std::vector<Crowd> crowds;
-};
-
-void locate(const Voters& v, const Lattice& lattice, double yaw, Table& table) {
-  const auto c = static_cast<float>(std::cos(yaw)), s = static_cast<float>(std::sin(yaw));
-  const std::size_t n = v.qx.size();
-  for (std::size_t k = 0; k < n; ++k) {  // positive, so that cutting off is rounding down
-    const float x = v.mx[k] - (c * v.qx[k] - s * v.qy[k]) - lattice.low_x;
-    const float y = v.my[k] - (s * v.qx[k] + c * v.qy[k]) - lattice.low_y;
-    table.x[k] = static_cast<std::int32_t>(x * lattice.per_metre);
-    table.y[k] = static_cast<std::int32_t>(y * lattice.per_metre);
-  }
-}
-
-// Nearly every branch here would be a coin toss: there are none but the last.
-void count(const Voters& v, const Lattice& lattice, Table& table) {
-  table.crowds.clear();
-  std::fill(table.counters.begin(), table.counters.end(), 0);
-  Counter* const counters = table.counters.data();
-  const std::int32_t *const xs = table.x.data(), *const ys = table.y.data();
-  const std::uint32_t mask_x = (1u << lattice.bits_x) - 1, mask_y = (1u << lattice.bits_y) - 1;
-  const int shift = lattice.bits_x;
-  const auto voters = static_cast<std::uint32_t>(v.qx.size());
-  for (std::uint32_t k = 0; k < voters; ++k) {
-    const std::uint32_t group = (v.group[k] + 1) & 0xffffu;
-    const auto x = static_cast<std::uint32_t>(xs[k]), y = static_cast<std::uint32_t>(ys[k]);
-    const std::uint32_t columns[2] = {x & mask_x, (x + 1) & mask_x};
-    const std::uint32_t rows[2] = {(y & mask_y) << shift, ((y + 1) & mask_y) << shift};
-    for (std::uint32_t corner = 0; corner < 4; ++corner) {
-      const std::uint32_t slot = rows[corner >> 1] | columns[corner & 1];
-      const Counter old = counters[slot];
-      const std::uint32_t fresh = (old >> 16) != group;
-      const std::uint32_t votes = (old & 0xffffu) + fresh;
-      counters[slot] = group << 16 | votes;
-      if ((votes == kFewest) & fresh) {
-        table.crowds.push_back({0, slot, k, xs[k] + static_cast<std::int32_t>(corner & 1),
-                                ys[k] + static_cast<std::int32_t>(corner >> 1)});
-      }
+  std::uint32_t height() const {
+    std::size_t fuller = 0;
+    for (std::uint32_t votes = kMostCountedVotes; votes > kFewestVotes; --votes) {
+      fuller += tally_[votes].load(std::memory_order_relaxed);
+      if (fuller >= most_) return votes;
     }
+    return kFewestVotes;
   }
-}
+  void add(std::uint32_t votes) {
+    tally_[std::min(votes, kMostCountedVotes)].fetch_add(1, std::memory_order_relaxed);
+  }
 
-// The fullest cells of one step of yaw.
-void keep_fullest(Table& table) {
-  for (Crowd& crowd : table.crowds) crowd.votes = table.counters[crowd.slot] & 0xffffu;
-  const auto fuller = [](const Crowd& a, const Crowd& b) {
-    return a.votes != b.votes ? a.votes > b.votes : a.slot < b.slot;
-  };
-  if (table.crowds.size() > kKeptPerStep) {
-    const auto end = table.crowds.begin() + static_cast<std::ptrdiff_t>(kKeptPerStep);
-    std::nth_element(table.crowds.begin(), end, table.crowds.end(), fuller);
-    table.crowds.erase(end, table.crowds.end());
-  }
-  std::sort(table.crowds.begin(), table.crowds.end(), fuller);
-}
+ private:
+  std::size_t most_;
+  std::array<std::atomic<std::size_t>, kMostCountedVotes + 1> tally_{};
+};
 
 }  // namespace
 
@@ -168,20 +126,18 @@ PoseVotes vote_for_poses(const Field& f, const VoteOptions& o, int threads) {
   result.width = 2.0 * (0.7 * o.tolerance + 0.5 * turn * std::max(v.radius, 1.0));
   const Lattice lattice = make_lattice(v, result.width);
 
-  std::vector<Table> tables(static_cast<std::size_t>(resolve_threads(threads)));
+  const Kernels& kernel_table = kernels(parse_isa("auto"));
+  Hurdle hurdle(o.max_cells);
+  std::vector<Ballot> ballots(static_cast<std::size_t>(resolve_threads(threads)));
   std::vector<std::vector<PoseCell>> found(static_cast<std::size_t>(steps));
   parallel_for(found.size(), 1, threads, [&](std::size_t begin, std::size_t end, int worker) {
-    Table& table = tables[static_cast<std::size_t>(worker)];
-    table.counters.resize(lattice.cells(), 0);
-    table.x.resize(v.qx.size());
-    table.y.resize(v.qx.size());
+    Ballot& ballot = ballots[static_cast<std::size_t>(worker)];
+    ballot.resize(v, lattice);
     for (std::size_t step = begin; step < end; ++step) {
       const double yaw = static_cast<double>(step) * turn - kPi;
-      locate(v, lattice, yaw, table);
-      count(v, lattice, table);
-      keep_fullest(table);
       const double c = std::cos(yaw), s = std::sin(yaw);
-      for (const Crowd& crowd : table.crowds) {
+      for (const Crowd& crowd : ballot.fullest(v, lattice, yaw, hurdle.height(), kernel_table)) {
+        hurdle.add(crowd.votes);
         const double x = crowd.x * result.width + lattice.low_x;
         const double y = crowd.y * result.width + lattice.low_y;
         found[step].push_back({crowd.votes, v.index[crowd.voter], yaw,

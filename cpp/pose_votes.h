@@ -29,9 +29,9 @@ struct PoseVotes {
   double radius = 0.0;          // root mean square distance of the voters to it
 };
 
-// For every step of yaw each match says which translation it asks for; it votes for the four cells
-// around it, which overlap by half, so that no pose falls between cells. Objects are counted, not
-// matches. Which cells come first does not depend on the number of threads.
+// For every step of yaw each match says which translation it asks for, and votes in that cell. Poses
+// are windows of two by two cells, which overlap by half, so that none falls between them. Objects
+// are counted, not matches. Which cells come first does not depend on the number of threads.
 PoseVotes vote_for_poses(const Field& f, const VoteOptions& options, int threads);
 
 }  // namespace segloc

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from segloc import _native
+from segloc import SegmentMap, _native
+from segloc.matching import Matcher, MatchingConfig
+from segloc.types import Descriptors
 
 
 def brute_force(queries: np.ndarray, database: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -113,6 +115,41 @@ def test_few_lists_hold_most_neighbours_and_always_enough() -> None:
     np.testing.assert_array_equal(index.search(queries, 25, 12, 2)[0], found)
     everything = index.search(queries[:2], 20_000, 1)[0]
     np.testing.assert_array_equal(np.sort(everything, axis=1), np.tile(np.arange(20_000), (2, 1)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 300), st.integers(1, 5), st.integers(0))
+def test_matches_come_by_score_then_query_then_segment(n: int, levels: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    query, site = rng.integers(0, 6, n), rng.integers(0, 2**40, n)
+    score = rng.choice([0.0, -0.0, -1.5, 1e-30, 0.7, np.float32(0.7) * 1.0000001], n)
+    score = np.where(rng.random(n) < 0.5, score, rng.integers(0, levels, n)).astype(np.float32)
+    order = _native.order_matches(query, site, score)
+    np.testing.assert_array_equal(order, np.lexsort((site, query, -score)))
+
+
+def test_proposals_are_the_matches_of_each_attempt() -> None:
+    rng = np.random.default_rng(5)
+    site = SegmentMap.empty("geo", "geo", 7)
+    site.add(
+        Descriptors(rng.normal(size=(3000, 7)).astype(np.float32)),
+        rng.normal(size=(3000, 3)),
+        np.full(3000, 50),
+        session=0,
+        stamp=0.0,
+        cloud=np.empty((0, 3)),
+    )
+    query = Descriptors(rng.normal(size=(40, 7)).astype(np.float32))
+    for indexed_from in (1000, 10_000):  # with an index and without
+        config = MatchingConfig(indexed_from=indexed_from, list_size=100, probes=6)
+        matcher = Matcher(site, config, threads=1)
+        proposals = list(matcher.proposals(query))
+        assert len(proposals) == len(matcher.attempts) == 2
+        for proposed, neighbours in zip(proposals, matcher.attempts, strict=True):
+            expected = matcher.match(query, neighbours)
+            assert len(proposed) == 40 * neighbours
+            for name in ("query", "map", "distance", "score"):
+                np.testing.assert_array_equal(getattr(proposed, name), getattr(expected, name))
 
 
 def test_an_index_refuses_wrong_input() -> None:

@@ -82,6 +82,55 @@ def test_utm_coordinates_lose_no_precision(estimator: str) -> None:
     assert error(found[0], T, query) < 0.5
 
 
+def test_more_objects_than_a_mark_tells_apart() -> None:
+    query, site, matches, T = scene(6, segments=600, neighbours=50, true=40)
+    runs = [PoseEstimator(threads=n).estimate(query, site, matches) for n in (1, 3)]
+    assert error(runs[0][0], T, query) < 0.5 and runs[0][0].inliers >= 30
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a.T_map_local, b.T_map_local)
+
+
+def reference_votes(
+    q: np.ndarray, m: np.ndarray, witness: np.ndarray, cells: np.ndarray, width: float, turn: float
+) -> list[int]:
+    """Distinct witnesses in all windows of two by two cells at every step of yaw, most first."""
+    votes: list[int] = []
+    middle = q.mean(axis=0)
+    yaw, x, y = cells[0]
+    T = geometry.yaw_transform(yaw)[:2, :2]
+    corner = np.array([x, y]) + T @ middle  # of some cell: the lattice is the same at every yaw
+    for step in range(round(2 * math.pi / turn)):
+        T = geometry.yaw_transform(step * turn - math.pi)[:2, :2]
+        cell = np.floor((m - (q - middle) @ T.T - corner) / width).astype(np.int64)
+        pairs = [np.column_stack([cell + (i, j), witness]) for i in (0, 1) for j in (0, 1)]
+        windows = np.unique(np.concatenate(pairs), axis=0)
+        counts = np.unique(windows[:, :2], axis=0, return_counts=True)[1]
+        votes += np.sort(counts[counts >= 3])[::-1][:48].tolist()
+    return sorted(votes, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("segments", "neighbours", "true"), [(40, 5, 8), (60, 60, 20), (20, 2, 6), (300, 12, 100)]
+)
+def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, true: int) -> None:
+    query, site, matches, _ = scene(11, segments=segments, neighbours=neighbours, true=true)
+    expected: list[int] = []
+    for max_cells in (100_000, 512, 20):
+        runs = [
+            _native.pose_votes(
+                query, site, matches.query, matches.map, 0.6, 0.0, max_cells, threads
+            )
+            for threads in (1, 3)
+        ]
+        votes, cells, width, turn = runs[0]
+        np.testing.assert_array_equal(votes, runs[1][0])
+        np.testing.assert_array_equal(cells, runs[1][1])
+        if not expected:
+            q, m = query[matches.query, :2], site[matches.map, :2]
+            expected = reference_votes(q, m, matches.query, cells, width, turn)
+        assert votes.tolist() == expected[:max_cells]
+
+
 def reference_support(query: np.ndarray, site: np.ndarray, matches: Matches) -> int:
     """Most distinct query segments that any two agreeing matches put on the map."""
     q, m, best = query[matches.query], site[matches.map], 0

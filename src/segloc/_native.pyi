@@ -13,6 +13,16 @@ def heights_above_ground(
 def euclidean_clusters(
     points: NDArray[np.float32], radius: float, min_points: int, max_points: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.int64]]: ...
+def pose_votes(
+    query: NDArray[np.float64],
+    map: NDArray[np.float64],
+    match_query: NDArray[np.int64],
+    match_map: NDArray[np.int64],
+    tolerance: float,
+    distinct_radius: float,
+    max_cells: int,
+    threads: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float, float]: ...
 def consensus(
     query: NDArray[np.float64],
     map: NDArray[np.float64],
@@ -124,6 +134,9 @@ class DescriptorIndex:
     @property
     def lists(self) -> int: ...
 
+def order_matches(
+    query: NDArray[np.int64], map: NDArray[np.int64], score: NDArray[np.float32]
+) -> NDArray[np.int64]: ...
 def segment_moments(
     points: NDArray[np.float32], offsets: NDArray[np.int64], threads: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...

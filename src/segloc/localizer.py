@@ -126,9 +126,10 @@ class Localizer:
         Where too little speaks for any pose, it is tried once more with more neighbours.
         """
         watch = watch or Stopwatch()
-        for neighbours in self.matcher.attempts:
+        proposals = self.matcher.proposals(descriptors)
+        for _ in self.matcher.attempts:
             with watch("matching"):
-                candidates = self.matcher.match(descriptors, neighbours)
+                candidates = next(proposals)
             with watch("pruning"):
                 matches = self.matcher.prune(descriptors, candidates)
             with watch("pose"):

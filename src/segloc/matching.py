@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -9,6 +11,9 @@ from . import _native
 from .descriptors import Pruner
 from .map import SegmentMap
 from .types import Descriptors, Float32, Int64, Matches
+
+Nearest = tuple[Int64, Float32]
+"""Map segments and their distances, (P, K), nearest first."""
 
 
 class MatchingConfig(BaseModel):
@@ -92,9 +97,28 @@ class Matcher:
         A match's score is the likelihood exp(-distance), times the quality of both descriptors
         where they have one.
         """
-        indices, distances = self._index.search(
-            query.vectors, neighbours or self.attempts[0], self.config.probes, self._threads
-        )
+        neighbours = neighbours or self.attempts[0]
+        return self._matches(query, self._nearest(query, neighbours), neighbours)
+
+    def proposals(self, query: Descriptors) -> Iterator[Matches]:
+        """The matches of one of the ``attempts`` after another, each found when it is asked for.
+
+        The lists of an index are read once, for all attempts: the first one takes the nearest of
+        what the last one needs. That costs the first a third more, and spares the second one's
+        search. Smaller maps are searched for each attempt.
+        """
+        indexed = self._index.lists > 1
+        found: Nearest | None = None
+        for neighbours in self.attempts:
+            if found is None or not indexed:
+                found = self._nearest(query, self.attempts[-1] if indexed else neighbours)
+            yield self._matches(query, found, neighbours)
+
+    def _nearest(self, query: Descriptors, neighbours: int) -> Nearest:
+        return self._index.search(query.vectors, neighbours, self.config.probes, self._threads)
+
+    def _matches(self, query: Descriptors, found: Nearest, neighbours: int) -> Matches:
+        indices, distances = found[0][:, :neighbours], found[1][:, :neighbours]
         rows = np.repeat(np.arange(len(query), dtype=np.int64), indices.shape[1])
         columns, distance = indices.reshape(-1), distances.reshape(-1)
         score = np.exp(-distance)
@@ -114,5 +138,5 @@ class Matcher:
 
 
 def _ordered(query: Int64, site: Int64, distance: Float32, score: Float32) -> Matches:
-    order = np.lexsort((site, query, -score))
+    order = _native.order_matches(query, site, score)
     return Matches(query[order], site[order], distance[order], score[order])
