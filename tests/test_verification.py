@@ -144,7 +144,7 @@ def test_confidence_rises_with_every_witness() -> None:
     ("gate", "reason"),
     [
         ({"min_inliers": 10_000}, "too few inliers"),
-        ({"min_overlap": 1.0}, "too little overlap"),
+        ({"min_overlap": 1.0, "overlap_radius": 0.05}, "too little overlap"),
         ({"min_confidence": 1.0}, "too uncertain"),
     ],
 )
