@@ -46,9 +46,9 @@ Crowd crowd_of(const Voters& v, const VoteLattice& l, std::uint32_t k, std::uint
 void Ballot::resize(const Voters& v, const Lattice& lattice) {
   if (!cells_.empty()) return;
   cells_.resize(kFront + lattice.cells());
-  windows_.resize(lattice.cells());
+  windows_.reset(new std::uint32_t[lattice.cells()]);
+  counters_.reset(new std::uint32_t[lattice.cells()]);
   full_.resize(lattice.cells() / 64);
-  first_.resize(lattice.cells() / 64);
   wanted_.resize(lattice.cells() / 64);
   own_.resize(v.size());
   inside_.resize(v.size());
@@ -61,11 +61,11 @@ const std::vector<Crowd>& Ballot::fullest(const Voters& v, const Lattice& lattic
   count_cells(v);
   const std::size_t found =
       kernels.full_windows(cells_.data() + kFront, std::size_t{1} << lattice.bits_x,
-                           std::size_t{1} << lattice.bits_y, fewest, windows_.data());
+                           std::size_t{1} << lattice.bits_y, fewest, windows_.get());
   crowds_.clear();
   if (found == 0) return crowds_;
   mark_windows(lattice, found, true);
-  count_objects(v, lattice, at, found);
+  count_objects(v, lattice, at);
   mark_windows(lattice, found, false);
   keep_fullest(fewest);
   return crowds_;
@@ -95,39 +95,29 @@ void Ballot::mark_windows(const Lattice& lattice, std::size_t found, bool wanted
       }
     }
     mark(full_, windows_[w]);
+    counters_[windows_[w]] = 0;
   }
 }
 
-// Distinct objects in the windows that were found. A counter holds the object that voted last,
-// from 1 (upper 16 bits), and the votes (lower 16 bits). The number of a window's counter is that
-// of the first one in its word of bits, and one more for each bit below.
-void Ballot::count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at,
-                           std::size_t found) {
-  counters_.assign(found, 0);
-  for (std::size_t w = found; w-- > 0;) {
-    first_[windows_[w] >> 6] = static_cast<std::uint32_t>(w);
-  }
+// Distinct objects in the windows that were found. A counter holds the object that voted last, from
+// 1 (upper 16 bits), and the votes (lower 16 bits).
+void Ballot::count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at) {
   const std::size_t inside = voters_inside(own_.data(), v.size(), wanted_.data(), inside_.data());
   for (std::size_t i = 0; i < inside; ++i) {
     const std::uint32_t k = inside_[i], group = (v.group[k] + 1) & 0xffffu;
     const std::uint32_t x = own_[k] & lattice.mask_x(), y = own_[k] >> lattice.bits_x;
     for (std::uint32_t corner = 0; corner < 4; ++corner) {
       const std::uint32_t column = (x + (corner & 1)) & lattice.mask_x();
-      const std::uint32_t slot = ((y + (corner >> 1)) & lattice.mask_y()) << lattice.bits_x | column;
-      const std::uint64_t word = full_[slot >> 6], bit = std::uint64_t{1} << (slot & 63);
-      if ((word & bit) == 0) continue;
-      const auto below = static_cast<std::uint32_t>(__builtin_popcountll(word & (bit - 1)));
-      const std::uint32_t number = first_[slot >> 6] + below;
-      const std::uint32_t old = counters_[number], fresh = (old >> 16) != group;
+      const std::uint32_t row = (y + (corner >> 1)) & lattice.mask_y();
+      const std::uint32_t slot = row << lattice.bits_x | column;
+      if ((full_[slot >> 6] >> (slot & 63) & 1) == 0) continue;
+      const std::uint32_t old = counters_[slot], fresh = (old >> 16) != group;
       const std::uint32_t votes = (old & 0xffffu) + fresh;
-      counters_[number] = group << 16 | votes;
-      if ((votes == kFewestVotes) & fresh) {
-        crowds_.push_back(crowd_of(v, at, k, slot, corner));
-        crowds_.back().votes = number;
-      }
+      counters_[slot] = group << 16 | votes;
+      if ((votes == kFewestVotes) & fresh) crowds_.push_back(crowd_of(v, at, k, slot, corner));
     }
   }
-  for (Crowd& crowd : crowds_) crowd.votes = counters_[crowd.votes] & 0xffffu;
+  for (Crowd& crowd : crowds_) crowd.votes = counters_[crowd.slot] & 0xffffu;
 }
 
 void Ballot::keep_fullest(std::uint32_t fewest) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "kernels.h"
@@ -63,19 +64,18 @@ class Ballot {
  private:
   void count_cells(const Voters& v);
   void mark_windows(const Lattice& lattice, std::size_t found, bool wanted);
-  void count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at,
-                     std::size_t found);
+  void count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at);
   void keep_fullest(std::uint32_t fewest);
 
-  std::vector<std::uint16_t> cells_;    // votes of each, behind kFront others; clear between steps
-  std::vector<std::uint32_t> own_;      // cell of each voter
-  std::vector<std::uint32_t> windows_;  // that may be full, in rising order where bits share a word
-  std::vector<std::uint64_t> full_;     // those windows, a bit each; clear between steps
-  std::vector<std::uint64_t> wanted_;   // cells of those windows, likewise
-  std::vector<std::uint32_t> first_;    // number of the first window in each word of full_
-  std::vector<std::uint32_t> counters_;  // one for each of those windows
+  std::vector<std::uint16_t> cells_;     // votes, behind a few others; clear between steps
+  std::vector<std::uint32_t> own_;       // cell of each voter
+  std::vector<std::uint64_t> full_;      // those windows, a bit each; clear between steps
+  std::vector<std::uint64_t> wanted_;    // cells of those windows, likewise
   std::vector<std::uint32_t> inside_;    // voters in wanted cells
   std::vector<Crowd> crowds_;
+  // As large as the table, but hardly used, so they are not cleared:
+  std::unique_ptr<std::uint32_t[]> windows_;   // that may be full
+  std::unique_ptr<std::uint32_t[]> counters_;  // of each of those
 };
 
 }  // namespace segloc

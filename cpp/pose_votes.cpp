@@ -15,7 +15,7 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr double kSlack = 1.0;  // metres that half a step of yaw moves a typical segment
 constexpr int kMinSteps = 36, kMaxSteps = 240;
 constexpr int kMinBits = 16, kMaxBits = 18;  // cells of a table; larger maps are folded into it
-constexpr int kMinBitsX = 6;  // no two rows of the table share a word of bits
+constexpr int kMinBitsX = 5;  // a row of the table fills vectors
 constexpr std::size_t kCellsPerVoter = 16;
 
 // The first `most` matches, by object; those of one object keep their order.
