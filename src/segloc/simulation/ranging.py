@@ -259,5 +259,5 @@ class Lidar(ABC):
             return found
         far = np.where(found, hits.ranges, np.float32(1.0)) / np.float32(self.reference_range_m)
         strength = hits.reflectance * hits.cosines ** np.float32(self.incidence_exponent) / far**2
-        square = np.maximum(strength, np.float32(1e-4)) ** 2
+        square = np.clip(strength, np.float32(1e-4), np.float32(1e4)) ** 2
         return np.asarray(found & (draw * (1 + 1 / square**2) < 1))
