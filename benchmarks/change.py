@@ -49,7 +49,7 @@ from segloc.types import Float64, Int64
 
 SIZES_M = {"town": 200.0, "park": 200.0, "industrial": 220.0, "meadow": 240.0, "forest": 200.0}
 LENGTH_M = 200.0
-STEPS = 900
+COLUMNS = 900
 CLOUDS = ("single", "accumulated")
 SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
 
@@ -224,9 +224,9 @@ def head(methods: list[str]) -> str:
     return f"| {' | '.join(cells)} |\n|{'---|' * len(cells)}"
 
 
-def sensor_of(name: str, beams: int | None = None) -> SpinningLidar:
+def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> SpinningLidar:
     """A sensor of so many columns; of its beams, every so many are kept that ``beams`` are left."""
-    sensor = SENSORS[name](STEPS)
+    sensor = SENSORS[name](columns)
     if beams is None:
         return sensor
     return replace(
@@ -269,6 +269,7 @@ def main() -> None:
     parser.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
     parser.add_argument("--sensor", default="hdl64e", choices=SPINNING, help="that asks")
     parser.add_argument("--beams", type=int, help="of the sensor that asks; by default all")
+    parser.add_argument("--columns", type=int, default=COLUMNS, help="a turn of that sensor")
     parser.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
     parser.add_argument("--pad", type=int, default=0, metavar="SEGMENTS", help="size of the maps")
     parser.add_argument("--others", type=int, default=2, help="worlds that pad a map")
@@ -277,7 +278,7 @@ def main() -> None:
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}
     places = Places(descriptors, sensor_of(args.map_sensor), args.kept)
-    sensor = sensor_of(args.sensor, args.beams)
+    sensor = sensor_of(args.sensor, args.columns, args.beams)
     print(head(args.methods), flush=True)
     for name in args.worlds:
         world = SCENES[name](args.seed, size_m=SIZES_M[name])
