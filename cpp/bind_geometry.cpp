@@ -154,10 +154,7 @@ auto prosac_(const In2<double>& query, const In2<double>& map,
     }
     for (const SampledHypothesis& h : prosac(source.data(), target.data(), match_query.data(),
                                              match_map.data(), n, options)) {
-      for (int row = 0; row < 3; ++row) {
-        poses.insert(poses.end(), {h.T.R[3 * row], h.T.R[3 * row + 1], h.T.R[3 * row + 2], h.T.t[row]});
-      }
-      poses.insert(poses.end(), {0, 0, 0, 1});
+      append_matrix(h.T, poses);
       inliers.push_back(static_cast<std::int64_t>(h.inliers));
     }
   }

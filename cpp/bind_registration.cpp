@@ -18,10 +18,7 @@ Rigid rigid_of(const In2<double>& T) {
 
 Out<double> matrix_of(const Rigid& T) {
   std::vector<double> values;
-  for (std::size_t r = 0; r < 3; ++r) {
-    values.insert(values.end(), {T.R[3 * r], T.R[3 * r + 1], T.R[3 * r + 2], T.t[r]});
-  }
-  values.insert(values.end(), {0, 0, 0, 1});
+  append_matrix(T, values);
   return to_numpy(std::move(values), {4, 4});
 }
 

@@ -70,6 +70,13 @@ std::array<double, 9> best_rotation(const double S[3][3], bool yaw_only) {
 
 }  // namespace
 
+void append_matrix(const Rigid& T, std::vector<double>& values) {
+  for (std::size_t r = 0; r < 3; ++r) {
+    values.insert(values.end(), {T.R[3 * r], T.R[3 * r + 1], T.R[3 * r + 2], T.t[r]});
+  }
+  values.insert(values.end(), {0, 0, 0, 1});
+}
+
 Rigid fit_rigid(const double* source, const double* target, const std::vector<std::size_t>& index,
                 bool yaw_only) {
   double a[3] = {0, 0, 0}, b[3] = {0, 0, 0};

@@ -18,6 +18,9 @@ struct Rigid {
   }
 };
 
+// Adds the transform to `values` as a 4 x 4 matrix, row-major.
+void append_matrix(const Rigid& T, std::vector<double>& values);
+
 // The transform that takes source[index[i]] closest to target[index[i]] (both (n, 3) row-major).
 // Horn's closed form by quaternions (JOSA A, 1987): always a rotation, never a reflection. With
 // yaw_only, the rotation is about z.

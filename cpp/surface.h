@@ -30,7 +30,6 @@ class Surface {
   Surface(const float* points, std::size_t n, double reach, double support);
 
   std::size_t size() const { return grid_.size(); }
-  double reach() const { return reach_; }
   const PointGrid& grid() const { return grid_; }
 
   Nearest nearest(const PointGrid::Point& p) const;

@@ -16,7 +16,6 @@ from segloc.datasets import open_sequence
 from segloc.registration import MIN_POINTS, Aligner
 from segloc.types import Float32, Float64, Pose
 
-KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti00"
 REACH, SUPPORT = 1.5, 1.6
 
 
@@ -53,7 +52,7 @@ def reference_normals(points: Float32, support: float) -> Float64:
 
 
 def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, float, int]:
-    """Half the squared error of Generalized-ICP at a pose, its gradient and curvature."""
+    """Curvature of the cost of Generalized-ICP at a pose, the cost itself, and the pairs."""
     n, m = reference_normals(target, SUPPORT), reference_normals(source, SUPPORT)
     R = T[:3, :3]
     moved = geometry.transform(T, source.astype(np.float64))
@@ -168,9 +167,8 @@ def test_refuses_wrong_input() -> None:
     assert Aligner(0.3, REACH).align(surface, surface, np.full((4, 4), np.nan)) is None
 
 
-@pytest.mark.skipif(not KITTI.is_dir(), reason="needs the KITTI scans of ../shared")
-def test_real_scans_agree_from_wherever_one_starts() -> None:
-    scans = open_sequence(KITTI / "scans", KITTI / "scans.tum")
+def test_real_scans_agree_from_wherever_one_starts(kitti: Path) -> None:
+    scans = open_sequence(kitti / "scans", kitti / "scans.tum")
     poses = scans.poses
     assert poses is not None
     aligner = Aligner(0.8, REACH, threads=1)

@@ -57,6 +57,8 @@ def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
     x, y = rng.uniform(-70, 70, 2)
     expected = np.flatnonzero(np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius)
     index = PointIndex(cloud, 0.5)
+    every = index.sample(x, y, radius, count + 1)
+    assert sorted(map(tuple, every)) == sorted(map(tuple, cloud[expected]))
     some = index.sample(x, y, radius, 50)
     assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
     assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}

@@ -113,23 +113,20 @@ def build_site(
 
 def site_of(sites: Mapping[str, SegmentMap], threads: int = 1) -> Site:
     """Maps of one place by several methods, the first with the cloud of all, ready to be asked."""
-    whole = next(iter(sites.values()))
+    bases = {name: Localizer(site, shared_config(name, threads)) for name, site in sites.items()}
     # The cloud is the same for all methods, and so is what verification prepares of it.
-    verifier = Verifier(whole.cloud, whole.origin, Config().verification, threads=threads)
-    localizers = {
-        name: _localizers(site, shared_config(name, threads), verifier)
-        for name, site in sites.items()
-    }
-    return Site(localizers, whole.trajectory, whole.cloud + whole.origin)
+    first = next(iter(bases.values()))
+    localizers = {name: _localizers(base, first.verifier) for name, base in bases.items()}
+    return Site(localizers, first.site.trajectory, first.site.cloud + first.site.origin)
 
 
-def _localizers(site: SegmentMap, config: Config, verifier: Verifier) -> dict[str, Localizer]:
-    base = Localizer(site, config)
-    base.verifier = verifier
+def _localizers(base: Localizer, verifier: Verifier) -> dict[str, Localizer]:
+    config = base.config
     found = {}
     for name in ESTIMATORS:
         pose = config.pose.model_copy(update={"estimator": name})
         localizer = copy(base)
+        localizer.verifier = verifier
         localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
         found[name] = localizer
     return found
