@@ -1,13 +1,18 @@
-# make demo: simulate, map, localize, report.   make test: every test.   Both set themselves up.
+# make demo: simulate, map, localize, report.   make test: every test.
+# make evaluate [SCALE=full]: the experiments of the paper.   Each sets itself up.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test lint sanitize wheel-check clean
+.PHONY: demo test evaluate lint sanitize wheel-check clean
 
 demo: $(VENV)/.demo
 	$(BIN)/segloc demo --out demo
+
+evaluate: $(VENV)/.evaluate
+	$(BIN)/segloc evaluate all --suite six --scale $(SCALE) --out evaluation
 
 test: $(VENV)/.test
 	$(BIN)/python -m pytest
