@@ -25,7 +25,7 @@ import numpy as np
 from city import padded
 
 from segloc import Config, Localization, Localizer, Scan, SegmentMap
-from segloc.datasets import Recording
+from segloc.datasets import Derived, Recording
 from segloc.descriptors import Descriptor, create
 from segloc.evaluation.asking import Site, build_maps, describe_all, site_of
 from segloc.evaluation.failures import funnel
@@ -55,43 +55,31 @@ SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
 
 
 @dataclass(frozen=True)
-class Kept:
+class Kept(Derived[SimulatedSequence]):
     """A drive whose scans are cast once and kept in a folder; without one, cast when asked for."""
 
-    drive: SimulatedSequence
     folder: Path | None
 
     @property
-    def name(self) -> str:
-        return self.drive.name
-
-    @property
-    def indices(self) -> Int64:
-        return self.drive.indices
-
-    @property
     def truth(self) -> Float64:
-        return self.drive.truth
+        return self.source.truth
 
     @property
     def poses(self) -> Float64:
-        return self.drive.poses
-
-    def __len__(self) -> int:
-        return len(self.drive)
+        return self.source.poses
 
     def with_odometry(self) -> Kept:
-        return replace(self, drive=self.drive.with_odometry())
+        return replace(self, source=self.source.with_odometry())
 
     def scan(self, i: int) -> Scan:
         """The scan at position i."""
         if self.folder is None:
-            return self.drive.scan(i)
+            return super().scan(i)
         path = self.folder / f"{i}.npy"
         if not path.exists():
             self.folder.mkdir(parents=True, exist_ok=True)
             with replacing(path) as stream:  # several runs may share the folder
-                np.save(stream, self.drive.scan(i).points)
+                np.save(stream, super().scan(i).points)
         stamp = float(self.indices[i])
         return Scan(np.load(path), stamp=stamp, T_odom_sensor=self.poses[i])
 
@@ -105,20 +93,10 @@ def kept(drive: SimulatedSequence, root: Path | None) -> Kept:
     return Kept(drive, root / f"{drive.world.name}-{drive.name.replace(' ', '-')}-{digest}")
 
 
-class Alone:
+class Alone(Derived[SimulatedSequence | Kept]):
     """A drive whose scans are asked one by one: level, but from nowhere."""
 
     poses = None
-
-    def __init__(self, drive: SimulatedSequence | Kept) -> None:
-        self.name, self.indices, self._drive = drive.name, drive.indices, drive
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-    def scan(self, i: int) -> Scan:
-        """The scan at position i."""
-        return self._drive.scan(i)
 
 
 @dataclass(frozen=True)

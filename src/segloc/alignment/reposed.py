@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..datasets import Recording
+from ..datasets import Derived, Recording
 from ..errors import DatasetError
-from ..types import Float64, Int64, Scan
+from ..types import Float64, Scan
 
 
 @dataclass(frozen=True)
-class Reposed:
+class Reposed(Derived[Recording]):
     """The scans of a recording with poses of one's own.
 
     Attributes
@@ -24,7 +24,6 @@ class Reposed:
         If there are not as many poses as scans.
     """
 
-    source: Recording
     poses: Float64
 
     def __post_init__(self) -> None:
@@ -33,19 +32,8 @@ class Reposed:
                 f"{self.source.name}: poses of shape {self.poses.shape} for {len(self)} scans"
             )
 
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    @property
-    def indices(self) -> Int64:
-        return self.source.indices
-
-    def __len__(self) -> int:
-        return len(self.source)
-
     def scan(self, i: int) -> Scan:
         """The scan at position i, with the pose it has here."""
-        scan = self.source.scan(i)
+        scan = super().scan(i)
         scan.T_odom_sensor = self.poses[i].copy()
         return scan

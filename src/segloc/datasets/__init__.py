@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Float64
+from .base import Derived as Derived
 from .base import Recording as Recording
 from .base import Selection as Selection
 from .base import Sequence as Sequence

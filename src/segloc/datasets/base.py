@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,31 @@ class Sequence(Recording, Protocol):
     def select(self, selection: Selection) -> Sequence:
         """The scans whose indices are in the selection, in the same order."""
         ...
+
+
+SourceT = TypeVar("SourceT", bound=Recording)
+
+
+@dataclass(frozen=True)
+class Derived(Generic[SourceT]):
+    """A recording made of another's scans. Its poses are for the subclass to say."""
+
+    source: SourceT
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+    @property
+    def indices(self) -> Int64:
+        return self.source.indices
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i."""
+        return self.source.scan(i)
 
 
 @dataclass(frozen=True)

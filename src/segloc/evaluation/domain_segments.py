@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import _native
-from ..datasets import Sequence, Swathes, open_sequence
+from ..datasets import Derived, Sequence, Swathes, open_sequence
 from ..errors import ConfigError, DatasetError
 from ..segmentation import SegmentationConfig, Segmenter
 from ..simulation import LineLidar, SimulatedSequence
@@ -30,7 +30,7 @@ from ..training.shards import (
     options_of,
     write_shard,
 )
-from ..types import Float64, Int64, Scan
+from ..types import Float64
 from .pool import in_parallel
 
 SIMULATED = ("kitti", "burgess", "robotcar")
@@ -75,32 +75,15 @@ class DomainSize:
         return self.train if split == "train" else self.test
 
 
-@dataclass(frozen=True)
-class _Surveyed:
+class _Surveyed(Derived[SimulatedSequence]):
     """A simulated drive whose clouds are gathered by odometry, and placed by the truth."""
-
-    drive: SimulatedSequence
-
-    @property
-    def name(self) -> str:
-        return self.drive.name
-
-    @property
-    def indices(self) -> Int64:
-        return self.drive.indices
 
     @property
     def poses(self) -> Float64:
-        return self.drive.truth
-
-    def __len__(self) -> int:
-        return len(self.drive)
-
-    def scan(self, i: int) -> Scan:
-        return self.drive.scan(i)
+        return self.source.truth
 
     def object_ids(self, i: int) -> object:
-        return self.drive.object_ids(i)
+        return self.source.object_ids(i)
 
 
 @dataclass(frozen=True)
