@@ -131,13 +131,32 @@ def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_jud
 
 
 def test_confidence_rises_with_every_witness() -> None:
-    good = Hypothesis(np.eye(4), 15, overlap=0.85, seen=0.95, margin=4.0)
-    assert 0.9 < confidence(good) <= 1
-    for name, worse in [("overlap", 0.3), ("seen", 0.4), ("margin", 1.1)]:
+    good = Hypothesis(
+        np.eye(4), 15, overlap=0.85, seen=0.95, margin=3.0, rival_overlap=0.3, rival_seen=0.5
+    )
+    assert 0.95 < confidence(good) < 1
+    for name, worse in [
+        ("overlap", 0.3),
+        ("seen", 0.4),
+        ("margin", 1.1),
+        ("rival_overlap", 0.85),
+        ("rival_seen", 0.95),
+    ]:
         assert confidence(replace(good, **{name: worse})) < confidence(good)
-    assert confidence(Hypothesis(np.eye(4), 5, overlap=0.4, seen=0.6, margin=1.2)) < 0.05
-    # What is not known does not speak for a pose, but overlap stands in for what is seen.
-    assert confidence(replace(good, margin=np.nan)) < confidence(good)
+    poor = Hypothesis(np.eye(4), 5, overlap=0.4, seen=0.6, margin=1.2)
+    assert confidence(poor) < 0.05
+    # However many segments agree, clouds that agree no better than elsewhere outweigh them.
+    many = replace(poor, inliers=500, margin=100.0, rival_overlap=0.4, rival_seen=0.6)
+    assert confidence(many) < 0.5
+
+
+def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
+    good = Hypothesis(
+        np.eye(4), 15, overlap=0.85, seen=0.95, margin=3.0, rival_overlap=0.1, rival_seen=0.1
+    )
+    for name in ("margin", "rival_overlap", "rival_seen"):
+        assert confidence(replace(good, **{name: np.nan})) < confidence(good)
+    # Overlap stands in for what is seen.
     assert confidence(replace(good, seen=np.nan)) == confidence(replace(good, seen=good.overlap))
     assert confidence(Hypothesis(np.eye(4), 0)) < 0.01
 

@@ -9,7 +9,14 @@ from .types import Hypothesis
 
 CHANCE_INLIERS = 3
 """So many segments agree on some pose of any map."""
-CONFIDENCE = (-5.5, 1.3, 2.3, 2.4)
+CHANCE_OVERLAP = 0.25
+CHANCE_SEEN = 0.5
+"""So well do clouds agree somewhere in any map."""
+LEAST_SEEN = 0.3
+"""Where everything is looked through, clouds agree less than chance has it: that tells nothing."""
+MOST_FROM_INLIERS = 8.0
+"""However many segments agree, clouds that disagree outweigh them."""
+CONFIDENCE = (-7.8, 0.8, 0.8, 2.4, 2.4)
 """Of :func:`confidence`: the constant, and the weight of each witness."""
 
 
@@ -24,16 +31,27 @@ def confidence(hypothesis: Hypothesis) -> float:
     return 1.0 / (1.0 + math.exp(-score))
 
 
-def witnesses(hypothesis: Hypothesis) -> tuple[float, float, float]:
-    """What the model of :func:`confidence` weighs: overlap, what is seen, and the margin.
+def witnesses(hypothesis: Hypothesis) -> tuple[float, float, float, float]:
+    """What the model of :func:`confidence` weighs.
 
-    The number of inliers counts by its margin alone: more of them agree by chance where a query
-    has more segments and a map more that look like them. A witness that is not known says what
-    chance would.
+    What is seen; the logarithm of how much likelier so many inliers are where the best different
+    place has as many as it has (Poisson, without the constant); and how much more the clouds
+    overlap, and is seen, than at the best different places. Such comparisons need no thresholds
+    that would depend on the map's size, the scene or the sensor: other places say what chance
+    achieves for this query. A witness that is not known says what chance would.
     """
-    seen = hypothesis.overlap if math.isnan(hypothesis.seen) else hypothesis.seen
+    seen = _logit(hypothesis.seen_or_overlap)
     margin = 1.0 if math.isnan(hypothesis.margin) else max(hypothesis.margin, 0.1)
-    return _logit(hypothesis.overlap), _logit(seen), math.log(margin)
+    return (
+        seen,
+        min(hypothesis.inliers * math.log(margin), MOST_FROM_INLIERS),
+        _logit(hypothesis.overlap) - _logit(_known(hypothesis.rival_overlap, CHANCE_OVERLAP)),
+        seen - _logit(max(_known(hypothesis.rival_seen, CHANCE_SEEN), LEAST_SEEN)),
+    )
+
+
+def _known(share: float, otherwise: float) -> float:
+    return otherwise if math.isnan(share) else share
 
 
 def _logit(share: float) -> float:
@@ -43,4 +61,6 @@ def _logit(share: float) -> float:
 
 def confidence_alone(hypothesis: Hypothesis) -> float:
     """The confidence if nothing but chance were at any other place."""
-    return confidence(replace(hypothesis, margin=hypothesis.inliers / CHANCE_INLIERS))
+    nan = math.nan
+    margin = hypothesis.inliers / CHANCE_INLIERS
+    return confidence(replace(hypothesis, margin=margin, rival_overlap=nan, rival_seen=nan))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import geometry
-from .confidence import confidence
+from .confidence import confidence, confidence_alone
 from .errors import InvalidScan
 from .localizer import Localizer
 from .types import Hypothesis, LocalCloud, Pose, Scan, checked_pose
@@ -130,17 +130,16 @@ class Tracker:
 
         def kept(h: Hypothesis, believed: bool) -> _Kept:
             T_map_odom = h.T_map_local @ cloud.T_local_sensor @ T_sensor_odom
-            return _Kept(T_map_odom, confidence(h), 1, believed, self._travelled)
+            # Places that look alike are told apart by the way between the views.
+            likely = confidence(h) if believed else confidence_alone(h)
+            return _Kept(T_map_odom, likely, 1, believed, self._travelled)
 
         verdict = found.verdict
         if verdict.best is not None and not verdict.reason:
             return [kept(verdict.best, True)]
         strong = [h for h in found.hypotheses if h.inliers >= config.min_inliers]
-        everything = found.hypotheses
-        refined = [
-            localizer.verifier.refined(h, scene, everything) for h in strong[: config.candidates]
-        ]
-        fitting = [h for h in refined if confidence(h) >= config.min_confidence]
+        refined = localizer.verifier.refined(strong[: config.candidates], scene)
+        fitting = [h for h in refined if confidence_alone(h) >= config.min_confidence]
         return sorted((kept(h, False) for h in fitting), key=lambda k: -k.confidence)
 
     def _merge(self, view: _Kept) -> None:

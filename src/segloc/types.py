@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -241,6 +242,9 @@ class Hypothesis:
     margin : float
         How many times as many inliers as the best hypothesis at a different place; that is what
         chance achieves for this query. NaN where none was compared.
+    rival_overlap, rival_seen : float
+        The most that ``overlap`` and ``seen`` reach at any of the best different places. NaN where
+        none was compared.
     """
 
     T_map_local: Pose
@@ -249,7 +253,14 @@ class Hypothesis:
     seen: float = float("nan")
     rmse: float = float("nan")
     margin: float = float("nan")
+    rival_overlap: float = float("nan")
+    rival_seen: float = float("nan")
     covariance: Float64 | None = None
+
+    @property
+    def seen_or_overlap(self) -> float:
+        """What is seen, or where too little is in view, what it is expected to be: the overlap."""
+        return self.overlap if math.isnan(self.seen) else self.seen
 
 
 @dataclass(frozen=True)

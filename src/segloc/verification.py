@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from . import _native, geometry
+from . import geometry
+from .agreement import LiveCloud, MapCloud
 from .confidence import CHANCE_INLIERS, confidence, confidence_alone
-from .registration import Aligner
 from .segmentation import Segmentation
-from .types import Float32, Float64, Hypothesis, Pose
+from .types import Float32, Float64, Hypothesis
 
-MIN_SIGHTED = 50
-HOPELESS = 0.02
+HOPELESS = 0.005
 """Candidates less likely than this before ICP are not worth it."""
+CERTAIN = 0.9
+"""Nor are the rivals of those that are more likely than this without it."""
 
 
 class VerificationConfig(BaseModel):
@@ -26,11 +26,11 @@ class VerificationConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    min_inliers: int = Field(4, ge=2, description="distinct segments that must agree")
+    min_inliers: int = Field(3, ge=2, description="distinct segments that must agree")
     min_overlap: float = Field(
         0.25, ge=0, le=1, description="share of the live cloud that must lie on the map"
     )
-    min_confidence: float = Field(0.6, ge=0, le=1, description="calibrated probability needed")
+    min_confidence: float = Field(0.8, ge=0, le=1, description="calibrated probability needed")
     ambiguity: float = Field(
         0.85, gt=0, description="a second place with this share of the support is one too many"
     )
@@ -74,27 +74,54 @@ class Verdict:
     """Whether too little spoke for any pose, so that more candidates may help."""
 
 
-class _Live:
-    """A live cloud, made ready to be compared with the map at several poses."""
+class _Candidates:
+    """The hypotheses for one live cloud, the best supported first; each is refined at most once."""
 
-    def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
-        self.sample = _thinned(scene.structure, config.sample)
-        self._scene, self._config, self._aligner = scene, config, aligner
+    def __init__(
+        self,
+        hypotheses: list[Hypothesis],
+        site: MapCloud,
+        live: LiveCloud,
+        config: VerificationConfig,
+    ) -> None:
+        self.ranked = sorted(site.roughly(hypotheses, live), key=_support, reverse=True)
+        self._site, self._live, self._config = site, live, config
+        self._seen: dict[int, Hypothesis] = {}
+        self._refined: dict[int, Hypothesis] = {}
 
-    @cached_property
-    def sight(self) -> _native.Sight:
-        config = self._config
-        radius = max(config.seen_radius, config.coarse_radius)
-        scene = self._scene
-        return _native.Sight(
-            scene.structure, scene.ground, config.sight_range, config.sight_bin, radius
+    def rough(self, k: int) -> Hypothesis:
+        """Candidate k where it stands."""
+        if k not in self._seen:
+            self._seen[k] = self._site.roughly_seen(self.ranked[k], self._live)
+        return self._seen[k]
+
+    def refined(self, k: int) -> Hypothesis:
+        """Candidate k where the clouds agree best."""
+        if k not in self._refined:
+            self._refined[k] = self._site.refined(self.ranked[k], self._live)
+        return self._refined[k]
+
+    def compared(
+        self, best: Hypothesis, k: int, how: Callable[[int], Hypothesis]
+    ) -> tuple[Hypothesis, list[Hypothesis]]:
+        """Candidate k, as it stands or refined, with all that speaks for it, and its rivals.
+
+        Its rivals are the candidates at different places where the clouds agree best; ``how`` is
+        :meth:`rough` or :meth:`refined`.
+        """
+        separation = self._config.separation
+        others = [j for j, h in enumerate(self.ranked) if _apart(h, self.ranked[k], separation)]
+        most = max((self.ranked[j].inliers for j in others), default=0)
+        others.sort(key=lambda j: -self.ranked[j].overlap)
+        rivals = [how(j) for j in others[: self._config.max_refined]]
+        rivals = [rival for rival in rivals if _apart(rival, best, separation)]
+        compared = replace(
+            best,
+            margin=best.inliers / max(CHANCE_INLIERS, most),
+            rival_overlap=max((r.overlap for r in rivals), default=math.nan),
+            rival_seen=max((r.seen_or_overlap for r in rivals), default=math.nan),
         )
-
-    @cached_property
-    def surface(self) -> _native.Surface:
-        points = self._scene.surface
-        near = (points[:, :2] ** 2).sum(axis=1) < self._config.icp_radius**2
-        return self._aligner.surface(points[near])
+        return compared, rivals
 
 
 class Verifier:
@@ -120,187 +147,97 @@ class Verifier:
         threads: int = 0,
     ) -> None:
         self.config = config or VerificationConfig()
-        self._origin = origin
-        self._index = _native.PointIndex(
-            cloud, max(self.config.coarse_radius, self.config.overlap_radius)
-        )
-        self._aligner = Aligner(self.config.icp_voxel, self.config.icp_reach, threads)
-        self._surface = self._aligner.surface(cloud)
+        self._site = MapCloud(cloud, origin, self.config, threads)
 
     def verify(self, scene: Segmentation, hypotheses: list[Hypothesis]) -> Verdict:
         """Rank the candidates, refine the best and decide.
 
-        A pose is believed when the segments that agree with it are many, and many more than agree
-        with any pose elsewhere; when the live cloud lies on the map after ICP, and the map in view
-        is seen; and when no different place explains the scan about as well.
+        A pose is believed when many segments agree with it, and many more than with any pose
+        elsewhere; when the live cloud lies on the map after ICP, and the map in view is seen, much
+        more so than anywhere else; and when no different place explains the scan about as well.
         """
         if not hypotheses:
             return Verdict("no consistent matches", None, None, 0.0, unsure=True)
-        live = _Live(scene, self.config, self._aligner)
-        ranked = self._ranked(hypotheses, live)
+        candidates = _Candidates(hypotheses, self._site, self._site.live(scene), self.config)
         first: Verdict | None = None
-        for candidate in self._worth_judging(ranked):
-            verdict = self._judge(ranked, candidate, live)
+        for k in self._worth_judging(candidates.ranked):
+            verdict = self._judge(candidates, k)
             if not verdict.reason:
                 return verdict
             first = first or verdict
         assert first is not None  # the best candidate is always judged
         return first
 
-    def refined(
-        self, hypothesis: Hypothesis, scene: Segmentation, among: Sequence[Hypothesis] = ()
-    ) -> Hypothesis:
-        """A hypothesis moved to where the clouds fit best, with all that speaks for it there.
+    def refined(self, hypotheses: list[Hypothesis], scene: Segmentation) -> list[Hypothesis]:
+        """Hypotheses moved to where the clouds agree best; unchanged where they do not."""
+        live = self._site.live(scene)
+        return [self._site.refined(h, live) for h in hypotheses]
 
-        Unchanged where the clouds do not fit at all. Its margin is that over the others.
-        """
-        margin = _margin(hypothesis, among, self.config.separation)
-        return self._refined(
-            replace(hypothesis, margin=margin), _Live(scene, self.config, self._aligner)
-        )
-
-    def _ranked(self, hypotheses: list[Hypothesis], live: _Live) -> list[Hypothesis]:
-        poses = np.stack([self._relative(h.T_map_local) for h in hypotheses])
-        few = _thinned(live.sample, self.config.coarse_sample)
-        overlap, rmse = self._index.overlap(few, poses, self.config.coarse_radius)
-        scored = [
-            replace(h, overlap=float(o), rmse=float(r))
-            for h, o, r in zip(hypotheses, overlap, rmse, strict=True)
-        ]
-        return sorted(scored, key=_support, reverse=True)
-
-    def _worth_judging(self, ranked: list[Hypothesis]) -> list[Hypothesis]:
+    def _worth_judging(self, ranked: list[Hypothesis]) -> list[int]:
         """The best candidates, without those far below the very best."""
         bar = 0.5 * _support(ranked[0])
-        return [h for h in ranked[: self.config.max_refined] if _support(h) >= bar]
+        best = ranked[: self.config.max_refined]
+        return [k for k, h in enumerate(best) if _support(h) >= bar]
 
-    def _judge(self, ranked: list[Hypothesis], coarse: Hypothesis, live: _Live) -> Verdict:
-        config = self.config
-        other = _elsewhere(ranked, coarse, config.separation)
+    def _judge(self, candidates: _Candidates, k: int) -> Verdict:
+        config, coarse = self.config, candidates.ranked[k]
         if coarse.inliers < config.min_inliers:
+            other = self._elsewhere(candidates.ranked, coarse)
             reason = f"too few inliers ({coarse.inliers} < {config.min_inliers})"
             return Verdict(reason, coarse, other, 0.0, unsure=True)
-        rough = self._rough(coarse, live, ranked)
-        p = confidence(rough)
-        if p < min(HOPELESS, config.min_confidence):
-            reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
-            return Verdict(reason, rough, other, p, unsure=True)
-        best = self._refined(rough, live)
-        other = _elsewhere(ranked, best, config.separation)
+        best, rivals = self._compared(candidates, k)
         p = confidence(best)
+        other = self._elsewhere(candidates.ranked, best)
         if best.overlap < config.min_overlap:
             reason = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
-        elif rival := self._rival(ranked, coarse, best, live):
-            return Verdict("ambiguous", best, rival, p)
+        elif equal := self._equal(best, rivals, config.likeness):
+            return Verdict("ambiguous", best, equal, p)
         elif p < config.min_confidence:
             reason = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
         else:
             return Verdict("", best, other, p)
         return Verdict(reason, best, other, p, unsure=True)
 
-    def _rough(self, coarse: Hypothesis, live: _Live, among: Sequence[Hypothesis]) -> Hypothesis:
-        """What speaks for a candidate before refinement, generously: most are hopeless by that."""
-        seen = self._seen(live, self._relative(coarse.T_map_local), self.config.coarse_radius)
-        return replace(coarse, seen=seen, margin=_margin(coarse, among, self.config.separation))
+    def _compared(self, candidates: _Candidates, k: int) -> tuple[Hypothesis, list[Hypothesis]]:
+        """A candidate with its rivals, refined where that can change the verdict."""
+        config = self.config
+        best, rivals = candidates.compared(candidates.rough(k), k, candidates.rough)
+        equal = self._equal(best, rivals, config.likeness**2)
+        if confidence(best) < min(HOPELESS, config.min_confidence) and not equal:
+            return best, rivals
+        best, rivals = candidates.compared(candidates.refined(k), k, candidates.rough)
+        equal = self._equal(best, rivals, config.likeness**2)
+        if confidence(best) >= max(CERTAIN, config.min_confidence) and not equal:
+            return best, rivals
+        return candidates.compared(candidates.refined(k), k, candidates.refined)
 
-    def _rival(
-        self,
-        ranked: list[Hypothesis],
-        coarse: Hypothesis,
-        best: Hypothesis,
-        live: _Live,
+    def _equal(
+        self, best: Hypothesis, rivals: list[Hypothesis], likeness: float
     ) -> Hypothesis | None:
-        """A different place that explains the scan about as well: by its segments or its clouds.
+        """A rival that explains the scan about as well: by its segments or its clouds.
 
         Where a place repeats itself, it is chance which of its parts a segment is matched to: few
         matches do not speak against a place at which the clouds fit.
         """
-        config = self.config
-        if confidence_alone(best) < config.min_confidence:
+        if confidence_alone(best) < self.config.min_confidence:
             return None
-        # Refinement gains most where a pose was rough: the bar before it is lower.
-        bar = config.likeness**2 * coarse.overlap
-        alike = [
-            other
-            for other in ranked
-            if _apart(other, best, config.separation)
-            and (other.overlap >= bar or _support(other) > config.ambiguity * _support(coarse))
-        ]
-        alike.sort(key=lambda other: -other.overlap)
-        for candidate in alike[: config.max_refined]:
-            margin = _margin(candidate, ranked, config.separation)
-            other = self._refined(replace(candidate, margin=margin), live)
-            supported = _support(other) > config.ambiguity * _support(best)
-            fits = other.overlap >= config.likeness * best.overlap
-            likely = confidence_alone(other) >= 0.5 * confidence_alone(best)
-            if (supported or fits) and likely and _apart(other, best, config.separation):
+        for other in rivals:
+            supported = _support(other) > self.config.ambiguity * _support(best)
+            fits = other.overlap >= likeness * best.overlap
+            if (supported or fits) and confidence_alone(other) >= 0.5 * confidence_alone(best):
                 return other
         return None
 
-    def _refined(self, coarse: Hypothesis, live: _Live) -> Hypothesis:
-        config = self.config
-        T, covariance = self._aligned(self._relative(coarse.T_map_local), live)
-        overlap, rmse = self._index.overlap(live.sample, T[None], config.overlap_radius)
-        return Hypothesis(
-            geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
-            coarse.inliers,
-            float(overlap[0]),
-            self._seen(live, T, config.seen_radius),
-            float(rmse[0]),
-            coarse.margin,
-            covariance,
-        )
-
-    def _aligned(self, T: Pose, live: _Live) -> tuple[Pose, Float64 | None]:
-        """Where the clouds fit best; unchanged, and without covariance, where they do not fit."""
-        if not self.config.refine:
-            return T, None
-        aligned = self._aligner.align(self._surface, live.surface, T)
-        if aligned is None:
-            return T, None
-        moved = geometry.inverse(T) @ aligned.T_target_source
-        if np.linalg.norm(moved[:3, 3]) > self.config.separation:  # it has run away
-            return T, None
-        return aligned.T_target_source, aligned.covariance
-
-    def _seen(self, live: _Live, T: Pose, radius: float) -> float:
-        """Share of the map in view that the live cloud has, too; NaN where too little is."""
-        config = self.config
-        x, y = float(T[0, 3]), float(T[1, 3])
-        site = self._index.sample(x, y, config.sight_range, config.sight_sample)
-        T_local_site = np.ascontiguousarray(geometry.inverse(T))
-        seen, through = live.sight.look(site, T_local_site, radius, config.sight_margin)
-        judged = seen + through
-        return seen / judged if judged >= MIN_SIGHTED else math.nan
-
-    def _relative(self, T_map_local: Pose) -> Pose:
-        return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
-
-
-def _margin(chosen: Hypothesis, among: Sequence[Hypothesis], separation: float) -> float:
-    """Inliers in units of what agrees at the best different place."""
-    if not among:
-        return math.nan
-    others = (h.inliers for h in among if _apart(h, chosen, separation))
-    return chosen.inliers / max(CHANCE_INLIERS, max(others, default=0))
+    def _elsewhere(self, ranked: list[Hypothesis], best: Hypothesis) -> Hypothesis | None:
+        """The best supported candidate at a different place or with a different heading."""
+        return next((h for h in ranked if _apart(h, best, self.config.separation)), None)
 
 
 def _support(hypothesis: Hypothesis) -> float:
     return hypothesis.inliers * hypothesis.overlap
 
 
-def _elsewhere(ranked: list[Hypothesis], best: Hypothesis, separation: float) -> Hypothesis | None:
-    """The best hypothesis at a different place or with a different heading."""
-    return next((other for other in ranked if _apart(other, best, separation)), None)
-
-
 def _apart(a: Hypothesis, b: Hypothesis, separation: float) -> bool:
     delta = geometry.inverse(b.T_map_local) @ a.T_map_local
     turned = abs(geometry.heading(delta)) > math.radians(15)
     return bool(turned or np.linalg.norm(delta[:2, 3]) > separation)
-
-
-def _thinned(points: Float32, count: int) -> Float32:
-    """At most ``count`` of the points, evenly spread over their (spatially sorted) order."""
-    step = max(1, -(-len(points) // count))
-    return np.ascontiguousarray(points[::step])
