@@ -1,9 +1,11 @@
 """Ask maps for places that they do not hold: every localized query is false.
 
 Scans of simulated towns, single and accumulated, are asked in maps of other places (``.segmap``
-files, of any recording), and in the map of another simulated town.
+files, of any recording), and in the map of another simulated town; real recordings in the maps of
+all these towns.
 
-    python benchmarks/negatives.py --towns 2 first.segmap later.segmap
+    python benchmarks/negatives.py --towns 2 first.segmap later.segmap \
+      --real DATA/keyframes=DATA/keyframes.tum DATA/scans=DATA/scans.tum
 """
 
 from __future__ import annotations
@@ -16,23 +18,23 @@ from functools import lru_cache
 from pathlib import Path
 
 from segloc import Config, Localization, Localizer, SegmentMap, build_map
+from segloc.datasets import Sequence, open_sequence
 from segloc.local_cloud import window
-from segloc.simulation import SimulatedSequence, demo_sessions
+from segloc.simulation import demo_sessions
 from segloc.types import LocalCloud
 
 SCANS_IN_MEMORY = 48
 
 
-def clouds(drive: SimulatedSequence, localizer: Localizer) -> Iterator[LocalCloud]:
-    """A local cloud of every scan alone, and one accumulated behind every fourth."""
-    config = localizer.config.local_cloud
+def clouds(drive: Sequence, localizer: Localizer, step: int = 1) -> Iterator[LocalCloud]:
+    """A local cloud of every ``step``-th scan alone, and one accumulated behind every fourth."""
+    config, poses = localizer.config.local_cloud, drive.poses
+    assert poses is not None
     scan = lru_cache(SCANS_IN_MEMORY)(drive.scan)  # windows overlap, and casting takes longest
-    for i in range(len(drive)):
+    for n, i in enumerate(range(0, len(drive), step)):
         yield localizer.accumulator.gather(scan(i))
-        if i >= 8 and i % 4 == 0:
-            behind = window(
-                drive.poses, i, config.window_m, centred=False, max_gap_m=config.max_gap_m
-            )
+        if i >= 8 and n % 4 == 0:
+            behind = window(poses, i, config.window_m, centred=False, max_gap_m=config.max_gap_m)
             yield localizer.accumulator.gather([scan(k) for k in behind])
 
 
@@ -42,6 +44,8 @@ def main() -> None:
     parser.add_argument("--towns", type=int, default=2)
     parser.add_argument("--first-seed", type=int, default=4000)
     parser.add_argument("--method", default="profile")
+    parser.add_argument("--real", nargs="*", default=[], metavar="SCANS=POSES")
+    parser.add_argument("--real-every", type=int, default=8, metavar="SCANS")
     args = parser.parse_args()
 
     config = Config.preset(args.method).model_copy(update={"threads": 1})
@@ -50,11 +54,17 @@ def main() -> None:
     sites |= {path.name: SegmentMap.load(path) for path in args.maps}
     localizers = {name: Localizer(site, config) for name, site in sites.items()}
     answers: dict[str, list[Localization]] = {name: [] for name in sites}
+    real = [open_sequence(*map(Path, pair.split("="))) for pair in args.real]
     for seed in range(args.first_seed, args.first_seed + args.towns):
-        for drive in demo_sessions(seed).values():
-            for cloud in clouds(drive, next(iter(localizers.values()))):
+        drives = demo_sessions(seed)
+        for drive in drives.values():
+            for cloud in clouds(drive, localizers["simulated town"]):
                 for name, localizer in localizers.items():
                     answers[name].append(localizer.localize(cloud))
+        if real:
+            town = Localizer(build_map(drives["map"], config), config)
+            asked = [c for drive in real for c in clouds(drive, town, args.real_every)]
+            answers[f"town {seed}, asked by real scans"] = [town.localize(c) for c in asked]
         report(answers)
 
 
