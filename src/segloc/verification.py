@@ -40,7 +40,9 @@ class VerificationConfig(BaseModel):
     separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
     coarse_radius: float = Field(0.5, gt=0, description="neighbourhood before ICP, metres")
     overlap_radius: float = Field(0.3, gt=0, description="neighbourhood after ICP, metres")
-    max_refined: int = Field(2, ge=1, description="candidates that ICP is spent on")
+    max_refined: int = Field(
+        2, ge=1, description="candidates that are judged, and rivals that each is compared with"
+    )
     refine: bool = Field(True, description="refine the pose by ICP")
     icp_voxel: float = Field(0.8, gt=0, description="clouds are thinned to this for ICP, metres")
     icp_reach: float = Field(1.5, gt=0, description="longest ICP correspondence, metres")
@@ -104,10 +106,10 @@ class _Candidates:
     def compared(
         self, best: Hypothesis, k: int, how: Callable[[int], Hypothesis]
     ) -> tuple[Hypothesis, list[Hypothesis]]:
-        """Candidate k, as it stands or refined, with all that speaks for it, and its rivals.
+        """Candidate k, rough or refined, with all that speaks for it, and its rivals.
 
-        Its rivals are the candidates at different places where the clouds agree best; ``how`` is
-        :meth:`rough` or :meth:`refined`.
+        Its rivals are the candidates at different places where the clouds roughly agree best; they
+        are taken as ``how`` has them, :meth:`rough` or :meth:`refined`.
         """
         separation = self._config.separation
         others = [j for j, h in enumerate(self.ranked) if _apart(h, self.ranked[k], separation)]
