@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import geometry
-from .confidence import confidence, confidence_alone
 from .errors import InvalidScan
 from .localizer import Localizer
-from .types import Hypothesis, LocalCloud, Pose, Scan, checked_pose
+from .types import LocalCloud, Pose, Scan, checked_pose
 
 
 class TrackerConfig(BaseModel):
@@ -22,8 +21,7 @@ class TrackerConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    min_inliers: int = Field(4, ge=2, description="weaker hypotheses are not kept")
-    min_confidence: float = Field(0.3, ge=0, le=1, description="after refinement; the same")
+    min_confidence: float = Field(0.3, ge=0, le=1, description="less likely ones are not kept")
     tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
     tolerance_deg: float = Field(3.0, gt=0, description="the same for their headings, degrees")
     drift: float = Field(0.02, ge=0, description="odometry errs by this share of the way")
@@ -33,7 +31,6 @@ class TrackerConfig(BaseModel):
     agreeing: int = Field(2, ge=2, description="views that must agree on a hypothesis")
     memory_m: float = Field(150.0, gt=0, description="unsupported hypotheses are kept this long")
     max_kept: int = Field(16, ge=1, description="hypotheses kept between queries")
-    candidates: int = Field(3, ge=1, description="hypotheses of each query that are refined")
 
 
 @dataclass(frozen=True)
@@ -75,10 +72,10 @@ class _Kept:
 class Tracker:
     """Localizes a robot over successive queries.
 
-    A single query that passes all gates of verification is believed at once. Hypotheses below the
-    gates, and ambiguous ones, are kept: those on which views from different positions agree are
-    believed, and those that a believed one contradicts are dropped. A believed track survives
-    queries that find nothing, for ``memory_m`` of travel.
+    A single query that passes all gates of verification is believed at once. A pose that is only
+    likely is kept: those on which views from different positions agree are believed, and those that
+    a believed one contradicts are dropped. A believed track survives queries that find nothing, for
+    ``memory_m`` of travel.
 
     Parameters
     ----------
@@ -112,35 +109,31 @@ class Tracker:
         if self._last is not None:
             self._travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
         self._last = T
-        views = self._views(scans, T)
-        for view in views:
+        view = self._view(scans, T)
+        if view is not None:
             self._merge(view)
         self._forget()
-        return self._answer(views)
+        return self._answer(view)
 
-    def _views(self, scans: Scan | Sequence[Scan] | LocalCloud, T_odom_sensor: Pose) -> list[_Kept]:
-        """The hypotheses of one query that are worth keeping, refined; the best first."""
+    def _view(self, scans: Scan | Sequence[Scan] | LocalCloud, T_odom_sensor: Pose) -> _Kept | None:
+        """What one query says, if that is worth keeping.
+
+        Where several places look alike, it says nothing: such views agree with one another at wrong
+        places, too, all along a street.
+        """
         localizer, config = self.localizer, self.config
         cloud = scans if isinstance(scans, LocalCloud) else localizer.accumulator.gather(scans)
         if not np.isfinite(cloud.T_local_sensor).all():
             raise InvalidScan("T_local_sensor has values that are not finite")
         scene = localizer.segmenter.segment(cloud)
-        found = localizer.search(scene, localizer.descriptor.describe(scene.segments))
-        T_sensor_odom = geometry.inverse(T_odom_sensor)
-
-        def kept(h: Hypothesis, believed: bool) -> _Kept:
-            T_map_odom = h.T_map_local @ cloud.T_local_sensor @ T_sensor_odom
-            # Places that look alike are told apart by the way between the views.
-            likely = confidence(h) if believed else confidence_alone(h)
-            return _Kept(T_map_odom, likely, 1, believed, self._travelled)
-
-        verdict = found.verdict
-        if verdict.best is not None and not verdict.reason:
-            return [kept(verdict.best, True)]
-        strong = [h for h in found.hypotheses if h.inliers >= config.min_inliers]
-        refined = localizer.verifier.refined(strong[: config.candidates], scene)
-        fitting = [h for h in refined if confidence_alone(h) >= config.min_confidence]
-        return sorted((kept(h, False) for h in fitting), key=lambda k: -k.confidence)
+        verdict = localizer.search(scene, localizer.descriptor.describe(scene.segments)).verdict
+        best, believed = verdict.best, not verdict.reason
+        if best is None or verdict.reason == "ambiguous":
+            return None
+        if not believed and verdict.confidence < config.min_confidence:
+            return None
+        T_map_odom = best.T_map_local @ cloud.T_local_sensor @ geometry.inverse(T_odom_sensor)
+        return _Kept(T_map_odom, verdict.confidence, 1, believed, self._travelled)
 
     def _merge(self, view: _Kept) -> None:
         """Let a view support the hypothesis that it agrees with, or stand for itself."""
@@ -181,7 +174,7 @@ class Tracker:
     def _stands(self, kept: _Kept) -> bool:
         return kept.believed or kept.views >= self.config.agreeing
 
-    def _answer(self, views: list[_Kept]) -> Track:
+    def _answer(self, view: _Kept | None) -> Track:
         standing = [k for k in self._kept if self._stands(k)]
         if not standing:
             reason = "no agreement yet" if self._kept else "nothing found"
@@ -189,7 +182,6 @@ class Tracker:
         best = standing[0]
         if len(standing) > 1 and standing[1].views >= best.views:
             return Track(False, None, 0.0, best.views, "contradiction")
-        contradicted = bool(views) and views[0].believed and not self._agree(best, views[0])
-        if contradicted:
+        if view is not None and view.believed and not self._agree(best, view):
             return Track(False, None, 0.0, best.views, "contradiction")
         return Track(True, best.T_map_odom, best.confidence, best.views)
