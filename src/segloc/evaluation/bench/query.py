@@ -192,21 +192,23 @@ def _unposed(scan: Scan) -> Scan:
 def padded(site: SegmentMap, segments: int, seed: int = 0) -> SegmentMap:
     """The map with perturbed copies of itself around it, turned and scattered, in all ``segments``.
 
-    A copy's vectors are near the original's, so that the search has close rivals; its segments
-    are moved by metres each, so that no constellation of the map is there twice.
+    A copy's vectors are near the original's, so that the search has close rivals; its segments are
+    moved by metres each, and it is the mirror image, so that no place of the map is there twice.
     """
     rng = np.random.default_rng([seed, 80])
     merged = site.merge(site)  # a copy
     extent = np.ptp(site.centroids[:, :2], axis=0)
     tile = float(np.hypot(*extent)) + 200.0
-    middle = np.append(site.centroids[:, :2].mean(axis=0), 0.0)
+    middle, mirror = np.append(site.centroids[:, :2].mean(axis=0), 0.0), np.array([1, -1, 1])
     # Without a cloud in very large maps: only the eight best poses are ever compared with it.
-    cloud = site.cloud[: None if segments <= _MAX_WITH_CLOUD else 0] + site.origin - middle
+    kept = site.cloud[: None if segments <= _MAX_WITH_CLOUD else 0]
+    cloud = (kept + site.origin - middle) * mirror
     spread = 0.3 * site.vectors.std(axis=0)
     for place in _around(math.ceil(max(0, segments - len(site)) / max(len(site), 1))):
         count = min(len(site), segments - len(merged))
         turn = geometry.yaw_transform(rng.uniform(-np.pi, np.pi), (*(tile * place), 0.0))
-        moved = site.centroids[:count] - middle + rng.uniform(-5, 5, (count, 3)) * [1, 1, 0]
+        moved = (site.centroids[:count] - middle) * mirror
+        moved += rng.uniform(-5, 5, (count, 3)) * [1, 1, 0]
         vectors = site.vectors[:count] + rng.normal(0, spread, (count, site.dim))
         quality = None if site.quality is None else site.quality[:count]
         merged.add(
