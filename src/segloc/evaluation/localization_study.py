@@ -29,9 +29,9 @@ map's way leads past it within 3 m: the others come from streets that the map do
 best left unanswered.
 
 All methods see the same segments and the same thresholds, those of the package: fitted once on
-simulated towns, a few of them set by hand with KITTI 00 in view. They are asked twice, with our
-pose estimator (consensus) and with the paper's (PROSAC), and once more in the map of another place,
-seen by the same kind of sensor, where every answer is false."""
+simulated worlds and on real scans in wrong maps, a few of them set by hand with KITTI 00 in view.
+They are asked twice, with our pose estimator (consensus) and with the paper's (PROSAC), and once
+more in the map of another place, seen by the same kind of sensor, where every answer is false."""
 
 
 def run(workspace: Workspace) -> Study:
