@@ -158,18 +158,18 @@ class Calibration:
     ) -> SegmentMap:
         """All drives of a world, in its map, behind a mirror, and in the map of another world."""
         site = build_map(world.mapped, self.config)
-        here, elsewhere = [site], [mirrored(site)]
+        here, elsewhere = [self.localizer(site)], [self.localizer(mirrored(site))]
         if before is not None:
-            here.append(padded(site, [before], PADDED))
-            elsewhere.append(before)
+            here.append(self.localizer(padded(site, [before], PADDED)))
+            elsewhere.append(self.localizer(before))
         rows: list[Row] = []
         for drive in world.asked.values():
             for place in here:
-                rows += ask(self.localizer(place), drive, True, EVERY_M)
+                rows += ask(place, drive, True, EVERY_M)
             for other in elsewhere:
-                rows += ask(self.localizer(other), drive, False, ELSEWHERE_EVERY_M)
+                rows += ask(other, drive, False, ELSEWHERE_EVERY_M)
         for recording in real:
-            rows += ask(self.localizer(site), recording, False, REAL_EVERY_M)
+            rows += ask(here[0], recording, False, REAL_EVERY_M)
         self.add(world.name, rows)
         return site
 

@@ -54,16 +54,17 @@ def main() -> None:
     sites |= {path.name: SegmentMap.load(path) for path in args.maps}
     localizers = {name: Localizer(site, config) for name, site in sites.items()}
     answers: dict[str, list[Localization]] = {name: [] for name in sites}
+    any_localizer = localizers["simulated town"]  # clouds are gathered alike for all maps
     real = [open_sequence(*map(Path, pair.split("="))) for pair in args.real]
+    asked = [cloud for drive in real for cloud in clouds(drive, any_localizer, args.real_every)]
     for seed in range(args.first_seed, args.first_seed + args.towns):
         drives = demo_sessions(seed)
         for drive in drives.values():
-            for cloud in clouds(drive, localizers["simulated town"]):
+            for cloud in clouds(drive, any_localizer):
                 for name, localizer in localizers.items():
                     answers[name].append(localizer.localize(cloud))
-        if real:
+        if asked:
             town = Localizer(build_map(drives["map"], config), config)
-            asked = [c for drive in real for c in clouds(drive, town, args.real_every)]
             answers[f"town {seed}, asked by real scans"] = [town.localize(c) for c in asked]
         report(answers)
 

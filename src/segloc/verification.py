@@ -103,20 +103,23 @@ class _Candidates:
             self._refined[k] = self._site.refined(self.ranked[k], self._live)
         return self._refined[k]
 
-    def compared(
-        self, best: Hypothesis, k: int, how: Callable[[int], Hypothesis]
-    ) -> tuple[Hypothesis, list[Hypothesis]]:
-        """Candidate k, rough or refined, with all that speaks for it, and its rivals.
+    def elsewhere(self, k: int) -> list[int]:
+        """Candidates at other places than k, first those where the clouds roughly agree best."""
+        here, separation = self.ranked[k], self._config.separation
+        others = [j for j, h in enumerate(self.ranked) if _apart(h, here, separation)]
+        return sorted(others, key=lambda j: -self.ranked[j].overlap)
 
-        Its rivals are the candidates at different places where the clouds roughly agree best; they
-        are taken as ``how`` has them, :meth:`rough` or :meth:`refined`.
+    def compared(
+        self, best: Hypothesis, others: list[int], how: Callable[[int], Hypothesis]
+    ) -> tuple[Hypothesis, list[Hypothesis]]:
+        """A candidate, rough or refined, with all that speaks for it, and its rivals.
+
+        Its rivals are the first of the others, taken as ``how`` has them: :meth:`rough` or
+        :meth:`refined`.
         """
-        separation = self._config.separation
-        others = [j for j, h in enumerate(self.ranked) if _apart(h, self.ranked[k], separation)]
         most = max((self.ranked[j].inliers for j in others), default=0)
-        others.sort(key=lambda j: -self.ranked[j].overlap)
         rivals = [how(j) for j in others[: self._config.max_refined]]
-        rivals = [rival for rival in rivals if _apart(rival, best, separation)]
+        rivals = [rival for rival in rivals if _apart(rival, best, self._config.separation)]
         compared = replace(
             best,
             margin=best.inliers / max(CHANCE_INLIERS, most),
@@ -170,10 +173,9 @@ class Verifier:
         assert first is not None  # the best candidate is always judged
         return first
 
-    def refined(self, hypotheses: list[Hypothesis], scene: Segmentation) -> list[Hypothesis]:
-        """Hypotheses moved to where the clouds agree best; unchanged where they do not."""
-        live = self._site.live(scene)
-        return [self._site.refined(h, live) for h in hypotheses]
+    def refined(self, hypothesis: Hypothesis, scene: Segmentation) -> Hypothesis:
+        """A hypothesis moved to where the clouds agree best; unchanged where they do not."""
+        return self._site.refined(hypothesis, self._site.live(scene))
 
     def _worth_judging(self, ranked: list[Hypothesis]) -> list[int]:
         """The best candidates, without those far below the very best."""
@@ -202,16 +204,16 @@ class Verifier:
 
     def _compared(self, candidates: _Candidates, k: int) -> tuple[Hypothesis, list[Hypothesis]]:
         """A candidate with its rivals, refined where that can change the verdict."""
-        config = self.config
-        best, rivals = candidates.compared(candidates.rough(k), k, candidates.rough)
+        config, others = self.config, candidates.elsewhere(k)
+        best, rivals = candidates.compared(candidates.rough(k), others, candidates.rough)
         equal = self._equal(best, rivals, config.likeness**2)
         if confidence(best) < min(HOPELESS, config.min_confidence) and not equal:
             return best, rivals
-        best, rivals = candidates.compared(candidates.refined(k), k, candidates.rough)
+        best, rivals = candidates.compared(candidates.refined(k), others, candidates.rough)
         equal = self._equal(best, rivals, config.likeness**2)
         if confidence(best) >= max(CERTAIN, config.min_confidence) and not equal:
             return best, rivals
-        return candidates.compared(candidates.refined(k), k, candidates.refined)
+        return candidates.compared(candidates.refined(k), others, candidates.refined)
 
     def _equal(
         self, best: Hypothesis, rivals: list[Hypothesis], likeness: float

@@ -19,6 +19,7 @@ from ...localizer import Localizer
 from ...map import SegmentMap
 from ...mapping import build_map
 from ...types import Descriptors, LocalCloud, Localization, Pose, Scan
+from ..decoys import mirrored
 from . import inputs
 from .harness import OURS, Row, optional, processor_clock, row
 
@@ -199,15 +200,16 @@ def padded(site: SegmentMap, segments: int, seed: int = 0) -> SegmentMap:
     merged = site.merge(site)  # a copy
     extent = np.ptp(site.centroids[:, :2], axis=0)
     tile = float(np.hypot(*extent)) + 200.0
-    middle, mirror = np.append(site.centroids[:, :2].mean(axis=0), 0.0), np.array([1, -1, 1])
+    image, middle = mirrored(site), _middle(site)
+    centre = _middle(image)
     # Without a cloud in very large maps: only the eight best poses are ever compared with it.
-    kept = site.cloud[: None if segments <= _MAX_WITH_CLOUD else 0]
-    cloud = (kept + site.origin - middle) * mirror
+    kept = image.cloud[: None if segments <= _MAX_WITH_CLOUD else 0]
+    cloud = kept + image.origin - centre
     spread = 0.3 * site.vectors.std(axis=0)
     for place in _around(math.ceil(max(0, segments - len(site)) / max(len(site), 1))):
         count = min(len(site), segments - len(merged))
         turn = geometry.yaw_transform(rng.uniform(-np.pi, np.pi), (*(tile * place), 0.0))
-        moved = (site.centroids[:count] - middle) * mirror
+        moved = image.centroids[:count] - centre
         moved += rng.uniform(-5, 5, (count, 3)) * [1, 1, 0]
         vectors = site.vectors[:count] + rng.normal(0, spread, (count, site.dim))
         quality = None if site.quality is None else site.quality[:count]
@@ -220,6 +222,10 @@ def padded(site: SegmentMap, segments: int, seed: int = 0) -> SegmentMap:
             cloud=geometry.transform(turn, cloud[: len(cloud) * count // len(site)]) + middle,
         )
     return merged
+
+
+def _middle(site: SegmentMap) -> np.ndarray:
+    return np.append(site.centroids[:, :2].mean(axis=0), 0.0)
 
 
 def _around(count: int) -> np.ndarray:
