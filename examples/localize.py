@@ -16,11 +16,11 @@ def main() -> None:
         town(7, size_m=150.0), hdl64e(600), [Conditions(), Conditions(replaced=0.1)], length_m=80.0
     )
     config = Config.preset("profile")
-    site = build_map(first, config)
-    site.save("site.segmap")
-    print(f"site.segmap: {len(site)} segments")
+    prior_map = build_map(first, config)
+    prior_map.save("site.segmap")
+    print(f"site.segmap: {len(prior_map)} segments")
 
-    localizer = Localizer(site, config)
+    localizer = Localizer(prior_map, config)
     for i in range(0, len(second), 5):
         result = localizer.localize(second.scan(i))
         if result.T_map_sensor is None:

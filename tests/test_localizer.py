@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Plaza, PlazaSequence
+from samples.plaza import Plaza, PlazaSequence
 
 from segloc import (
     Config,
@@ -29,13 +29,13 @@ GEO = Config.preset("geo")
 
 
 @pytest.fixture(scope="module")
-def site(plaza: Plaza) -> SegmentMap:
+def prior_map(plaza: Plaza) -> SegmentMap:
     return build_map(PlazaSequence(plaza), GEO)
 
 
 @pytest.fixture(scope="module")
-def localizer(site: SegmentMap) -> Localizer:
-    return Localizer(site)
+def localizer(prior_map: SegmentMap) -> Localizer:
+    return Localizer(prior_map)
 
 
 def pose_error(result: Localization, T: np.ndarray) -> tuple[float, float]:
@@ -140,18 +140,20 @@ def test_poor_scans_are_not_localized_and_say_why(localizer: Localizer, name: st
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 3])
-def test_maps_of_almost_nothing_localize_nothing(plaza: Plaza, site: SegmentMap, size: int) -> None:
-    small = SegmentMap.empty(site.descriptor, site.fingerprint, site.dim)
+def test_maps_of_almost_nothing_localize_nothing(
+    plaza: Plaza, prior_map: SegmentMap, size: int
+) -> None:
+    small = SegmentMap.empty(prior_map.descriptor, prior_map.fingerprint, prior_map.dim)
     if size:
         from segloc.types import Descriptors
 
         small.add(
-            Descriptors(site.vectors[:size]),
-            site.centroids[:size],
-            site.sizes[:size],
+            Descriptors(prior_map.vectors[:size]),
+            prior_map.centroids[:size],
+            prior_map.sizes[:size],
             session=0,
             stamp=0.0,
-            cloud=site.centroids[:size],
+            cloud=prior_map.centroids[:size],
         )
     result = Localizer(small).localize(plaza.scan(np.eye(4)))
     assert not result.localized and result.T_map_sensor is None and result.reason
@@ -165,12 +167,14 @@ def test_several_scans_need_poses(plaza: Plaza, localizer: Localizer) -> None:
         localizer.localize([])
 
 
-def test_a_map_of_another_descriptor_is_refused(site: SegmentMap) -> None:
-    other = SegmentMap.empty(site.descriptor, "another-fingerprint", site.dim)
+def test_a_map_of_another_descriptor_is_refused(prior_map: SegmentMap) -> None:
+    other = SegmentMap.empty(prior_map.descriptor, "another-fingerprint", prior_map.dim)
     with pytest.raises(MapMismatch, match="another-fingerprint"):
         Localizer(other)
     with pytest.raises(ConfigError, match="no descriptor"):
-        Localizer(SegmentMap.empty("nonesuch", site.fingerprint, site.dim), Config.preset("geo"))
+        Localizer(
+            SegmentMap.empty("nonesuch", prior_map.fingerprint, prior_map.dim), Config.preset("geo")
+        )
 
 
 def test_a_configuration_of_another_method_is_refused(tmp_path: Path) -> None:
@@ -196,11 +200,12 @@ def test_mapping_needs_poses_and_something_to_see(plaza: Plaza) -> None:
 
 
 def test_the_same_query_gives_the_same_bits_for_any_number_of_threads(
-    plaza: Plaza, site: SegmentMap
+    plaza: Plaza, prior_map: SegmentMap
 ) -> None:
     scan = plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7)))
     results = [
-        Localizer(site, GEO.model_copy(update={"threads": n})).localize(scan) for n in (1, 2, 8, 1)
+        Localizer(prior_map, GEO.model_copy(update={"threads": n})).localize(scan)
+        for n in (1, 2, 8, 1)
     ]
     for result in results[1:]:
         np.testing.assert_array_equal(result.T_map_sensor, results[0].T_map_sensor)
@@ -209,9 +214,9 @@ def test_the_same_query_gives_the_same_bits_for_any_number_of_threads(
 
 
 def test_the_map_is_the_same_after_saving(
-    plaza: Plaza, site: SegmentMap, localizer: Localizer, tmp_path: Path
+    plaza: Plaza, prior_map: SegmentMap, localizer: Localizer, tmp_path: Path
 ) -> None:
-    site.save(tmp_path / "site.segmap")
+    prior_map.save(tmp_path / "site.segmap")
     scan = plaza.scan(geometry.yaw_transform(-1.0, (0.0, 2.0, 1.7)))
     again = Localizer(SegmentMap.load(tmp_path / "site.segmap")).localize(scan)
     np.testing.assert_array_equal(again.T_map_sensor, localizer.localize(scan).T_map_sensor)
@@ -236,8 +241,8 @@ def test_real_revisits_are_found_and_other_places_are_not(kitti: Path, method: s
     """KITTI 00: the second pass over a street, single later scans, and places never mapped."""
     config = Config.preset(method)
     poses = kitti / "keyframes.tum"
-    site = build_map(open_sequence(kitti / "keyframes", poses, "1361:1420"), config)
-    localizer = Localizer(site, config)
+    prior_map = build_map(open_sequence(kitti / "keyframes", poses, "1361:1420"), config)
+    localizer = Localizer(prior_map, config)
     first_pass = open_sequence(kitti / "keyframes", poses, "940:999")
     queries = range(25, len(first_pass), 12)
     found = [

@@ -32,10 +32,10 @@ def scene(
             rng.uniform(-math.pi, math.pi), tuple(rng.uniform(-200, 200, 3) * [1, 1, 0.05] + origin)
         )
     count = segments * neighbours
-    site = rng.uniform([-300, -300, -10], [300, 300, 10], (count, 3)) + origin
+    prior_map = rng.uniform([-300, -300, -10], [300, 300, 10], (count, 3)) + origin
     rows = np.repeat(np.arange(segments), neighbours)
     right = rng.choice(segments, true, replace=False) * neighbours
-    site[right] = geometry.transform(T, query[rows[right]]) + rng.normal(0, 0.1, (true, 3))
+    prior_map[right] = geometry.transform(T, query[rows[right]]) + rng.normal(0, 0.1, (true, 3))
     score = rng.normal(0, 1, count)
     score[right] += 1.5
     order = np.argsort(-score)
@@ -45,7 +45,7 @@ def scene(
         (-score[order]).astype(np.float32),
         score[order].astype(np.float32),
     )
-    return query, site, matches, T
+    return query, prior_map, matches, T
 
 
 def error(found: Hypothesis, T: np.ndarray, query: np.ndarray) -> float:
@@ -58,8 +58,8 @@ def error(found: Hypothesis, T: np.ndarray, query: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", range(5))
 def test_the_true_pose_comes_first(estimator: str, seed: int) -> None:
     # Unordered samples of three need far more of the matches to be right.
-    query, site, matches, T = scene(seed, neighbours=4 if estimator == "ransac" else 20)
-    found = PoseEstimator(PoseConfig(estimator=estimator)).estimate(query, site, matches)
+    query, prior_map, matches, T = scene(seed, neighbours=4 if estimator == "ransac" else 20)
+    found = PoseEstimator(PoseConfig(estimator=estimator)).estimate(query, prior_map, matches)
     assert error(found[0], T, query) < 0.5
     assert 10 <= found[0].inliers <= 14
     for hypothesis in found:
@@ -70,21 +70,21 @@ def test_the_true_pose_comes_first(estimator: str, seed: int) -> None:
 
 def test_prosac_needs_no_gravity() -> None:
     tilt = Rotation.from_euler("zyx", [2.0, 0.3, -0.4]).as_matrix()
-    query, site, matches, T = scene(7, T=geometry.rigid(tilt, np.array([50.0, -20, 3])))
-    found = PoseEstimator(PoseConfig(estimator="prosac")).estimate(query, site, matches)
+    query, prior_map, matches, T = scene(7, T=geometry.rigid(tilt, np.array([50.0, -20, 3])))
+    found = PoseEstimator(PoseConfig(estimator="prosac")).estimate(query, prior_map, matches)
     assert error(found[0], T, query) < 0.5
 
 
 @pytest.mark.parametrize("estimator", ["consensus", "prosac"])
 def test_utm_coordinates_lose_no_precision(estimator: str) -> None:
-    query, site, matches, T = scene(3, origin=5e6)
-    found = PoseEstimator(PoseConfig(estimator=estimator)).estimate(query, site, matches)
+    query, prior_map, matches, T = scene(3, origin=5e6)
+    found = PoseEstimator(PoseConfig(estimator=estimator)).estimate(query, prior_map, matches)
     assert error(found[0], T, query) < 0.5
 
 
 def test_more_objects_than_a_mark_tells_apart() -> None:
-    query, site, matches, T = scene(6, segments=600, neighbours=50, true=40)
-    runs = [PoseEstimator(threads=n).estimate(query, site, matches) for n in (1, 3)]
+    query, prior_map, matches, T = scene(6, segments=600, neighbours=50, true=40)
+    runs = [PoseEstimator(threads=n).estimate(query, prior_map, matches) for n in (1, 3)]
     assert error(runs[0][0], T, query) < 0.5 and runs[0][0].inliers >= 30
     for a, b in zip(*runs, strict=True):
         np.testing.assert_array_equal(a.T_map_local, b.T_map_local)
@@ -113,12 +113,12 @@ def reference_votes(
     ("segments", "neighbours", "true"), [(40, 5, 8), (60, 60, 20), (20, 2, 6), (300, 12, 100)]
 )
 def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, true: int) -> None:
-    query, site, matches, _ = scene(11, segments=segments, neighbours=neighbours, true=true)
+    query, prior_map, matches, _ = scene(11, segments=segments, neighbours=neighbours, true=true)
     expected: list[int] = []
     for max_cells in (100_000, 512, 20):
         runs = [
             _native.pose_votes(
-                query, site, matches.query, matches.map, 0.6, 0.0, max_cells, threads
+                query, prior_map, matches.query, matches.map, 0.6, 0.0, max_cells, threads
             )
             for threads in (1, 3)
         ]
@@ -126,14 +126,14 @@ def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, 
         np.testing.assert_array_equal(votes, runs[1][0])
         np.testing.assert_array_equal(cells, runs[1][1])
         if not expected:
-            q, m = query[matches.query, :2], site[matches.map, :2]
+            q, m = query[matches.query, :2], prior_map[matches.map, :2]
             expected = reference_votes(q, m, matches.query, cells, width, turn)
         assert votes.tolist() == expected[:max_cells]
 
 
-def reference_support(query: np.ndarray, site: np.ndarray, matches: Matches) -> int:
+def reference_support(query: np.ndarray, prior_map: np.ndarray, matches: Matches) -> int:
     """Most distinct query segments that any two agreeing matches put on the map."""
-    q, m, best = query[matches.query], site[matches.map], 0
+    q, m, best = query[matches.query], prior_map[matches.map], 0
     for i in range(len(matches)):
         for j in range(i):
             a, b = (q[j] - q[i])[:2], (m[j] - m[i])[:2]
@@ -153,32 +153,32 @@ def reference_support(query: np.ndarray, site: np.ndarray, matches: Matches) -> 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_consensus_finds_what_an_exhaustive_search_finds(seed: int) -> None:
-    query, site, matches, _ = scene(seed, segments=25, neighbours=6, true=5)
-    found = PoseEstimator(PoseConfig(distinct_radius=0.0)).estimate(query, site, matches)
-    assert found[0].inliers >= reference_support(query, site, matches)
+    query, prior_map, matches, _ = scene(seed, segments=25, neighbours=6, true=5)
+    found = PoseEstimator(PoseConfig(distinct_radius=0.0)).estimate(query, prior_map, matches)
+    assert found[0].inliers >= reference_support(query, prior_map, matches)
 
 
 def test_two_equal_places_are_both_reported() -> None:
-    query, site, matches, T = scene(1, true=10)
+    query, prior_map, matches, T = scene(1, true=10)
     twin = T.copy()
     twin[:2, 3] += [120.0, 0]
-    first = len(site)
+    first = len(prior_map)
     mine = matches.query[:60:6]
-    site = np.vstack([site, geometry.transform(twin, query[np.unique(mine)])])
-    extra = np.arange(first, len(site))
+    prior_map = np.vstack([prior_map, geometry.transform(twin, query[np.unique(mine)])])
+    extra = np.arange(first, len(prior_map))
     both = Matches(
         np.concatenate([np.unique(mine), matches.query]),
         np.concatenate([extra, matches.map]),
         np.concatenate([np.zeros(len(extra), np.float32), matches.distance]),
         np.concatenate([np.full(len(extra), 9, np.float32), matches.score]),
     )
-    found = PoseEstimator().estimate(query, site, both)
+    found = PoseEstimator().estimate(query, prior_map, both)
     assert min(error(h, T, query) for h in found[:2]) < 0.5
     assert min(error(h, twin, query) for h in found[:2]) < 0.5
 
 
 def test_close_segments_are_one_witness() -> None:
-    query, site, matches, T = scene(2, true=10)
+    query, prior_map, matches, T = scene(2, true=10)
     doubled = np.vstack([query, query + np.array([0.2, 0.1, 0.6])])
     again = Matches(
         np.concatenate([matches.query, matches.query + len(query)]),
@@ -186,8 +186,8 @@ def test_close_segments_are_one_witness() -> None:
         np.concatenate([matches.distance, matches.distance]),
         np.concatenate([matches.score, matches.score]),
     )
-    once = PoseEstimator().estimate(query, site, matches)[0]
-    twice = PoseEstimator().estimate(doubled, site, again)[0]
+    once = PoseEstimator().estimate(query, prior_map, matches)[0]
+    twice = PoseEstimator().estimate(doubled, prior_map, again)[0]
     assert twice.inliers == once.inliers and error(twice, T, query) < 0.5
 
 
@@ -200,18 +200,20 @@ def test_close_segments_are_one_witness() -> None:
 def test_a_turned_query_gives_the_turned_pose(
     seed: int, yaw: float, t: tuple[float, float, float]
 ) -> None:
-    query, site, matches, T = scene(seed % 5)
+    query, prior_map, matches, T = scene(seed % 5)
     T_new_old = geometry.yaw_transform(yaw, t)
     moved = geometry.transform(T_new_old, query)
-    found = PoseEstimator().estimate(moved, site, matches)
+    found = PoseEstimator().estimate(moved, prior_map, matches)
     assert error(found[0], T @ geometry.inverse(T_new_old), moved) < 0.5
 
 
 @pytest.mark.parametrize("estimator", ["consensus", "prosac", "ransac"])
 def test_same_input_same_bits_for_any_number_of_threads(estimator: str) -> None:
-    query, site, matches, _ = scene(4)
+    query, prior_map, matches, _ = scene(4)
     runs = [
-        PoseEstimator(PoseConfig(estimator=estimator), threads=n).estimate(query, site, matches)
+        PoseEstimator(PoseConfig(estimator=estimator), threads=n).estimate(
+            query, prior_map, matches
+        )
         for n in (1, 2, 8, 1)
     ]
     for run in runs[1:]:
@@ -236,10 +238,10 @@ def test_degenerate_matches_give_no_pose_or_a_rigid_one(estimator: str) -> None:
 
 
 def test_matches_that_name_no_segment_are_refused() -> None:
-    query, site, matches, _ = scene(0)
+    query, prior_map, matches, _ = scene(0)
     wrong = Matches(matches.query + 1000, matches.map, matches.distance, matches.score)
     with pytest.raises(ValueError, match="does not exist"):
-        PoseEstimator().estimate(query, site, wrong)
+        PoseEstimator().estimate(query, prior_map, wrong)
 
 
 def test_rigid_fit_of_three_points_is_exact() -> None:

@@ -107,10 +107,10 @@ def test_cost_and_curvature_are_those_of_the_paper() -> None:
 def test_finds_the_pose_of_a_cloud_in_another(seed: int) -> None:
     aligner = Aligner(0.3, REACH, threads=1)
     truth = geometry.yaw_transform(seed % 7, (seed % 900, -40.0, 3.0))
-    site = geometry.transform(truth, room(seed).astype(np.float64)).astype(np.float32)
+    prior_map = geometry.transform(truth, room(seed).astype(np.float64)).astype(np.float32)
     live = room(seed + 1)
     start = truth @ small_pose(seed)
-    found = aligner.align(aligner.surface(site), aligner.surface(live), start)
+    found = aligner.align(aligner.surface(prior_map), aligner.surface(live), start)
     assert found is not None
     delta = geometry.inverse(truth) @ found.T_target_source
     assert np.linalg.norm(delta[:3, 3]) < 0.1

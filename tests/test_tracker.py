@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Plaza, PlazaSequence
+from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.datasets import open_sequence
@@ -17,14 +17,14 @@ T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
 
 
 @pytest.fixture(scope="module")
-def site(plaza: Plaza) -> SegmentMap:
+def prior_map(plaza: Plaza) -> SegmentMap:
     return build_map(PlazaSequence(plaza), Config.preset("geo"))
 
 
-def gated(site: SegmentMap, **gates: float) -> Localizer:
+def gated(prior_map: SegmentMap, **gates: float) -> Localizer:
     config = Config.preset("geo")
     verification = config.verification.model_copy(update=gates)
-    return Localizer(site, config.model_copy(update={"verification": verification}))
+    return Localizer(prior_map, config.model_copy(update={"verification": verification}))
 
 
 def odometry(T_map_sensor: Float64) -> Float64:
@@ -43,38 +43,42 @@ def offset(T: Float64) -> float:
     return float(np.linalg.norm((geometry.inverse(T_MAP_ODOM) @ T)[:3, 3]))
 
 
-def test_a_view_that_passes_all_gates_is_believed_at_once(site: SegmentMap, plaza: Plaza) -> None:
-    tracks = walk(Tracker(Localizer(site)), plaza)
+def test_a_view_that_passes_all_gates_is_believed_at_once(
+    prior_map: SegmentMap, plaza: Plaza
+) -> None:
+    tracks = walk(Tracker(Localizer(prior_map)), plaza)
     for k, track in enumerate(tracks):
         assert track.localized and track.views == k + 1 and offset(track.T_map_odom) < 0.3
     assert tracks[-1].confidence >= tracks[0].confidence
 
 
-def test_views_below_the_gates_are_believed_once_they_agree(site: SegmentMap, plaza: Plaza) -> None:
-    tracker = Tracker(gated(site, min_confidence=1.0))
+def test_views_below_the_gates_are_believed_once_they_agree(
+    prior_map: SegmentMap, plaza: Plaza
+) -> None:
+    tracker = Tracker(gated(prior_map, min_confidence=1.0))
     first, second, *later = walk(tracker, plaza)
     assert not first.localized and first.reason == "no agreement yet"
     for track in (second, *later):
         assert track.localized and offset(track.T_map_odom) < 0.3
 
 
-def test_standing_still_is_no_second_witness(site: SegmentMap, plaza: Plaza) -> None:
-    tracker = Tracker(gated(site, min_confidence=1.0))
+def test_standing_still_is_no_second_witness(prior_map: SegmentMap, plaza: Plaza) -> None:
+    tracker = Tracker(gated(prior_map, min_confidence=1.0))
     assert not any(track.localized for track in walk(tracker, plaza, step=0.0))
 
 
 def test_views_of_two_places_that_look_alike_are_not_believed(
-    site: SegmentMap, plaza: Plaza
+    prior_map: SegmentMap, plaza: Plaza
 ) -> None:
-    both = site.crop((0.0, 0.0), np.inf)
+    both = prior_map.crop((0.0, 0.0), np.inf)
     move = np.array([500.0, 0.0, 0.0])
     both.add(
-        Descriptors(site.vectors, site.quality),
-        site.centroids + move,
-        site.sizes,
+        Descriptors(prior_map.vectors, prior_map.quality),
+        prior_map.centroids + move,
+        prior_map.sizes,
         session=1,
         stamp=0.0,
-        cloud=site.cloud + site.origin + move,
+        cloud=prior_map.cloud + prior_map.origin + move,
     )
     tracks = walk(Tracker(Localizer(both)), plaza)
     assert not any(track.localized for track in tracks)
@@ -82,12 +86,12 @@ def test_views_of_two_places_that_look_alike_are_not_believed(
 
 
 def test_a_track_survives_what_shows_nothing_but_not_for_ever(
-    site: SegmentMap, plaza: Plaza
+    prior_map: SegmentMap, plaza: Plaza
 ) -> None:
-    tracker = Tracker(Localizer(site), TrackerConfig(memory_m=50.0))
+    tracker = Tracker(Localizer(prior_map), TrackerConfig(memory_m=50.0))
     walk(tracker, plaza, count=2)
     nothing = np.zeros((100, 3), np.float32)
-    empty = Localizer(site).accumulator
+    empty = Localizer(prior_map).accumulator
     for way, expected in ((20.0, True), (45.0, True), (80.0, False)):
         T = geometry.yaw_transform(0.0, (-7.0 + way, 1.0, 1.8))
         track = tracker.update(empty.gather(Scan(nothing)), odometry(T))
@@ -95,14 +99,14 @@ def test_a_track_survives_what_shows_nothing_but_not_for_ever(
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_walk_elsewhere_is_never_localized(site: SegmentMap, seed: int) -> None:
-    tracks = walk(Tracker(Localizer(site)), Plaza(seed), count=8, step=4.0)
+def test_a_walk_elsewhere_is_never_localized(prior_map: SegmentMap, seed: int) -> None:
+    tracks = walk(Tracker(Localizer(prior_map)), Plaza(seed), count=8, step=4.0)
     assert not any(track.localized for track in tracks)
 
 
-def test_odometry_must_be_a_pose(site: SegmentMap, plaza: Plaza) -> None:
+def test_odometry_must_be_a_pose(prior_map: SegmentMap, plaza: Plaza) -> None:
     with pytest.raises(InvalidScan, match="T_odom_sensor"):
-        Tracker(Localizer(site)).update(plaza.scan(np.eye(4)), np.zeros((4, 4)))
+        Tracker(Localizer(prior_map)).update(plaza.scan(np.eye(4)), np.zeros((4, 4)))
 
 
 def test_a_street_that_goes_on_past_the_map_is_not_the_mapped_one(kitti: Path) -> None:

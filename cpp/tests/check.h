@@ -10,25 +10,25 @@
 #include <stdexcept>
 #include <vector>
 
-#include "kernels.h"
+#include "simd/kernels.h"
 
-#define CHECK(condition)                                                            \
-  do {                                                                              \
-    if (!(condition)) {                                                             \
+#define CHECK(condition)                                                                 \
+  do {                                                                                   \
+    if (!(condition)) {                                                                  \
       std::fprintf(stderr, "%s:%d: %s does not hold\n", __FILE__, __LINE__, #condition); \
-      std::exit(1);                                                                 \
-    }                                                                               \
+      std::exit(1);                                                                      \
+    }                                                                                    \
   } while (false)
 
-#define CHECK_THROWS(expression)                 \
-  do {                                           \
-    bool thrown = false;                         \
-    try {                                        \
-      (void)(expression);                        \
-    } catch (const std::exception&) {            \
-      thrown = true;                             \
-    }                                            \
-    CHECK(thrown);                               \
+#define CHECK_THROWS(expression)      \
+  do {                                \
+    bool thrown = false;              \
+    try {                             \
+      (void)(expression);             \
+    } catch (const std::exception&) { \
+      thrown = true;                  \
+    }                                 \
+    CHECK(thrown);                    \
   } while (false)
 
 inline std::vector<float> random_floats(std::size_t n, float low, float high, unsigned seed) {
@@ -42,7 +42,7 @@ inline std::vector<float> random_floats(std::size_t n, float low, float high, un
 // The instruction sets that this machine has.
 inline std::vector<segloc::Isa> instruction_sets() {
   std::vector<segloc::Isa> found;
-  for (const char* name : {"portable", "avx2", "avx512"}) {
+  for (const char* name : segloc::kIsaNames) {
     try {
       found.push_back(segloc::parse_isa(name));
     } catch (const std::invalid_argument&) {
@@ -55,7 +55,5 @@ inline bool all_finite(const std::vector<float>& values) {
   return std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); });
 }
 
-void descriptor_tests();
-void geometry_tests();
-void network_tests();
-void training_tests();
+// Sizes of clouds: nothing, little, and around multiples of vectors.
+inline const std::vector<std::size_t> kSizes = {0, 1, 2, 3, 17, 255, 256, 257, 4000};

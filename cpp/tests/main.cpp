@@ -1,10 +1,28 @@
-#include "check.h"
+// One function for each room of the library.
+#include <cstdio>
+
+void common_tests();
+void descriptors_tests();
+void io_tests();
+void matching_tests();
+void network_tests();
+void pose_tests();
+void registration_tests();
+void segmentation_tests();
+void training_tests();
+void verification_tests();
 
 int main() {
-  descriptor_tests();
-  geometry_tests();
+  common_tests();
+  descriptors_tests();
+  io_tests();
+  matching_tests();
   network_tests();
+  pose_tests();
+  registration_tests();
+  segmentation_tests();
   training_tests();
-  std::puts("kernel tests: 4 passed, 0 failed");
+  verification_tests();
+  std::puts("kernel tests: 10 passed, 0 failed");
   return 0;
 }

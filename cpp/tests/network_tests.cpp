@@ -1,45 +1,77 @@
-// Sampling, preparation, neighbours, the network and descriptor search, on every instruction set.
+// The networks on every instruction set.
 #include <cmath>
+#include <cstdint>
+#include <map>
 #include <string>
 
-#include "check.h"
-#include "fps.h"
-#include "knn.h"
-#include "network.h"
-#include "prepare.h"
+#include "descriptors/voxel_shape.h"
+#include "network/network.h"
+#include "network/perceptron.h"
+#include "network/voxel_network.h"
+#include "tests/check.h"
 
 namespace segloc {
 namespace {
 
-void sampling(Isa isa) {
-  for (const std::size_t n : {1, 5, 63, 64, 65, 256, 300}) {
-    const auto points = random_floats(3 * 4 * n, -3.0f, 3.0f, 7);
-    std::vector<int32_t> order(4 * n), portable(4 * n);
-    farthest_points(points.data(), 4, n, n, isa, 2, order.data());
-    farthest_points(points.data(), 4, n, n, Isa::portable, 1, portable.data());
-    CHECK(order == portable);
-  }
-  const std::vector<int64_t> offsets = {0, 0, 1, 4, 300, 6000};
-  const auto points = random_floats(3 * 6000, -5.0f, 5.0f, 8);
-  for (const Alignment alignment : {Alignment::none, Alignment::pca2d, Alignment::pca3d}) {
-    std::vector<float> out(5 * 256 * 3, NAN);
-    prepare_segments(points.data(), offsets.data(), 5, 256, alignment, isa, 2, out.data());
-    CHECK(all_finite(out));
-  }
+const std::vector<int64_t> kOffsets = {0, 0, 1, 3, 40, 400, 1000};
+constexpr std::size_t kSegments = 6;
+
+void voxel_network(Isa isa) {
+  std::map<std::string, std::vector<float>> values;
+  Tensors tensors;
+  const auto add = [&](const std::string& name, const std::vector<std::size_t>& shape) {
+    std::size_t size = 1;
+    for (const std::size_t n : shape) size *= n;
+    values[name] = random_floats(size, -0.1f, 0.1f, static_cast<unsigned>(size));
+    tensors[name] = {values[name].data(), shape};
+  };
+  add("conv1.weight", {3, 3, 3, 1, 32});
+  add("conv2.weight", {3, 3, 3, 32, 32});
+  add("conv3.weight", {3, 3, 3, 32, 64});
+  add("fc1.weight", {256 * 64 + 3, 32});
+  add("fc2.weight", {32, 32});
+  for (const char* name : {"conv1.bias", "conv2.bias", "fc1.bias", "fc2.bias"}) add(name, {32});
+  add("conv3.bias", {64});
+  const VoxelNetwork network(tensors, isa);
+  const auto points = random_floats(3 * 1000, -3, 3, 4);
+  const VoxelShapes shapes = voxel_shapes(points.data(), kOffsets.data(), kSegments, 2);
+  std::vector<float> vectors(kSegments * network.dim(), NAN);
+  network.describe(shapes.voxels.data(), shapes.offsets.data(), shapes.scales.data(), kSegments, 2,
+                   vectors.data());
+  CHECK(all_finite(vectors));
+  tensors.erase("fc2.bias");
+  CHECK_THROWS(VoxelNetwork(tensors, isa));
 }
 
-void search(Isa isa) {
-  for (const std::size_t dim : {4, 7, 16, 66}) {
-    for (const std::size_t count : {1, 3, 1000}) {
-      const auto database = random_floats(count * dim, -1, 1, 9), queries = random_floats(5 * dim, -1, 1, 10);
-      const std::size_t columns = count < 200 ? count : 200;
-      std::vector<int64_t> indices(5 * columns);
-      std::vector<float> distances(5 * columns);
-      nearest_descriptors(queries.data(), 5, database.data(), count, dim, columns, isa, 2,
-                          indices.data(), distances.data());
-      for (std::size_t i = 1; i < columns; ++i) CHECK(distances[i - 1] <= distances[i]);
-    }
+void perceptron(Isa isa) {
+  std::map<std::string, std::vector<float>> values;
+  Tensors tensors;
+  const auto add = [&](const std::string& name, const std::vector<std::size_t>& shape) {
+    std::size_t size = 1;
+    for (const std::size_t n : shape) size *= n;
+    values[name] = random_floats(size, -0.3f, 0.3f, static_cast<unsigned>(values.size()));
+    tensors[name] = {values[name].data(), shape};
+  };
+  for (const char* name : {"input.mean", "input.scale"}) add(name, {19});
+  const std::vector<std::size_t> widths = {19, 33, 7};
+  for (std::size_t l = 0; l < 2; ++l) {
+    const std::string name = "hidden." + std::to_string(l);
+    add(name + ".weight", {widths[l], widths[l + 1]});
+    for (const char* part : {".bias", ".scale", ".shift"}) add(name + part, {widths[l + 1]});
   }
+  add("output.weight", {7, 5});
+  add("output.bias", {5});
+  const Perceptron network(tensors, 6.0f, isa);
+  CHECK(network.inputs() == 19 && network.outputs() == 5);
+  const auto input = random_floats(70 * 19, -1e15f, 1e15f, 9);
+  std::vector<float> one(70 * 5, NAN), two(one), alone(5, NAN);
+  network.run(input.data(), 70, 1, one.data());
+  network.run(input.data(), 70, 3, two.data());
+  network.run(input.data() + 69 * 19, 1, 1, alone.data());
+  CHECK(one == two && all_finite(one));
+  CHECK(std::equal(alone.begin(), alone.end(), one.begin() + 69 * 5));
+  tensors.erase("hidden.0.weight");
+  CHECK_THROWS(Perceptron(tensors, 6.0f, isa));
 }
 
 // Random tensors of the right shapes for a layer table.
@@ -96,7 +128,8 @@ class RandomNetwork {
 };
 
 void inference(Isa isa) {
-  const std::vector<LayerSpec> layers = {{160, 8, 1, 32}, {96, 10, 2, 64}, {16, 12, 3, 128}, {4, 16, 1, 256}};
+  const std::vector<LayerSpec> layers = {
+      {160, 8, 1, 32}, {96, 10, 2, 64}, {16, 12, 3, 128}, {4, 16, 1, 256}};
   const RandomNetwork random(layers);
   const Network network(layers, 256, random.tensors(), isa);
   const auto prepared = random_floats(7 * 256 * 3, -2.0f, 2.0f, 11);
@@ -117,8 +150,8 @@ void inference(Isa isa) {
 
 void network_tests() {
   for (const segloc::Isa isa : instruction_sets()) {
-    segloc::sampling(isa);
-    segloc::search(isa);
+    segloc::voxel_network(isa);
+    segloc::perceptron(isa);
     segloc::inference(isa);
   }
 }

@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "check.h"
-#include "train_ops.h"
+#include "tests/check.h"
+#include "training/train_ops.h"
 
 namespace segloc {
 namespace {
@@ -30,9 +30,11 @@ void applied(Isa isa, std::size_t K, std::size_t lifted, std::size_t inputs) {
   for (const int threads : {1, 3}) {
     Floats gx(x.size(), NAN), gl(lift.size(), NAN), gf(features.size(), 0.0f);
     Floats gd(depthwise.size(), NAN);
-    apply_backward(s, in, output.data(), {gx.data(), gl.data(), gf.data(), gd.data()}, isa, threads);
+    apply_backward(s, in, output.data(), {gx.data(), gl.data(), gf.data(), gd.data()}, isa,
+                   threads);
     Floats& all = gradients[threads / 3];
-    for (const Floats* part : {&gx, &gl, &gf, &gd}) all.insert(all.end(), part->begin(), part->end());
+    for (const Floats* part : {&gx, &gl, &gf, &gd})
+      all.insert(all.end(), part->begin(), part->end());
   }
   CHECK(gradients[0] == gradients[1] && all_finite(gradients[0]));
 }
@@ -57,9 +59,10 @@ void norm(Isa isa, std::size_t rows, std::size_t columns, bool activate) {
   const Floats input = random_floats(rows * columns, -3, 3, 7);
   const Floats weight = random_floats(columns, -1, 1, 8), bias = random_floats(columns, -1, 1, 9);
   Floats z(input.size(), NAN), output(input.size(), NAN), gradient(input.size(), NAN);
-  Floats mean(columns, NAN), variance(columns, NAN), grad_weight(columns, NAN), grad_bias(columns, NAN);
-  elu_norm_forward(input.data(), rows, columns, activate, weight.data(), bias.data(), 1e-3f, z.data(),
-                   output.data(), mean.data(), variance.data(), isa, 2);
+  Floats mean(columns, NAN), variance(columns, NAN), grad_weight(columns, NAN),
+      grad_bias(columns, NAN);
+  elu_norm_forward(input.data(), rows, columns, activate, weight.data(), bias.data(), 1e-3f,
+                   z.data(), output.data(), mean.data(), variance.data(), isa, 2);
   elu_norm_backward(output.data(), z.data(), rows, columns, activate, weight.data(), 1e-3f,
                     mean.data(), variance.data(), gradient.data(), grad_weight.data(),
                     grad_bias.data(), isa, 2);

@@ -16,7 +16,7 @@ from .errors import MissingDependency as MissingDependency
 from .errors import SeglocError as SeglocError
 from .errors import WeightsError as WeightsError
 from .localizer import Localizer as Localizer
-from .map import SegmentMap as SegmentMap
-from .mapping import build_map as build_map
+from .map.build import build_map as build_map
+from .map.segment_map import SegmentMap as SegmentMap
 from .types import Localization as Localization
 from .types import Scan as Scan

@@ -12,11 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from . import descriptors
 from .errors import ConfigError
 from .local_cloud import LocalCloudConfig
-from .mapping import MappingConfig
+from .map.build import MappingConfig
 from .matching import MatchingConfig
 from .pose import PoseConfig
 from .segmentation import SegmentationConfig
-from .verification import VerificationConfig
+from .verification.verifier import VerificationConfig
 
 DEFAULT_METHOD = "profile"
 

@@ -12,12 +12,12 @@ from .config import Config
 from .descriptors import create
 from .errors import MapMismatch
 from .local_cloud import Accumulator
-from .map import SegmentMap
+from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .types import Descriptors, Hypothesis, LocalCloud, Localization, Matches, Scan
-from .verification import Verdict, Verifier
+from .verification.verifier import Verdict, Verifier
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Localizer:
 
     Parameters
     ----------
-    site : SegmentMap
+    prior_map : SegmentMap
     config : Config, optional
         The preset of the map's own method by default.
 
@@ -55,23 +55,23 @@ class Localizer:
         If the map was described by other weights or by another version of its descriptor.
     """
 
-    def __init__(self, site: SegmentMap, config: Config | None = None) -> None:
-        config = config or Config.preset(site.descriptor)
-        self.site = site
+    def __init__(self, prior_map: SegmentMap, config: Config | None = None) -> None:
+        config = config or Config.preset(prior_map.descriptor)
+        self.prior_map = prior_map
         self.config = config
         self.accumulator = Accumulator(config.local_cloud)
         self.segmenter = Segmenter(config.segmentation)
-        self.descriptor = create(site.descriptor, config.threads)
-        if self.descriptor.fingerprint != site.fingerprint:
+        self.descriptor = create(prior_map.descriptor, config.threads)
+        if self.descriptor.fingerprint != prior_map.fingerprint:
             raise MapMismatch(
-                f"the map was described by {site.fingerprint}, not by {self.descriptor.fingerprint}"
+                f"the map was described by {prior_map.fingerprint}, not by {self.descriptor.fingerprint}"
             )
         self.matcher = Matcher(
-            site, config.matching, pruner=self.descriptor.pruner, threads=config.threads
+            prior_map, config.matching, pruner=self.descriptor.pruner, threads=config.threads
         )
         self.estimator = PoseEstimator(config.pose, threads=config.threads, seed=config.seed)
         self.verifier = Verifier(
-            site.cloud, site.origin, config.verification, threads=config.threads
+            prior_map.cloud, prior_map.origin, config.verification, threads=config.threads
         )
 
     def localize(self, scans: Scan | Sequence[Scan] | LocalCloud) -> Localization:
@@ -134,7 +134,7 @@ class Localizer:
                 matches = self.matcher.prune(descriptors, candidates)
             with watch("pose"):
                 hypotheses = self.estimator.estimate(
-                    scene.segments.centroids, self.site.centroids, matches
+                    scene.segments.centroids, self.prior_map.centroids, matches
                 )
             with watch("verification"):
                 verdict = self.verifier.verify(scene, hypotheses)

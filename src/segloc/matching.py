@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from . import _native
 from .descriptors import Pruner
-from .map import SegmentMap
+from .map.segment_map import SegmentMap
 from .types import Descriptors, Float32, Int64, Matches
 
 Nearest = tuple[Int64, Float32]
@@ -74,18 +74,18 @@ class Matcher:
 
     def __init__(
         self,
-        site: SegmentMap,
+        prior_map: SegmentMap,
         config: MatchingConfig | None = None,
         *,
         pruner: Pruner | None = None,
         threads: int = 0,
     ) -> None:
         self.config = config or MatchingConfig()
-        self._quality = site.quality
-        self._vectors = np.ascontiguousarray(site.vectors)
-        self.attempts = self.config.attempts(len(site))
-        large = len(site) > self.config.indexed_from
-        lists = len(site) // self.config.list_size if large else 1
+        self._quality = prior_map.quality
+        self._vectors = np.ascontiguousarray(prior_map.vectors)
+        self.attempts = self.config.attempts(len(prior_map))
+        large = len(prior_map) > self.config.indexed_from
+        lists = len(prior_map) // self.config.list_size if large else 1
         self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
@@ -137,6 +137,6 @@ class Matcher:
         return _ordered(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
 
 
-def _ordered(query: Int64, site: Int64, distance: Float32, score: Float32) -> Matches:
-    order = _native.order_matches(query, site, score)
-    return Matches(query[order], site[order], distance[order], score[order])
+def _ordered(query: Int64, map_rows: Int64, distance: Float32, score: Float32) -> Matches:
+    order = _native.order_matches(query, map_rows, score)
+    return Matches(query[order], map_rows[order], distance[order], score[order])

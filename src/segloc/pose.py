@@ -48,26 +48,30 @@ class PoseEstimator:
         self._threads = threads
         self._seed = seed
 
-    def estimate(self, query: Float64, site: Float64, matches: Matches) -> list[Hypothesis]:
+    def estimate(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> list[Hypothesis]:
         """Candidate poses T_map_local.
 
         Parameters
         ----------
         query : (P, 3) float64
             Segment centroids of the live cloud, local frame (z up).
-        site : (M, 3) float64
+        map_centroids : (M, 3) float64
             Segment centroids of the map, map frame (z up).
         matches : Matches
         """
         find = self._consensus if self.config.estimator == "consensus" else self._sampled
-        poses, inliers = find(query, site, matches)
+        poses, inliers = find(query, map_centroids, matches)
         return [Hypothesis(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
 
-    def _consensus(self, query: Float64, site: Float64, matches: Matches) -> tuple[Float64, Int64]:
+    def _consensus(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> tuple[Float64, Int64]:
         config = self.config
         poses, inliers, _ = _native.consensus(
             query,
-            site,
+            map_centroids,
             matches.query,
             matches.map,
             inlier_tolerance=config.inlier_tolerance,
@@ -80,11 +84,13 @@ class PoseEstimator:
         )
         return poses, inliers
 
-    def _sampled(self, query: Float64, site: Float64, matches: Matches) -> tuple[Float64, Int64]:
+    def _sampled(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> tuple[Float64, Int64]:
         config = self.config
         return _native.prosac(
             query,
-            site,
+            map_centroids,
             matches.query,
             matches.map,
             ordered=config.estimator == "prosac",

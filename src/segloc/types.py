@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -119,6 +119,32 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InvalidScan(f"{name} must end with the row 0 0 0 1")
     return T
+
+
+class Recording(Protocol):
+    """Scans in the order in which they were taken: all that mapping and localizing need.
+
+    Attributes
+    ----------
+    name : str
+    indices : (N,) int64
+        The numbers of the scans: what poses are keyed by and what a selection names.
+    poses : (N, 4, 4) float64 or None
+        T_odom_sensor of each scan, where known.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def indices(self) -> Int64: ...
+    @property
+    def poses(self) -> Float64 | None: ...
+
+    def __len__(self) -> int: ...
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i (0 to N - 1), stamped with its index, with its pose if known."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -17,16 +17,15 @@ from scipy.sparse.csgraph import connected_components
 
 from .. import geometry
 from ..config import Config
-from ..datasets import Recording
 from ..errors import ConfigError, DatasetError
-from ..types import Float64, Int64, Pose
+from ..types import Float64, Int64, Pose, Recording
 from .config import AlignConfig
 from .consistency import supported
 from .dense import neighbours
 from .graph import Edges, joined_edges, residuals, solve_robustly, squared_errors
 from .loops import Chain, Loop, edges_of, find_loops
-from .register import Register
 from .spread import spread
+from .submap_registration import Register
 from .submaps import Session, describe_session, posed
 
 Update = Callable[[int, int], None]

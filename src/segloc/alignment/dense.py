@@ -9,7 +9,7 @@ from .. import geometry
 from ..types import Float64, Int64
 from .config import AlignConfig
 from .loops import Chain, Loop, Progress, registered
-from .register import Register
+from .submap_registration import Register
 
 
 def neighbours(

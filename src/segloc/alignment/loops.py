@@ -13,7 +13,7 @@ from ..localizer import Localizer
 from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
-from .register import Register
+from .submap_registration import Register
 from .submaps import Part, Session, Submap
 
 Progress = Callable[[int, int], None]
@@ -118,7 +118,7 @@ def find_loops(
     parts = [(k, part) for k, session in enumerate(chain.sessions) for part in session.parts]
     loops = []
     for done, (owner, part) in enumerate(parts):
-        if len(part.site):
+        if len(part.prior_map):
             search = _Search(chain, owner, part, config)
             for source in _worth_asking(chain, owner, part, settings):
                 loop = search.loop(source, register, settings)
@@ -142,7 +142,7 @@ class _Search:
     """Localization in one part; submaps come described, so only the later stages run."""
 
     def __init__(self, chain: Chain, owner: int, part: Part, config: Config) -> None:
-        self._localizer = Localizer(part.site, config)
+        self._localizer = Localizer(part.prior_map, config)
         self._chain = chain
         self._nodes = part.nodes + chain.first(owner)
 

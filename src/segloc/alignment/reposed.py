@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..datasets import Derived, Recording
+from ..datasets import Derived
 from ..errors import DatasetError
-from ..types import Float64, Scan
+from ..types import Float64, Recording, Scan
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 
 from ..config import Config
-from ..datasets import Recording
 from ..errors import ConfigError
-from ..map import SegmentMap
-from ..mapping import build_map
+from ..map.build import build_map
+from ..map.segment_map import SegmentMap
+from ..types import Recording
 
 
 def build_site(

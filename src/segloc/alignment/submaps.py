@@ -10,14 +10,13 @@ import numpy as np
 
 from .. import _native, geometry
 from ..config import Config
-from ..datasets import Recording
 from ..descriptors import create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator, window
-from ..map import SegmentMap
-from ..mapping import View, add_view, empty_map
+from ..map.build import View, add_view, empty_map
+from ..map.segment_map import SegmentMap
 from ..segmentation import Segmentation, Segmenter
-from ..types import Descriptors, Float32, Float64, Int64, Pose, Segments
+from ..types import Descriptors, Float32, Float64, Int64, Pose, Recording, Segments
 from .config import AlignConfig
 
 Progress = Callable[[int, int], None]
@@ -54,11 +53,11 @@ class Part:
     ----------
     nodes : (K,) int64
         Its submaps.
-    site : SegmentMap
+    prior_map : SegmentMap
     """
 
     nodes: Int64
-    site: SegmentMap
+    prior_map: SegmentMap
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ def describe_session(
         if progress:
             progress(k + 1, len(anchors))
     found = parts.finished()
-    if not any(len(part.site) for part in found):
+    if not any(len(part.prior_map) for part in found):
         raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
     return Session(recording.name, recording.indices, poses, way, anchors, submaps, found)
 
@@ -167,12 +166,12 @@ class _Reader:
         return scene, self.descriptor.describe(scene.segments)
 
 
-def _submap(reader: _Reader, anchor: int, settings: AlignConfig, site: SegmentMap) -> Submap:
+def _submap(reader: _Reader, anchor: int, settings: AlignConfig, prior_map: SegmentMap) -> Submap:
     T_odom_local = geometry.levelled(reader.poses[anchor])
     scene, descriptors = reader.view(anchor, reader.config.local_cloud.window_m)
     short, short_descriptors = reader.view(anchor, settings.submap_m)
     for seen, described in ((scene, descriptors), (short, short_descriptors)):
-        add_view(site, View(T_odom_local, float(anchor), seen), described)
+        add_view(prior_map, View(T_odom_local, float(anchor), seen), described)
     radius = settings.icp_radius
     lean = Segmentation(
         _without_points(scene.segments),
@@ -215,4 +214,7 @@ class _Parts:
         return self._sites[part]
 
     def finished(self) -> list[Part]:
-        return [Part(np.array(self._nodes[k], np.int64), site) for k, site in self._sites.items()]
+        return [
+            Part(np.array(self._nodes[k], np.int64), prior_map)
+            for k, prior_map in self._sites.items()
+        ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.metadata import entry_points
 from typing import Annotated
 
 import typer
@@ -10,7 +11,6 @@ import typer
 from ..errors import SeglocError
 from . import (
     align,
-    bench,
     config,
     demo,
     info,
@@ -46,11 +46,22 @@ app.command("info")(info.info)
 app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)
-app.command("bench")(bench.bench)
 maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)
 maps.command("update")(map_update.update)
+
+
+def _add_plugins() -> None:
+    """Add the verbs of other distributions: entry points ``register(app)`` of ``segloc.commands``."""
+    for plugin in entry_points(group="segloc.commands"):
+        try:
+            plugin.load()(app)
+        except Exception as error:  # whatever a stranger's package does must not end ours
+            print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
+
+
+_add_plugins()
 
 
 def _print_version(wanted: bool) -> None:

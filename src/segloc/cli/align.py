@@ -14,7 +14,7 @@ from .options import ConfigFile, Deskew, Odometry, Threads, Topic, load_config
 if TYPE_CHECKING:
     from ..alignment import Alignment, Reposed
     from ..config import Config
-    from ..datasets import Recording
+    from ..types import Recording
 
 
 def align(
@@ -96,7 +96,7 @@ def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
 
 
 def _write(out: Path, alignment: Alignment) -> None:
-    from ..alignment.report import loops_csv, picture, summary
+    from ..alignment.summary import loops_csv, picture, summary
     from ..errors import MissingDependency
     from ..files import replacing, write_text
     from ..io import Trajectory, write_tum
@@ -117,7 +117,7 @@ def _write(out: Path, alignment: Alignment) -> None:
 
 
 def _suffix(component: int) -> str:
-    """The largest component is the site; the others are numbered."""
+    """The largest component is the prior_map; the others are numbered."""
     return f"_{component}" if component else ""
 
 
@@ -127,12 +127,12 @@ def _write_maps(out: Path, alignment: Alignment, aligned: list[Reposed], config:
 
     for c, members in enumerate(alignment.components):
         with progress("Building the map") as update:
-            site = build_site([aligned[k] for k in members], config, update)
-        site.save(out / f"site{_suffix(c)}.segmap")
+            prior_map = build_site([aligned[k] for k in members], config, update)
+        prior_map.save(out / f"site{_suffix(c)}.segmap")
 
 
 def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
-    from ..alignment.pairs import write_dataset, write_pairs
+    from ..training.aligned_pairs import write_dataset, write_pairs
     from .console import say
 
     folder = out / "dataset"
@@ -143,7 +143,7 @@ def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config
 
 
 def _show(alignment: Alignment, out: Path) -> None:
-    from ..alignment.report import summary
+    from ..alignment.summary import summary
     from .console import note, number, table
 
     facts = summary(alignment)
@@ -159,4 +159,4 @@ def _show(alignment: Alignment, out: Path) -> None:
     table(str(out), ("", ""), rows)
     for c, members in enumerate(alignment.components[1:], start=1):
         names = ", ".join(f"{k} ({alignment.names[k]})" for k in members)
-        note(f"nothing connects session {names} to the others: see site{_suffix(c)}.segmap")
+        note(f"nothing connects session {names} to the others: see prior_map{_suffix(c)}.segmap")

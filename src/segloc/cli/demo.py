@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ..evaluation.localization import Evaluation
+    from ..batch.score import Evaluation
     from ..localizer import Localizer
     from ..simulation import SimulatedSequence
 
@@ -30,7 +30,7 @@ def demo(
     """
     from ..config import Config
     from ..localizer import Localizer
-    from ..mapping import build_map
+    from ..map.build import build_map
     from ..simulation import demo_sessions
     from .console import busy, progress
     from .results import check_folder, write_results
@@ -39,21 +39,22 @@ def demo(
     with busy("Simulating two towns"):
         drives = demo_sessions(seed)
     with progress("Building the map") as update:
-        site = build_map(drives["map"], Config(), progress=update)
-    localizer = Localizer(site)
+        prior_map = build_map(drives["map"], Config(), progress=update)
+    localizer = Localizer(prior_map)
     again = _evaluate(localizer, drives["revisit"], "Second traversal", 0.0)
     other = _evaluate(localizer, drives["elsewhere"], "Another town", FAR_AWAY_M)
-    write_results(out / "revisit", site, again, f"A second traversal of town {seed}")
-    write_results(out / "elsewhere", site, other, None)
-    site.save(out / "town.segmap")
-    _show(again.summary(), other.summary(), f"Town {seed}, described by {site.descriptor}")
+    write_results(out / "revisit", prior_map, again, f"A second traversal of town {seed}")
+    write_results(out / "elsewhere", prior_map, other, None)
+    prior_map.save(out / "town.segmap")
+    _show(again.summary(), other.summary(), f"Town {seed}, described by {prior_map.descriptor}")
     print(f"The map, the answers and pictures are in {out}")
 
 
 def _evaluate(
     localizer: Localizer, drive: SimulatedSequence, label: str, shift_m: float
 ) -> Evaluation:
-    from ..evaluation.localization import Evaluation, localize_sequence, query_positions
+    from ..batch.run import localize_sequence, query_positions
+    from ..batch.score import Evaluation
     from .console import progress
 
     gap = localizer.config.local_cloud.max_gap_m
@@ -62,7 +63,7 @@ def _evaluate(
         results = localize_sequence(localizer, drive, positions, update)
     truths = drive.poses[positions].copy()
     truths[:, 0, 3] += shift_m
-    return Evaluation(drive.indices[positions], results, localizer.site.trajectory, truths)
+    return Evaluation(drive.indices[positions], results, localizer.prior_map.trajectory, truths)
 
 
 def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
@@ -73,9 +74,9 @@ def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
 
     rows = [
         row("queries", lambda s: s["queries"]),
-        row("with a place in the map", lambda s: s["with_place"]),
-        row("  localized correctly", lambda s: s["with_place_correct"]),
-        row("near the map, correctly too", lambda s: s["correct"] - s["with_place_correct"]),
+        row("with a place in the map", lambda s: s["within_coverage"]),
+        row("  localized correctly", lambda s: s["within_coverage_correct"]),
+        row("near the map, correctly too", lambda s: s["correct"] - s["within_coverage_correct"]),
         row("localized falsely", lambda s: s["false"]),
         row("refused", lambda s: s["not_localized"]),
         row("error, median", lambda s: number(s["translation_error_m"]["median"], "m")),

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def localize(
     sequence: Recording,
-    site: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
     poses: Poses = None,
     select: Select = None,
@@ -48,17 +48,18 @@ def localize(
 
     With poses, a query is a cloud gathered over the way behind it; otherwise one scan.
     """
+    from ..batch.run import localize_sequence
+    from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
-    from ..evaluation.localization import Evaluation, Tolerance, localize_sequence
     from ..localizer import Localizer
-    from ..map import SegmentMap
+    from ..map.segment_map import SegmentMap
     from .console import progress
     from .recording import open_recording
     from .results import check_folder, write_results
 
     check_every(every)
     check_folder(out)
-    prior = SegmentMap.load(site)
+    prior = SegmentMap.load(prior_map)
     localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
     recording = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
@@ -75,8 +76,8 @@ def localize(
         None if truths is None else truths[positions],
         Tolerance(tolerance_m, tolerance_deg),
     )
-    write_results(out, prior, evaluation, f"{recording.name} in {site.stem}")
-    show(evaluation.summary(), f"{recording.name} in {site.name}")
+    write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}")
+    show(evaluation.summary(), f"{recording.name} in {prior_map.name}")
 
 
 def _positions(
@@ -84,8 +85,8 @@ def _positions(
 ) -> Int64:
     import numpy as np
 
+    from ..batch.run import query_positions
     from ..errors import ConfigError
-    from ..evaluation.localization import query_positions
 
     if every is None:
         return np.arange(len(recording), dtype=np.int64)
@@ -105,7 +106,7 @@ def show(summary: dict[str, Any], title: str) -> None:
     rows = [("queries", str(summary["queries"])), ("localized", str(summary["localized"]))]
     if summary["correct"] is not None:
         rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
-        found = f"{summary['with_place_correct']} of {summary['with_place']}"
+        found = f"{summary['within_coverage_correct']} of {summary['within_coverage']}"
         rows.append(("correct, of those with a place in the map", found))
         for kind, unit in (("translation", "m"), ("rotation", "deg")):
             spread = summary[f"{kind}_error_{unit}"]

@@ -40,7 +40,7 @@ def build(
     """Build a map from a recording with poses."""
     from ..errors import DatasetError
     from ..files import checked_target
-    from ..mapping import build_map
+    from ..map.build import build_map
     from .console import progress
     from .map_info import show
     from .recording import open_recording
@@ -57,6 +57,6 @@ def build(
             "or use --odometry"
         )
     with progress("Building the map") as update:
-        site = build_map(recording, settings, every_m=every, progress=update)
-    site.save(out)
-    show(site, str(out))
+        prior_map = build_map(recording, settings, every_m=every, progress=update)
+    prior_map.save(out)
+    show(prior_map, str(out))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ..map import SegmentMap
+    from ..map.segment_map import SegmentMap
 
 
 def info(
@@ -16,22 +16,22 @@ def info(
     json: Annotated[bool, typer.Option("--json", help="All of it, for programs.")] = False,
 ) -> None:
     """Say what a map holds; reading it also checks it for damage."""
-    from ..map import SegmentMap
+    from ..map.segment_map import SegmentMap
 
-    site = SegmentMap.load(path)
+    prior_map = SegmentMap.load(path)
     if json:
         from json import dumps
 
-        print(dumps(site.info(), indent=2, ensure_ascii=False, allow_nan=False))
+        print(dumps(prior_map.info(), indent=2, ensure_ascii=False, allow_nan=False))
     else:
-        show(site, str(path))
+        show(prior_map, str(path))
 
 
-def show(site: SegmentMap, title: str) -> None:
+def show(prior_map: SegmentMap, title: str) -> None:
     """Print a table of what a map holds."""
     from .console import table
 
-    facts = site.info()
+    facts = prior_map.info()
     extent = " x ".join(f"{metres:.0f}" for metres in facts["extent_m"])
     rows = [
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),

@@ -18,12 +18,12 @@ def merge(
     """Merge maps of one place that share their frame; what they have in common is kept once."""
     from ..errors import ConfigError
     from ..files import checked_target
-    from ..map import SegmentMap
+    from ..map.segment_map import SegmentMap
     from .map_info import show
 
     if len(maps) < 2:
         raise ConfigError("merging needs two maps or more")
     checked_target(out)
-    site = reduce(SegmentMap.merge, map(SegmentMap.load, maps))
-    site.save(out)
-    show(site, str(out))
+    prior_map = reduce(SegmentMap.merge, map(SegmentMap.load, maps))
+    prior_map.save(out)
+    show(prior_map, str(out))

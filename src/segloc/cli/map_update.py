@@ -7,20 +7,11 @@ from typing import Annotated
 
 import typer
 
-from .options import (
-    ConfigFile,
-    Deskew,
-    MapOut,
-    Recording,
-    Select,
-    Threads,
-    Topic,
-    load_config,
-)
+from .options import ConfigFile, Deskew, MapOut, Recording, Select, Threads, Topic, load_config
 
 
 def update(
-    site: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
     sequence: Recording,
     out: MapOut,
     poses: Annotated[
@@ -43,13 +34,13 @@ def update(
     stays.
     """
     from ..files import checked_target
-    from ..map import SegmentMap
-    from ..map_update import UpdateConfig, update_map
+    from ..map.segment_map import SegmentMap
+    from ..map.update import UpdateConfig, update_map
     from .console import progress, table
     from .recording import open_recording
 
     checked_target(out)
-    prior = SegmentMap.load(site)
+    prior = SegmentMap.load(prior_map)
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
     chosen = load_config(config, prior.descriptor, threads)
     recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew)

@@ -16,8 +16,8 @@ from ..io import Trajectory, write_tum
 from .console import note
 
 if TYPE_CHECKING:
-    from ..evaluation.localization import Evaluation
-    from ..map import SegmentMap
+    from ..batch.score import Evaluation
+    from ..map.segment_map import SegmentMap
 
 
 def check_folder(out: Path) -> None:
@@ -27,7 +27,9 @@ def check_folder(out: Path) -> None:
         raise SeglocError(f"{out}: cannot be written: {nearest} is not a folder")
 
 
-def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: str | None) -> None:
+def write_results(
+    out: Path, prior_map: SegmentMap, evaluation: Evaluation, title: str | None
+) -> None:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
     There is no picture without a title.
@@ -35,9 +37,9 @@ def write_results(out: Path, site: SegmentMap, evaluation: Evaluation, title: st
     files = _contents(evaluation)
     if title is not None:
         try:
-            from ..evaluation.picture import draw
+            from ..batch.picture import draw
 
-            files["trajectory.png"] = draw(site, evaluation, title)
+            files["trajectory.png"] = draw(prior_map, evaluation, title)
         except MissingDependency as error:
             note(f"no trajectory.png: {error}")
     made = not out.exists()

@@ -63,7 +63,7 @@ def forest(
 ) -> None:
     """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
     from ..files import checked_target
-    from ..training.forest import ForestConfig, train_forest
+    from ..training.grow_forest import ForestConfig, train_forest
     from ..training.shards import load_dataset
 
     checked_target(out)

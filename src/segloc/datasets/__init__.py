@@ -8,12 +8,12 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Float64
+from ..types import Recording as Recording
 from .base import Derived as Derived
-from .base import Recording as Recording
 from .base import Selection as Selection
 from .base import Sequence as Sequence
 from .base import parse_select as parse_select
-from .folder import FolderSequence as FolderSequence
+from .loaders.folder import FolderSequence as FolderSequence
 from .recorded import RecordedSequence as RecordedSequence
 from .recorded import assembled
 from .swathes import Swathes as Swathes

@@ -10,35 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError
-from ..types import Float64, Int64, Scan
+from ..types import Int64, Recording, Scan
 
 _RANGE = re.compile(r"(\d{0,18})(:?)(\d{0,18})", re.ASCII)
-
-
-class Recording(Protocol):
-    """Scans in the order in which they were taken: all that mapping and localizing need.
-
-    Attributes
-    ----------
-    name : str
-    indices : (N,) int64
-        The numbers of the scans: what poses are keyed by and what a selection names.
-    poses : (N, 4, 4) float64 or None
-        T_odom_sensor of each scan, where known.
-    """
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def indices(self) -> Int64: ...
-    @property
-    def poses(self) -> Float64 | None: ...
-
-    def __len__(self) -> int: ...
-
-    def scan(self, i: int) -> Scan:
-        """The scan at position i (0 to N - 1), stamped with its index, with its pose if known."""
-        ...
 
 
 class Sequence(Recording, Protocol):

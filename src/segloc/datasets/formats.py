@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, cast
 
-from . import (
-    bags,
+from .loaders import (
     boreas,
     helipr,
     kitti,
@@ -15,11 +14,11 @@ from . import (
     nclt,
     newer_college,
     nuscenes,
-    ouster,
     robotcar,
-    velodyne,
 )
+from .packets import ouster, velodyne
 from .recorded import Found
+from .ros import bags
 
 
 class Format(Protocol):

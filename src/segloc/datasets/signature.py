@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..types import Float64
-from .base import Recording
+from ..types import Float64, Recording
 
 PUSH_BROOM = "a sweep of one plane"
 _FLAT_M = 0.005

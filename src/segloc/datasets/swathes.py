@@ -8,8 +8,8 @@ import numpy as np
 
 from .. import geometry
 from ..errors import ConfigError, DatasetError
-from ..types import Float64, Int64, Scan
-from .base import Recording, Selection
+from ..types import Float64, Int64, Recording, Scan
+from .base import Selection
 
 
 @dataclass(frozen=True)

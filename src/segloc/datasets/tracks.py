@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..errors import DatasetError
-from ..io._columns import one_line
+from ..io.fields import one_line
 from ..io.scans import read_file
 from ..io.trajectory import read_trajectory_and_kind
 from ..motion import interpolated

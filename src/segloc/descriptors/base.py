@@ -18,7 +18,7 @@ class Pruner(ABC):
 
     @abstractmethod
     def probability(
-        self, query: Float32, site: Float32, rows: Int64, columns: Int64, threads: int = 0
+        self, query: Float32, mapped: Float32, rows: Int64, columns: Int64, threads: int = 0
     ) -> Float32:
         """How likely pairs are to show the same object, (M,) float32 in [0, 1].
 
@@ -26,10 +26,10 @@ class Pruner(ABC):
         ----------
         query : (P, dim) float32
             Vectors of the query segments.
-        site : (N, dim) float32
+        mapped : (N, dim) float32
             Vectors of the map.
         rows, columns : (M,) int64
-            The pairs, as indices into `query` and `site`.
+            The pairs, as indices into `query` and `mapped`.
         """
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from .. import _native
 from ..types import Descriptors, Segments
 from .base import register
-from .forest import ForestDescriptor, Layout
+from .random_forest import ForestDescriptor, Layout
 
 BINS = 32
 RADIUS_M = 5.0

@@ -7,7 +7,7 @@ import numpy as np
 from .. import _native
 from ..types import Descriptors, Float32, Float64, Segments
 from .base import Descriptor, register
-from .forest import ForestDescriptor, Layout
+from .random_forest import ForestDescriptor, Layout
 
 # Spread of each feature over segments of simulated towns: what it is divided by.
 EIGEN_SPREAD = np.array([0.230, 0.197, 0.096, 0.0857, 0.096, 0.277, 0.0488], np.float32)

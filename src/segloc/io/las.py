@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..errors import DatasetError, MissingDependency
 from ..types import Float32, Float64, Scan
-from ._columns import one_line, scan_from_columns
-from ._laz import check_chunks
+from .fields import one_line, scan_from_columns
+from .laz import check_chunks
 
 if TYPE_CHECKING:
     import laspy

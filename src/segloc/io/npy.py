@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import DatasetError
 from ..types import Float32, Float64, Scan
-from ._columns import one_line
+from .fields import one_line
 
 _MAGIC = b"\x93NUMPY"
 _DESCR = re.compile(r"'descr': *'([<>|=][fiu]\d{1,2})'")

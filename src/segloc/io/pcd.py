@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .. import _native
 from ..errors import DatasetError
 from ..types import Float32, Scan
-from ._columns import (
+from .fields import (
     column,
     header_lines,
     parse_count,

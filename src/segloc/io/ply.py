@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Float32, Scan
-from ._columns import (
+from .fields import (
     column,
     header_lines,
     parse_count,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Float32, Float64, Scan
-from ._columns import one_line, scan_from_columns, wanted_columns
+from .fields import one_line, scan_from_columns, wanted_columns
 
 
 def parse_table(

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..errors import DatasetError
 from ..files import write_text
 from ..types import Float64, Pose
-from ._columns import one_line
+from .fields import one_line
 from .scans import read_file
 
 _UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..types import Scan
-from ._columns import column, header_lines, one_line, parse_count, require_bytes, scan_from_columns
+from .fields import column, header_lines, one_line, parse_count, require_bytes, scan_from_columns
 
 _TYPES = {
     "float": "f4", "double": "f8",

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from ..motion import Motion, deskew
 from .drives import demo_sessions, simulate_sessions
-from .forest import forest
-from .industrial import industrial
-from .lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
-from .linescan import LineLidar, lms151
-from .meadow import meadow
-from .odometry import OdometryNoise
-from .park import park
-from .platforms import PLATFORMS, Gait, Platform, car, handheld, legged, wheeled
-from .ranging import Lidar, Rays, Returns
-from .record import process_pool, record
-from .rosette import RosetteLidar, solid_state
-from .route import Route
-from .scene import Scene
-from .scenes import SCENES
-from .sensors import SENSORS
-from .town import town
-from .traversal import SimulatedSequence, simulate_session
-from .worlds import Conditions, World
+from .motion.odometry import OdometryNoise
+from .motion.platforms import PLATFORMS, Gait, Platform, car, handheld, legged, wheeled
+from .motion.route import Route
+from .motion.traversal import SimulatedSequence, simulate_session
+from .objects.scene import Scene
+from .record import record
+from .sensors.catalogue import SENSORS
+from .sensors.lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
+from .sensors.linescan import LineLidar, lms151
+from .sensors.ranging import Lidar, Rays, Returns
+from .sensors.rosette import RosetteLidar, solid_state
+from .worlds.forest import forest
+from .worlds.industrial import industrial
+from .worlds.meadow import meadow
+from .worlds.park import park
+from .worlds.scenes import SCENES
+from .worlds.town import town
+from .worlds.world import Conditions, World
 
 __all__ = [
     "PLATFORMS",
@@ -56,7 +56,6 @@ __all__ = [
     "os1_64",
     "os1_128",
     "park",
-    "process_pool",
     "record",
     "simulate_session",
     "simulate_sessions",

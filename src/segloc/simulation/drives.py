@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import ConfigError
-from .lidar import hdl64e
-from .platforms import Platform
-from .ranging import Lidar
-from .route import Route
-from .town import town
-from .traversal import SimulatedSequence, simulate_session
-from .worlds import Conditions, World
+from .motion.platforms import Platform
+from .motion.route import Route
+from .motion.traversal import SimulatedSequence, simulate_session
+from .sensors.lidar import hdl64e
+from .sensors.ranging import Lidar
+from .worlds.town import town
+from .worlds.world import Conditions, World
 
 _LANES = (1.1, 0.2, 0.7, -0.4, 0.9)  # metres right of the centre line, session by session
 _LANE_OF = 3.4  # half the width of a street that has room for all of these, metres

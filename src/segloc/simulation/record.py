@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
 from contextlib import nullcontext
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
-from ..datasets.base import Recording
 from ..errors import ConfigError, DatasetError
 from ..files import replacing
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
-from .traversal import SimulatedSequence
+from ..processes import process_pool
+from ..types import Recording
+from .motion.traversal import SimulatedSequence
 
 _CHUNK = 8
 
@@ -99,11 +99,6 @@ def record(
             for future in futures:
                 future.cancel()  # after a fault the rest would be cast in vain
     return target
-
-
-def process_pool(workers: int) -> ProcessPoolExecutor:
-    """A pool of fresh processes: forked ones would inherit the ray caster's stopped threads."""
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
 def _made(folder: Path) -> Path:

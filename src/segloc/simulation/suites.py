@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from ..datasets import Sequence, swathes
 from ..errors import ConfigError
 from .drives import simulate_sessions
-from .linescan import LineLidar
-from .platforms import PLATFORMS
-from .ranging import Lidar
-from .scenes import SCENES
-from .sensors import SENSORS
-from .worlds import Conditions
+from .motion.platforms import PLATFORMS
+from .sensors.catalogue import SENSORS
+from .sensors.linescan import LineLidar
+from .sensors.ranging import Lidar
+from .worlds.scenes import SCENES
+from .worlds.world import Conditions
 
 SWATHE_M = 30.0
 _SHORTEST_M = 90.0

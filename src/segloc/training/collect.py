@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, as_completed
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..datasets import Recording
 from ..datasets.signature import is_push_broom
+from ..processes import single_threaded_pool
 from ..segmentation import SegmentationConfig, Segmenter
-from ..simulation import process_pool
+from ..types import Recording
 from .extract import ExtractConfig, extract_session
-from .register import Registration
+from .session_registration import Registration
 from .shards import Session, finished, options_of, read_array, write_shard
 from .worlds import WorldSpec, simulated_drive, sweeps
 
 Progress = Callable[[str], None]
-_BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
 
 @dataclass(frozen=True)
@@ -127,21 +125,6 @@ def collect_worlds(
                 future.cancel()  # or the error would wait for all the other worlds
             raise
     return done
-
-
-@contextmanager
-def single_threaded_pool(workers: int) -> Iterator[Executor]:
-    """Processes with one thread each for linear algebra: more would wait for each other."""
-    before = os.environ.get(_BLAS_THREADS)
-    os.environ[_BLAS_THREADS] = "1"
-    try:
-        with process_pool(workers) as pool:
-            yield pool
-    finally:
-        if before is None:
-            del os.environ[_BLAS_THREADS]
-        else:
-            os.environ[_BLAS_THREADS] = before
 
 
 def _told_world(result: tuple[Session, str], progress: Progress) -> Session:

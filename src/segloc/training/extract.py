@@ -12,14 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
 from .. import _native, geometry
-from ..datasets import Recording
 from ..errors import DatasetError
 from ..local_cloud import Accumulator, LocalCloudConfig, window
 from ..segmentation import Segmentation
-from ..types import Float32, Float64, Int64, LocalCloud, Pose, Scan
+from ..types import Float32, Float64, Int64, LocalCloud, Pose, Recording, Scan
 from .dataset import packed
 from .labels import LabelConfig
-from .register import Registration
+from .session_registration import Registration
 
 Segment = Callable[[LocalCloud], Segmentation]
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -1,0 +1,83 @@
+// Shared by the binding files: array types, checks, and moving results into NumPy.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/finite.h"
+
+namespace segloc::bindings {
+
+namespace nb = nanobind;
+
+// Read-only, C-contiguous arrays on the CPU. nanobind converts nothing that is marked noconvert.
+template <typename T, typename... Shape>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
+template <typename T>
+using In1 = In<T, nb::ndim<1>>;
+template <typename T>
+using In2 = In<T, nb::ndim<2>>;
+template <typename T>
+using In3 = In<T, nb::ndim<3>>;
+template <typename T>
+using Out = nb::ndarray<nb::numpy, T>;
+
+inline void require(bool condition, const std::string& message) {
+  if (!condition) throw std::invalid_argument(message);
+}
+
+// Squares of larger values would overflow.
+constexpr float kLargest = 1e15f;
+// Prepared segments, which are centred, may be a little larger than the points they came from.
+constexpr float kLargestPrepared = 1e16f;
+
+inline void require_usable(const float* values, std::size_t count, const char* name,
+                           float limit = kLargest) {
+  require(all_below(values, count, limit),
+          std::string(name) + " has values that are not finite or beyond 1e15");
+}
+
+inline void require_points(const In2<float>& points) {
+  require(points.shape(1) == 3, "points must have shape (N, 3)");
+}
+
+inline void check_offsets(const In1<int64_t>& offsets, std::size_t points) {
+  require(offsets.size() > 0 && offsets.data()[0] == 0, "offsets must start with 0");
+  for (std::size_t i = 1; i < offsets.size(); ++i) {
+    require(offsets.data()[i] >= offsets.data()[i - 1], "offsets must not fall");
+  }
+  require(offsets.data()[offsets.size() - 1] == static_cast<int64_t>(points),
+          "offsets must end with the number of points");
+}
+
+inline void check_segments(const In2<float>& points, const In1<int64_t>& offsets) {
+  require(points.shape(1) == 3, "points must have shape (M, 3)");
+  require(points.shape(0) < (std::size_t{1} << 31), "too many points");
+  check_offsets(offsets, points.shape(0));
+}
+
+// Hands a vector's memory to NumPy without copying it.
+template <typename T>
+Out<T> to_numpy(std::vector<T>&& values, std::vector<std::size_t> shape) {
+  auto* owned = new std::vector<T>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return Out<T>(owned->data(), shape.size(), shape.data(), owner);
+}
+
+template <typename T>
+Out<T> to_numpy(std::vector<T>&& values) {
+  const std::size_t size = values.size();
+  return to_numpy(std::move(values), {size});
+}
+
+}  // namespace segloc::bindings

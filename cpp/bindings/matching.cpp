@@ -1,0 +1,174 @@
+// Search among descriptors, and random forests over pairs of them.
+#include "bindings/bindings.h"
+#include "matching/knn.h"
+#include "matching/match_order.h"
+#include "matching/random_forest.h"
+
+namespace segloc::bindings {
+namespace {
+
+nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int threads,
+              const std::string& isa) {
+  const std::size_t Q = queries.shape(0), M = database.shape(0), dim = database.shape(1);
+  require(queries.shape(1) == dim, "queries and database differ in their number of columns");
+  require(dim > 0, "descriptors must have at least one column");
+  require(M < (std::size_t{1} << 31), "the database is too large");
+  const Isa chosen = parse_isa(isa);
+  const std::size_t columns = std::min(k, M);
+  std::vector<int64_t> indices(Q * columns);
+  std::vector<float> distances(Q * columns);
+  {
+    nb::gil_scoped_release release;
+    require_usable(queries.data(), queries.size(), "queries");
+    require_usable(database.data(), database.size(), "database");
+    nearest_descriptors(queries.data(), Q, database.data(), M, dim, columns, chosen, threads,
+                        indices.data(), distances.data());
+  }
+  return nb::make_tuple(to_numpy(std::move(indices), {Q, columns}),
+                        to_numpy(std::move(distances), {Q, columns}));
+}
+
+// An index and the array that it reads.
+struct BoundIndex {
+  BoundIndex(In2<float> rows, std::size_t lists, int threads, const std::string& isa)
+      : database(rows),
+        index(rows.data(), rows.shape(0), rows.shape(1), lists, parse_isa(isa), threads) {}
+
+  In2<float> database;
+  DescriptorIndex index;
+};
+
+void construct_index(BoundIndex* self, In2<float> database, std::size_t lists, int threads,
+                     const std::string& isa) {
+  require(database.shape(1) > 0, "descriptors must have at least one column");
+  require(lists > 0, "there must be at least one list");
+  require(database.shape(0) < (std::size_t{1} << 31), "the database is too large");
+  require_usable(database.data(), database.size(), "database");
+  new (self) BoundIndex(database, lists, threads, isa);
+}
+
+nb::tuple search(const BoundIndex& bound, In2<float> queries, std::size_t k, std::size_t probes,
+                 int threads) {
+  const DescriptorIndex& index = bound.index;
+  require(queries.shape(1) == index.dim(),
+          "queries and database differ in their number of columns");
+  const std::size_t Q = queries.shape(0), columns = std::min(k, index.size());
+  std::vector<int64_t> indices(Q * columns);
+  std::vector<float> distances(Q * columns);
+  {
+    nb::gil_scoped_release release;
+    require_usable(queries.data(), queries.size(), "queries");
+    index.search(queries.data(), Q, columns, probes, threads, indices.data(), distances.data());
+  }
+  return nb::make_tuple(to_numpy(std::move(indices), {Q, columns}),
+                        to_numpy(std::move(distances), {Q, columns}));
+}
+
+Out<int64_t> order_matches_(In1<int64_t> query, In1<int64_t> map, In1<float> score) {
+  const std::size_t n = score.size();
+  require(query.size() == n && map.size() == n, "query, map and score must have the same length");
+  require(n < (std::size_t{1} << 32), "there are too many matches");
+  std::vector<int64_t> order;
+  {
+    nb::gil_scoped_release release;
+    order = order_matches(query.data(), map.data(), score.data(), n);
+  }
+  return to_numpy(std::move(order));
+}
+
+using LayoutRow = std::tuple<std::size_t, bool, std::size_t>;
+
+PairLayout checked_layout(const LayoutRow& row, std::size_t dim) {
+  const PairLayout layout = {std::get<0>(row), std::get<1>(row), std::get<2>(row)};
+  require(layout.plain <= dim, "the layout has more plain values than the descriptors");
+  const std::size_t rest = dim - layout.plain;
+  require(layout.histogram == 0 ? rest == 0 : rest % layout.histogram == 0,
+          "the layout's histograms do not fill the descriptors");
+  return layout;
+}
+
+PairTask checked_pairs(const In2<float>& query, const In2<float>& map, const In1<int64_t>& rows,
+                       const In1<int64_t>& columns) {
+  require(query.shape(1) == map.shape(1), "query and map differ in their number of columns");
+  require(rows.size() == columns.size(), "rows and columns must have the same length");
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const int64_t r = rows.data()[i], c = columns.data()[i];
+    require(r >= 0 && static_cast<std::size_t>(r) < query.shape(0) && c >= 0 &&
+                static_cast<std::size_t>(c) < map.shape(0),
+            "a pair names a descriptor that does not exist");
+  }
+  return {query.data(), map.data(), query.shape(1), rows.data(), columns.data(), rows.size()};
+}
+
+Out<float> pair_features_(In2<float> query, In2<float> map, In1<int64_t> rows, In1<int64_t> columns,
+                          const LayoutRow& row, int threads) {
+  const PairTask task = checked_pairs(query, map, rows, columns);
+  const PairLayout layout = checked_layout(row, task.dim);
+  const std::size_t F = layout.features(task.dim);
+  std::vector<float> output(task.pairs * F);
+  {
+    nb::gil_scoped_release release;
+    pair_features(task, layout, threads, output.data());
+  }
+  return to_numpy(std::move(output), {task.pairs, F});
+}
+
+void construct_forest(Forest* self, In1<int32_t> roots, In1<int32_t> feature, In1<float> threshold,
+                      In1<int32_t> first_child, std::size_t features) {
+  require(feature.size() == threshold.size() && feature.size() == first_child.size(),
+          "feature, threshold and first_child must have the same length");
+  const ForestArrays arrays = {roots.data(),     roots.size(),       feature.data(),
+                               threshold.data(), first_child.data(), feature.size()};
+  new (self) Forest(arrays, features);
+}
+
+Out<float> predict(const Forest& forest, In2<float> features, int threads) {
+  require(features.shape(1) == forest.features(),
+          "features must have shape (M, " + std::to_string(forest.features()) + ")");
+  std::vector<float> output(features.shape(0));
+  {
+    nb::gil_scoped_release release;
+    forest.predict(features.data(), features.shape(0), threads, output.data());
+  }
+  return to_numpy(std::move(output));
+}
+
+Out<float> predict_pairs(const Forest& forest, In2<float> query, In2<float> map, In1<int64_t> rows,
+                         In1<int64_t> columns, const LayoutRow& row, int threads) {
+  const PairTask task = checked_pairs(query, map, rows, columns);
+  const PairLayout layout = checked_layout(row, task.dim);
+  require(layout.features(task.dim) == forest.features(), "the layout does not fit the forest");
+  std::vector<float> output(task.pairs);
+  {
+    nb::gil_scoped_release release;
+    forest.predict_pairs(task, layout, threads, output.data());
+  }
+  return to_numpy(std::move(output));
+}
+
+}  // namespace
+
+void bind_matching(nb::module_& m) {
+  using namespace nb::literals;
+  m.def("knn", &knn, "queries"_a.noconvert(), "database"_a.noconvert(), "k"_a, "threads"_a = 0,
+        "isa"_a = "auto");
+  nb::class_<BoundIndex>(m, "DescriptorIndex")
+      .def("__init__", &construct_index, "database"_a.noconvert(), "lists"_a, "threads"_a = 0,
+           "isa"_a = "auto")
+      .def("search", &search, "queries"_a.noconvert(), "k"_a, "probes"_a, "threads"_a = 0)
+      .def("__len__", [](const BoundIndex& bound) { return bound.index.size(); })
+      .def_prop_ro("lists", [](const BoundIndex& bound) { return bound.index.lists(); });
+  m.def("order_matches", &order_matches_, "query"_a.noconvert(), "map"_a.noconvert(),
+        "score"_a.noconvert());
+  m.def("pair_features", &pair_features_, "query"_a.noconvert(), "site"_a.noconvert(),
+        "rows"_a.noconvert(), "columns"_a.noconvert(), "layout"_a, "threads"_a = 0);
+  nb::class_<Forest>(m, "Forest")
+      .def("__init__", &construct_forest, "roots"_a.noconvert(), "feature"_a.noconvert(),
+           "threshold"_a.noconvert(), "first_child"_a.noconvert(), "features"_a)
+      .def("predict", &predict, "features"_a.noconvert(), "threads"_a = 0)
+      .def("predict_pairs", &predict_pairs, "query"_a.noconvert(), "site"_a.noconvert(),
+           "rows"_a.noconvert(), "columns"_a.noconvert(), "layout"_a, "threads"_a = 0)
+      .def_prop_ro("features", &Forest::features);
+}
+
+}  // namespace segloc::bindings

@@ -1,0 +1,144 @@
+// Poses from matches.
+#include "bindings/bindings.h"
+#include "common/rigid.h"
+#include "pose/consensus.h"
+#include "pose/match_table.h"
+#include "pose/pose_votes.h"
+#include "pose/prosac.h"
+
+namespace segloc::bindings {
+namespace {
+
+void require_matches(const In1<std::int64_t>& match_query, std::size_t queries,
+                     const In1<std::int64_t>& match_map, std::size_t segments) {
+  require(match_map.shape(0) == match_query.shape(0),
+          "match_query and match_map must have the same length");
+  for (std::size_t k = 0; k < match_query.shape(0); ++k) {
+    const std::int64_t q = match_query.data()[k], m = match_map.data()[k];
+    require(q >= 0 && static_cast<std::size_t>(q) < queries && m >= 0 &&
+                static_cast<std::size_t>(m) < segments,
+            "a match names a segment that does not exist");
+  }
+}
+
+auto consensus_(const In2<double>& query, const In2<double>& map,
+                const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                double inlier_tolerance, double height_tolerance, double distinct_radius,
+                double separation, std::size_t max_refined, std::size_t max_hypotheses,
+                int threads) {
+  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  const std::size_t n = match_query.shape(0);
+  ConsensusOptions options;
+  options.inlier_tolerance = inlier_tolerance;
+  options.height_tolerance = height_tolerance;
+  options.distinct_radius = distinct_radius;
+  options.separation = separation;
+  options.max_refined = max_refined;
+  options.max_hypotheses = max_hypotheses;
+  std::vector<PoseHypothesis> found;
+  {
+    nb::gil_scoped_release release;
+    found = consensus(query.data(), query.shape(0), map.data(), match_query.data(),
+                      match_map.data(), n, options, threads);
+  }
+  std::vector<double> poses, scores;
+  std::vector<std::int64_t> inliers;
+  for (const PoseHypothesis& h : found) {
+    const double c = std::cos(h.yaw), s = std::sin(h.yaw);
+    poses.insert(poses.end(), {c, -s, 0, h.t[0], s, c, 0, h.t[1], 0, 0, 1, h.t[2], 0, 0, 0, 1});
+    inliers.push_back(static_cast<std::int64_t>(h.inliers));
+    scores.push_back(h.score);
+  }
+  return std::make_tuple(to_numpy(std::move(poses), {found.size(), 4, 4}),
+                         to_numpy(std::move(inliers)), to_numpy(std::move(scores)));
+}
+
+auto pose_votes_(const In2<double>& query, const In2<double>& map,
+                 const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                 double tolerance, double distinct_radius, std::size_t max_cells, int threads) {
+  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  const MatchInput input = {query.data(),       query.shape(0),   map.data(),
+                            match_query.data(), match_map.data(), match_query.shape(0)};
+  VoteOptions options;
+  options.tolerance = tolerance;
+  options.max_cells = max_cells;
+  const double origin[3] = {0.0, 0.0, 0.0}, cell = 100.0;
+  PoseVotes found;
+  {
+    nb::gil_scoped_release release;
+    found =
+        vote_for_poses(make_match_table(input, origin, distinct_radius, cell), options, threads);
+  }
+  std::vector<std::int64_t> votes;
+  std::vector<double> poses;
+  for (const PoseCell& cell : found.cells) {
+    votes.push_back(cell.votes);
+    poses.insert(poses.end(), {cell.yaw, cell.x, cell.y});
+  }
+  const std::size_t count = votes.size();
+  return std::make_tuple(to_numpy(std::move(votes)), to_numpy(std::move(poses), {count, 3}),
+                         found.width, found.turn);
+}
+
+auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::int64_t>& match_query,
+             const In1<std::int64_t>& match_map, bool ordered, bool yaw_only, double edge_tolerance,
+             double inlier_tolerance, double min_edge, double chance, double separation,
+             std::size_t max_draws, std::size_t max_hypotheses, std::uint64_t seed) {
+  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
+  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  ProsacOptions options;
+  options.ordered = ordered;
+  options.yaw_only = yaw_only;
+  options.edge_tolerance = edge_tolerance;
+  options.inlier_tolerance = inlier_tolerance;
+  options.min_edge = min_edge;
+  options.chance = chance;
+  options.separation = separation;
+  options.max_draws = max_draws;
+  options.max_hypotheses = max_hypotheses;
+  options.seed = seed;
+  std::vector<double> poses;
+  std::vector<std::int64_t> inliers;
+  {
+    nb::gil_scoped_release release;
+    const std::size_t n = match_query.shape(0);
+    std::vector<double> source, target;
+    for (std::size_t k = 0; k < n; ++k) {
+      const double* a = query.data() + 3 * match_query.data()[k];
+      const double* b = map.data() + 3 * match_map.data()[k];
+      source.insert(source.end(), a, a + 3);
+      target.insert(target.end(), b, b + 3);
+    }
+    for (const SampledHypothesis& h :
+         prosac(source.data(), target.data(), match_query.data(), match_map.data(), n, options)) {
+      append_matrix(h.T, poses);
+      inliers.push_back(static_cast<std::int64_t>(h.inliers));
+    }
+  }
+  const std::size_t found = inliers.size();
+  return std::make_tuple(to_numpy(std::move(poses), {found, 4, 4}), to_numpy(std::move(inliers)));
+}
+
+}  // namespace
+
+void bind_pose(nb::module_& m) {
+  m.def("consensus", &consensus_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
+        nb::arg("inlier_tolerance"), nb::arg("height_tolerance"), nb::arg("distinct_radius"),
+        nb::arg("separation"), nb::arg("max_refined"), nb::arg("max_hypotheses"),
+        nb::arg("threads"));
+
+  m.def("pose_votes", &pose_votes_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("tolerance"),
+        nb::arg("distinct_radius"), nb::arg("max_cells"), nb::arg("threads"));
+
+  m.def("prosac", &prosac_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("ordered"),
+        nb::arg("yaw_only"), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
+        nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("max_draws"),
+        nb::arg("max_hypotheses"), nb::arg("seed"));
+}
+
+}  // namespace segloc::bindings

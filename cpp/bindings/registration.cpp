@@ -1,0 +1,73 @@
+// Registration: surfaces and generalised ICP.
+#include "bindings/bindings.h"
+#include "registration/gicp.h"
+#include "registration/surface.h"
+
+namespace segloc::bindings {
+namespace {
+
+Rigid rigid_of(const In2<double>& T) {
+  require(T.shape(0) == 4 && T.shape(1) == 4, "T_target_source must have shape (4, 4)");
+  Rigid result;
+  for (std::size_t r = 0; r < 3; ++r) {
+    for (std::size_t c = 0; c < 3; ++c) result.R[3 * r + c] = T.data()[4 * r + c];
+    result.t[r] = T.data()[4 * r + 3];
+  }
+  return result;
+}
+
+Out<double> matrix_of(const Rigid& T) {
+  std::vector<double> values;
+  append_matrix(T, values);
+  return to_numpy(std::move(values), {4, 4});
+}
+
+auto align_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
+            int max_iterations, int threads) {
+  const Rigid start = rigid_of(T_target_source);
+  GicpOptions options;
+  options.max_iterations = max_iterations;
+  GicpResult result;
+  {
+    nb::gil_scoped_release release;
+    result = align(target, source, start, options, threads);
+  }
+  return std::make_tuple(matrix_of(result.T),
+                         to_numpy(std::vector<double>(result.H.begin(), result.H.end()), {6, 6}),
+                         result.error, result.inliers, result.iterations);
+}
+
+auto normals_(const Surface& surface) {
+  std::vector<double> values(3 * surface.size());
+  for (std::size_t i = 0; i < surface.size(); ++i) {
+    const Surface::Normal normal = surface.normal(i);
+    std::copy(normal.begin(), normal.end(),
+              values.begin() + std::ptrdiff_t(3 * surface.grid().original(i)));
+  }
+  return to_numpy(std::move(values), {surface.size(), 3});
+}
+
+}  // namespace
+
+void bind_registration(nb::module_& m) {
+  nb::class_<Surface>(m, "Surface")
+      .def(
+          "__init__",
+          [](Surface* self, const In2<float>& points, double max_correspondence_distance,
+             double support) {
+            require(points.shape(1) == 3, "points must have shape (N, 3)");
+            require_usable(points.data(), points.size(), "points");
+            require(max_correspondence_distance > 0 && support > 0,
+                    "reach and support must be positive");
+            nb::gil_scoped_release release;
+            new (self)
+                Surface(points.data(), points.shape(0), max_correspondence_distance, support);
+          },
+          nb::arg("points").noconvert(), nb::arg("reach"), nb::arg("support"))
+      .def("__len__", &Surface::size)
+      .def("normals", &normals_)
+      .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
+           nb::arg("max_iterations") = 20, nb::arg("threads") = 0);
+}
+
+}  // namespace segloc::bindings

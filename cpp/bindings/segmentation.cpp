@@ -1,0 +1,54 @@
+// Voxel grid, ground and clusters.
+#include "bindings/bindings.h"
+#include "segmentation/cluster.h"
+#include "segmentation/ground.h"
+#include "segmentation/voxel.h"
+
+namespace segloc::bindings {
+namespace {
+
+Out<float> voxel_grid_(const In2<float>& points, double size) {
+  require_points(points);
+  std::vector<float> means;
+  {
+    nb::gil_scoped_release release;
+    means = voxel_grid(points.data(), points.shape(0), size);
+  }
+  const std::size_t count = means.size() / 3;
+  return to_numpy(std::move(means), {count, 3});
+}
+
+Out<float> heights_above_ground_(const In2<float>& points, double cell, double max_slope,
+                                 double outlier) {
+  require_points(points);
+  std::vector<float> heights;
+  {
+    nb::gil_scoped_release release;
+    heights = heights_above_ground(points.data(), points.shape(0), {cell, max_slope, outlier});
+  }
+  return to_numpy(std::move(heights));
+}
+
+auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t min_points,
+                         std::size_t max_points) {
+  require_points(points);
+  Clusters clusters;
+  {
+    nb::gil_scoped_release release;
+    clusters = euclidean_clusters(points.data(), points.shape(0), radius, min_points, max_points);
+  }
+  return std::make_tuple(to_numpy(std::move(clusters.points)),
+                         to_numpy(std::move(clusters.offsets)));
+}
+
+}  // namespace
+
+void bind_segmentation(nb::module_& m) {
+  m.def("voxel_grid", &voxel_grid_, nb::arg("points").noconvert(), nb::arg("size"));
+  m.def("heights_above_ground", &heights_above_ground_, nb::arg("points").noconvert(),
+        nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));
+  m.def("euclidean_clusters", &euclidean_clusters_, nb::arg("points").noconvert(),
+        nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
+}
+
+}  // namespace segloc::bindings

@@ -1,0 +1,28 @@
+// The named tensors of a network as Python hands them over.
+#pragma once
+
+#include <nanobind/stl/map.h>
+
+#include <map>
+#include <string>
+#include <utility>
+
+#include "bindings/bindings.h"
+#include "network/network.h"
+
+namespace segloc::bindings {
+
+using TensorArrays = std::map<std::string, In<float>>;
+
+// Views that are good for as long as the arrays are.
+inline Tensors views_of(const TensorArrays& tensors) {
+  Tensors views;
+  for (const auto& [name, array] : tensors) {
+    TensorView view{array.data(), {}};
+    for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
+    views.emplace(name, std::move(view));
+  }
+  return views;
+}
+
+}  // namespace segloc::bindings

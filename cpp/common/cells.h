@@ -1,0 +1,28 @@
+// A cloud sorted into cubic cells: the common ground of voxel grid, clustering and nearest points.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace segloc {
+
+// Points in the order of their cell keys. Keys run fastest along x and are padded by `kPad` cells
+// on every side, so that the key of a neighbour cell is the cell's own key plus a constant.
+struct CellOrder {
+  static constexpr std::int64_t kPad = 2;
+
+  std::vector<std::uint32_t> order;  // point indices; ties keep the order of the input
+  std::vector<std::uint64_t> keys;   // keys[i] belongs to order[i]; never falls
+  std::int64_t stride_y = 0;         // key difference of a step along y
+  std::int64_t stride_z = 0;
+};
+
+// Sorts n finite points, (n, 3) row-major, into cells of edge `size` metres.
+// Throws std::invalid_argument if size is not positive or the cells cannot be numbered in 62 bits.
+CellOrder sort_into_cells(const float* points, std::size_t n, double size);
+
+// Stable sort of (key, value) pairs by key, by radix; `bits` is the width of the largest key.
+void radix_sort(std::vector<std::uint64_t>& keys, std::vector<std::uint32_t>& values, int bits);
+
+}  // namespace segloc

@@ -1,0 +1,141 @@
+// Farthest-point sampling of a few clouds in lockstep: one hides the latency of the others.
+#pragma once
+
+#include "simd/kernels.h"
+#include "simd/simd.h"
+
+namespace segloc {
+namespace SEGLOC_ISA {
+namespace {
+
+constexpr float kFar = 3.402823466e38f;
+constexpr size_t kLockstep = kRegisters == 32 ? 4 : 2;
+
+// The first of `values` (64 a block) that equals `target`; there is one.
+inline size_t first_equal(const float* values, Vec target) {
+  for (size_t first = 0;; first += 64) {
+    uint64_t hits = 0;
+    SEGLOC_UNROLL
+    for (size_t i = 0; i < 64; i += kWidth) {
+      hits |= static_cast<uint64_t>(equal(load(values + first + i), target)) << i;
+    }
+    if (hits != 0) return first + lowest_bit(hits);
+  }
+}
+
+inline void reset(float* distance, size_t n) {
+  for (size_t i = 0; i < n; ++i) distance[i] = kFar;
+  for (size_t i = n; i < padded(n, kFpsGroup); ++i) distance[i] = -1.0f;
+}
+
+// Nothing is in the set yet. `distance` has those of the points and then those of the groups.
+inline void clear_set(float* distance, size_t n, size_t groups) {
+  reset(distance, n);
+  // Groups of padding, so that first_equal can look at whole blocks.
+  float* group_max = distance + groups * kFpsGroup;
+  for (size_t i = groups * kWidth; i < fps_group_max_size(n); ++i) group_max[i] = -1.0f;
+}
+
+// The sum is in double and in a fixed order, so that every instruction set finds the same mean. Its
+// eight parts let it run at the speed of additions rather than of their latency.
+inline float mean(const float* values, size_t n) {
+  double parts[8] = {};
+  size_t i = 0;
+  for (; i + 8 <= n; i += 8) {
+    SEGLOC_UNROLL
+    for (size_t k = 0; k < 8; ++k) parts[k] += values[i + k];
+  }
+  for (; i < n; ++i) parts[0] += values[i];
+  double sum = 0;
+  for (size_t k = 0; k < 8; ++k) sum += parts[k];
+  return static_cast<float>(sum / static_cast<double>(n));
+}
+
+// Every point that is left coincides with a chosen one: take the others in order.
+inline void fill_rest(float* distance, int32_t* order, size_t n, size_t chosen, size_t samples) {
+  for (size_t i = 0; i < n; ++i) distance[i] = 0.0f;
+  for (size_t i = 0; i < chosen; ++i) distance[order[i]] = 1.0f;
+  for (size_t i = 0; i < n && chosen < samples; ++i) {
+    if (distance[i] == 0.0f) order[chosen++] = static_cast<int32_t>(i);
+  }
+}
+
+// `Groups` is the number of groups of 64 points where it is known beforehand, otherwise 0: constant
+// offsets leave the registers to the clouds.
+template <size_t Clouds, size_t Groups>
+inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
+  const size_t groups = Groups ? Groups : padded(n, kFpsGroup) / kFpsGroup;
+  const size_t stride = groups * kFpsGroup;
+  float* x[Clouds];  // copies: a vector store could alias the pointers otherwise
+  Vec cx[Clouds], cy[Clouds], cz[Clouds];
+  bool exhausted[Clouds] = {};
+  SEGLOC_UNROLL
+  for (size_t k = 0; k < Clouds; ++k) {
+    x[k] = clouds[k].memory;
+    cx[k] = broadcast(mean(x[k], n));
+    cy[k] = broadcast(mean(x[k] + stride, n));
+    cz[k] = broadcast(mean(x[k] + 2 * stride, n));
+    clear_set(x[k] + 3 * stride, n, groups);
+  }
+  for (size_t s = 0; s < samples; ++s) {
+    // Takes the last point into each set; a group is 64 points and keeps its largest distance.
+    Vec best[Clouds];
+    SEGLOC_UNROLL
+    for (size_t k = 0; k < Clouds; ++k) best[k] = broadcast(-1.0f);
+    for (size_t g = 0; g < groups; ++g) {
+      SEGLOC_UNROLL
+      for (size_t k = 0; k < Clouds; ++k) {
+        Vec group = broadcast(-1.0f);
+        SEGLOC_UNROLL
+        for (size_t v = 0; v < kFpsGroup; v += kWidth) {
+          float* p = x[k] + g * kFpsGroup + v;
+          const Vec dx = cx[k] - load(p);
+          const Vec dy = cy[k] - load(p + stride);
+          const Vec dz = cz[k] - load(p + 2 * stride);
+          const Vec d = min(dx * dx + dy * dy + dz * dz, load(p + 3 * stride));
+          store(p + 3 * stride, d);
+          group = max(group, d);
+        }
+        store(x[k] + 4 * stride + g * kWidth, group);
+        best[k] = max(best[k], group);
+      }
+    }
+    SEGLOC_UNROLL
+    for (size_t k = 0; k < Clouds; ++k) {
+      if (exhausted[k]) continue;
+      const float farthest = reduce_max(best[k]);
+      float* distance = x[k] + 3 * stride;
+      if (!(farthest > 0.0f)) {
+        fill_rest(distance, clouds[k].order, n, s, samples);
+        exhausted[k] = true;
+        continue;
+      }
+      const Vec target = broadcast(farthest);
+      const size_t group = first_equal(x[k] + 4 * stride, target) / kWidth * kFpsGroup;
+      const size_t i = group + first_equal(distance + group, target);
+      clouds[k].order[s] = static_cast<int32_t>(i);
+      cx[k] = broadcast(x[k][i]);
+      cy[k] = broadcast(x[k][i + stride]);
+      cz[k] = broadcast(x[k][i + 2 * stride]);
+      if (s == 0) reset(distance, n);  // the centroid is no member of the set
+    }
+  }
+}
+
+template <size_t Groups>
+void fps_of(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
+  size_t i = 0;
+  for (; i + kLockstep <= count; i += kLockstep) {
+    sample<kLockstep, Groups>(clouds + i, n, samples);
+  }
+  for (; i < count; ++i) sample<1, Groups>(clouds + i, n, samples);
+}
+
+void fps(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
+  if (padded(n, kFpsGroup) == 4 * kFpsGroup) return fps_of<4>(clouds, count, n, samples);
+  fps_of<0>(clouds, count, n, samples);
+}
+
+}  // namespace
+}  // namespace SEGLOC_ISA
+}  // namespace segloc

@@ -1,0 +1,127 @@
+#include "descriptors/moments.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/parallel.h"
+
+namespace segloc {
+
+double fixed_point_scale(double largest, std::size_t n, int order) {
+  int size_exponent = 0, count_exponent = 0;
+  std::frexp(largest, &size_exponent);
+  std::frexp(static_cast<double>(n), &count_exponent);
+  return std::ldexp(1.0, (62 - count_exponent) / order - size_exponent - 1);
+}
+
+double largest_magnitude(const float* values, std::size_t count) {
+  float largest = 0;
+  for (std::size_t i = 0; i < count; ++i) largest = std::max(largest, std::abs(values[i]));
+  return largest;
+}
+
+Vec3 mean_of(const float* p, std::size_t n) {
+  const double largest = largest_magnitude(p, 3 * n);
+  if (largest == 0) return {0, 0, 0};
+  const double scale = fixed_point_scale(largest, n, 1);
+  std::array<int64_t, 3> sum = {0, 0, 0};
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t d = 0; d < 3; ++d) sum[d] += std::llrint(double{p[3 * i + d]} * scale);
+  }
+  Vec3 result;
+  for (std::size_t d = 0; d < 3; ++d) {
+    result[d] = static_cast<double>(sum[d]) / scale / static_cast<double>(n);
+  }
+  return result;
+}
+
+Vec3 centre_points(const float* p, std::size_t n, std::vector<float>& centred) {
+  const Vec3 mean = mean_of(p, n);
+  centred.resize(3 * n);
+  for (std::size_t i = 0; i < 3 * n; ++i) centred[i] = static_cast<float>(p[i] - mean[i % 3]);
+  return mean;
+}
+
+Mat3 covariance_of(const float* p, std::size_t n) {
+  const double largest = largest_magnitude(p, 3 * n);
+  Mat3 result = {};
+  if (largest == 0) return result;
+  const double scale = fixed_point_scale(largest, n, 2);
+  int64_t sum[3][3] = {};
+  for (std::size_t i = 0; i < n; ++i) {
+    int64_t v[3];
+    for (std::size_t d = 0; d < 3; ++d) v[d] = std::llrint(double{p[3 * i + d]} * scale);
+    for (std::size_t a = 0; a < 3; ++a) {
+      for (std::size_t b = a; b < 3; ++b) sum[a][b] += v[a] * v[b];
+    }
+  }
+  for (std::size_t a = 0; a < 3; ++a) {
+    for (std::size_t b = 0; b < 3; ++b) {
+      const double value = static_cast<double>(sum[std::min(a, b)][std::max(a, b)]);
+      result[a][b] = value / scale / scale / static_cast<double>(n);
+    }
+  }
+  return result;
+}
+
+PrincipalAxes principal_axes(Mat3 a) {
+  Mat3 v = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};  // rows
+  for (int sweep = 0; sweep < 32; ++sweep) {
+    const double off = std::abs(a[0][1]) + std::abs(a[0][2]) + std::abs(a[1][2]);
+    if (off <= 1e-15 * (a[0][0] + a[1][1] + a[2][2])) break;
+    for (std::size_t p = 0; p < 2; ++p) {
+      for (std::size_t q = p + 1; q < 3; ++q) {
+        if (a[p][q] == 0) continue;
+        const double angle = 0.5 * std::atan2(2 * a[p][q], a[q][q] - a[p][p]);
+        const double c = std::cos(angle), s = std::sin(angle);
+        for (std::size_t i = 0; i < 3; ++i) {
+          const double x = a[i][p], y = a[i][q];
+          a[i][p] = c * x - s * y;
+          a[i][q] = s * x + c * y;
+        }
+        for (std::size_t i = 0; i < 3; ++i) {
+          const double x = a[p][i], y = a[q][i], vx = v[p][i], vy = v[q][i];
+          a[p][i] = c * x - s * y;
+          a[q][i] = s * x + c * y;
+          v[p][i] = c * vx - s * vy;
+          v[q][i] = s * vx + c * vy;
+        }
+      }
+    }
+  }
+  std::array<std::size_t, 3> order = {0, 1, 2};
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t i, std::size_t j) { return a[i][i] > a[j][j]; });
+  PrincipalAxes result;
+  for (std::size_t d = 0; d < 3; ++d) {
+    result.axes[d] = v[order[d]];
+    result.values[d] = a[order[d]][order[d]];
+  }
+  return result;
+}
+
+double major_angle(const Mat3& covariance) {
+  return 0.5 * std::atan2(2 * covariance[0][1], covariance[0][0] - covariance[1][1]);
+}
+
+void segment_moments(const float* points, const int64_t* offsets, std::size_t segments, int threads,
+                     double* means, double* eigenvalues) {
+  parallel_for(segments, 8, threads, [&](std::size_t begin, std::size_t end, int) {
+    std::vector<float> centred;
+    for (std::size_t s = begin; s < end; ++s) {
+      const float* p = points + 3 * offsets[s];
+      const auto n = static_cast<std::size_t>(offsets[s + 1] - offsets[s]);
+      Vec3 mean = {0, 0, 0}, values = {0, 0, 0};
+      if (n > 0) {
+        mean = centre_points(p, n, centred);
+        values = principal_axes(covariance_of(centred.data(), n)).values;
+      }
+      for (std::size_t d = 0; d < 3; ++d) {
+        means[3 * s + d] = mean[d];
+        eigenvalues[3 * s + d] = std::max(values[d], 0.0);
+      }
+    }
+  });
+}
+
+}  // namespace segloc

@@ -1,2 +1,0 @@
-#define SEGLOC_ISA avx2
-#include "kernel_table.h"

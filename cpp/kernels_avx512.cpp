@@ -1,2 +1,0 @@
-#define SEGLOC_ISA avx512
-#include "kernel_table.h"

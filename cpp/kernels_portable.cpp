@@ -1,2 +1,0 @@
-#define SEGLOC_ISA portable
-#include "kernel_table.h"

@@ -1,0 +1,56 @@
+// Nearest neighbours of descriptors: exact, or through an index in large databases.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "common/aligned.h"
+#include "simd/kernels.h"
+
+namespace segloc {
+
+// Descriptors divided into lists around centres (k-means), packed for the scan. With one list every
+// search is exact; with more, a search reads only the lists whose centres are nearest to the query.
+// Neither the lists nor the answers depend on the number of threads.
+class DescriptorIndex {
+ public:
+  // The database (count, dim) must stay where it is. dim > 0, lists > 0.
+  DescriptorIndex(const float* database, std::size_t count, std::size_t dim, std::size_t lists,
+                  Isa isa, int threads);
+
+  // For each row of queries (Q, dim) the `columns` nearest rows, columns <= count, sorted by
+  // distance and then by index. Distances are Euclidean; they are ranked in double. `probes` lists
+  // are read, or more where those hold fewer than `columns`.
+  void search(const float* queries, std::size_t query_count, std::size_t columns,
+              std::size_t probes, int threads, int64_t* indices, float* distances) const;
+
+  std::size_t size() const { return count_; }
+  std::size_t dim() const { return dim_; }
+  std::size_t lists() const { return starts_.size() - 1; }
+
+ private:
+  void divide(std::size_t lists, int threads);
+  void pack(const std::vector<uint32_t>& list_of, int threads);
+  std::vector<std::vector<uint32_t>> probed(const float* queries, std::size_t query_count,
+                                            std::size_t columns, std::size_t probes) const;
+
+  const float* database_;
+  std::size_t count_, dim_;
+  const Kernels& kernels_;
+  std::size_t lanes_;
+  std::vector<float> centres_;                     // (lists, dim)
+  std::unique_ptr<const DescriptorIndex> coarse_;  // over the centres, if there are several
+  std::vector<std::size_t> starts_;  // of each list, in packed positions: multiples of lanes_
+  std::vector<std::size_t> sizes_;   // of each list
+  std::vector<uint32_t> ids_;        // row of the database at each position; count_ for padding
+  AlignedFloats packed_;
+};
+
+// An exact search, once.
+void nearest_descriptors(const float* queries, std::size_t query_count, const float* database,
+                         std::size_t database_count, std::size_t dim, std::size_t columns, Isa isa,
+                         int threads, int64_t* indices, float* distances);
+
+}  // namespace segloc

@@ -1,0 +1,101 @@
+#include "pose/consensus.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/parallel.h"
+#include "pose/match_table.h"
+#include "pose/pose_refinement.h"
+#include "pose/pose_start.h"
+#include "pose/pose_votes.h"
+#include "simd/kernels.h"
+
+namespace segloc {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kSameYaw = 15.0 * kPi / 180.0;
+constexpr double kSameStart = 0.75 * kPi / 180.0;
+constexpr double kShare = 0.4;  // of the most votes: cells with fewer votes are not searched,
+constexpr std::size_t kFewestCells = 64;  // except for the best so many
+
+double longest_edge(const double* query, std::size_t q) {
+  double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
+  for (std::size_t i = 0; i < q; ++i) {
+    for (int a = 0; a < 2; ++a) {
+      low[a] = std::min(low[a], query[3 * i + a]);
+      high[a] = std::max(high[a], query[3 * i + a]);
+    }
+  }
+  return std::hypot(high[0] - low[0], high[1] - low[1]);
+}
+
+double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }
+
+bool explains(const PoseHypothesis& pose, const MatchTable& f, const PoseStart& start,
+              double tolerance) {
+  const std::size_t k = start.index;
+  const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
+  const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
+  const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
+  return dx * dx + dy * dy <= tolerance * tolerance &&
+         std::fabs(wrap(pose.yaw - start.pose.yaw)) < kSameStart;
+}
+
+bool same_place(const PoseHypothesis& a, const PoseHypothesis& b, double separation) {
+  return std::hypot(a.t[0] - b.t[0], a.t[1] - b.t[1]) < separation &&
+         std::fabs(wrap(a.yaw - b.yaw)) < kSameYaw;
+}
+
+}  // namespace
+
+std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const double* map,
+                                      const std::int64_t* mq, const std::int64_t* mm,
+                                      std::size_t matches, const ConsensusOptions& o, int threads) {
+  if (matches < 2) return {};
+  // Map coordinates may be as large as UTM's: floats are taken relative to one of the matches.
+  const double* origin = map + 3 * mm[0];
+  const double cell = std::max(longest_edge(query, q) + o.inlier_tolerance, 1.0);
+  const MatchTable f =
+      make_match_table({query, q, map, mq, mm, matches}, origin, o.distinct_radius, cell);
+
+  const Kernels& kernel_table = kernels(parse_isa("auto"));
+  PoseVotes votes = vote_for_poses(f, {o.inlier_tolerance, o.max_votes, o.max_cells}, threads);
+  while (votes.cells.size() > kFewestCells &&
+         votes.cells.back().votes < kShare * votes.cells.front().votes) {
+    votes.cells.pop_back();
+  }
+  std::vector<PoseStart> starts(votes.cells.size());
+  parallel_for(starts.size(), 4, threads, [&](std::size_t begin, std::size_t end, int) {
+    for (std::size_t i = begin; i < end; ++i) {
+      starts[i] = best_start(f, votes.cells[i], votes, o, kernel_table);
+    }
+  });
+  std::stable_sort(starts.begin(), starts.end(),
+                   [](const PoseStart& a, const PoseStart& b) { return a.support > b.support; });
+
+  std::vector<PoseHypothesis> refined;
+  for (const PoseStart& start : starts) {
+    if (refined.size() >= o.max_refined || start.support == 0) break;
+    const bool known = std::any_of(refined.begin(), refined.end(), [&](const PoseHypothesis& pose) {
+      return explains(pose, f, start, o.inlier_tolerance);
+    });
+    if (!known) refined.push_back(refine(f, start, o, kernel_table));
+  }
+  std::stable_sort(refined.begin(), refined.end(),
+                   [](const auto& a, const auto& b) { return a.score > b.score; });
+  std::vector<PoseHypothesis> distinct;
+  for (const PoseHypothesis& pose : refined) {
+    if (distinct.size() >= o.max_hypotheses) break;
+    const bool known = std::any_of(distinct.begin(), distinct.end(), [&](const auto& other) {
+      return same_place(pose, other, o.separation);
+    });
+    if (!known) distinct.push_back(pose);
+  }
+  for (PoseHypothesis& pose : distinct) {
+    for (int a = 0; a < 3; ++a) pose.t[a] += origin[a];
+  }
+  return distinct;
+}
+
+}  // namespace segloc

@@ -1,0 +1,48 @@
+// The table of centroid matches that the consensus reads: an array in single precision for each
+// coordinate, matches that are near each other in the map together.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "simd/kernels.h"
+
+namespace segloc {
+
+struct MatchRange {
+  std::size_t begin, end;
+};
+
+// Matches sorted by cell of the map plane. Map coordinates are relative to an origin.
+struct MatchTable {
+  std::vector<float> qx, qy, qz, mx, my, mz;  // a vector's width longer than the matches
+  std::vector<std::uint32_t> group;           // objects of the query
+  std::vector<std::uint32_t> map_segment;     // those that are matched, numbered
+  std::vector<std::uint32_t> match;           // which of the given matches this is
+  std::vector<std::uint64_t> keys;
+  std::int64_t stride = 0;
+  std::size_t groups = 0, map_segments = 0;
+  double farthest = 0.0;  // largest coordinate
+
+  std::size_t size() const { return group.size(); }
+  MatchArrays arrays() const { return {qx.data(), qy.data(), mx.data(), my.data()}; }
+};
+
+struct MatchInput {
+  const double* query;  // (q, 3)
+  std::size_t q;
+  const double* map;
+  const std::int64_t* mq;
+  const std::int64_t* mm;
+  std::size_t n;
+};
+
+// Query segments closer than `distinct` are one object; cells are `cell` metres wide.
+MatchTable make_match_table(const MatchInput& input, const double* origin, double distinct,
+                            double cell);
+
+// The matches in the three by three cells around a key: three ranges of the sorted field.
+void ranges_around(const MatchTable& f, std::uint64_t key, MatchRange ranges[3]);
+
+}  // namespace segloc

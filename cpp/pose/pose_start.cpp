@@ -1,0 +1,133 @@
+#include "pose/pose_start.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+namespace segloc {
+namespace {
+
+constexpr int kFineSteps = 6;     // that a step of yaw is divided into
+constexpr double kTypical = 0.7;  // share of the tolerance that most matches keep
+constexpr std::size_t kBlock = 256;
+
+// The matches that a cell of poses gathers, one object after another.
+std::vector<std::uint32_t> gather(const MatchTable& f, const PoseCell& cell, double width,
+                                  const Kernels& kernels) {
+  MatchRange ranges[3];
+  ranges_around(f, f.keys[cell.index], ranges);
+  const PoseTest test{static_cast<float>(std::cos(cell.yaw)),
+                      static_cast<float>(std::sin(cell.yaw)), static_cast<float>(cell.x),
+                      static_cast<float>(cell.y), static_cast<float>(1.5 * width * width)};
+  std::vector<std::uint32_t> gathered;
+  std::uint32_t close[kBlock];
+  for (const MatchRange& range : ranges) {
+    for (std::size_t begin = range.begin; begin < range.end; begin += kBlock) {
+      const std::size_t end = std::min(begin + kBlock, range.end);
+      const std::size_t count = kernels.near_pose(f.arrays(), test, begin, end, close);
+      gathered.insert(gathered.end(), close, close + count);
+    }
+  }
+  std::stable_sort(gathered.begin(), gathered.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return f.group[a] < f.group[b]; });
+  return gathered;
+}
+
+// Votes on a few square metres of translations at one yaw. Voters come one object after another.
+class FineVotes {
+ public:
+  FineVotes(double x, double y, double radius, double width)
+      : x_(x - radius),
+        y_(y - radius),
+        width_(width),
+        side_(static_cast<int>(2.0 * radius / width) + 2),
+        counters_(static_cast<std::size_t>(side_ * side_)) {}
+
+  void clear() { std::fill(counters_.begin(), counters_.end(), Counter{}); }
+
+  void add(double x, double y, std::uint32_t group, std::uint32_t match) {
+    const int column = cell(x - x_), row = cell(y - y_);
+    for (int corner = 0; corner < 4; ++corner) {
+      const int i = column + (corner & 1), j = row + (corner >> 1);
+      if (i < 0 || j < 0 || i >= side_ || j >= side_) continue;
+      Counter& counter = counters_[static_cast<std::size_t>(j * side_ + i)];
+      if (counter.votes != 0 && counter.group == group) continue;
+      counter = {counter.votes + 1, group, match};
+    }
+  }
+
+  // Whether some cell has more votes than the start; which then is moved there.
+  bool improve(PoseStart& start) const {
+    std::size_t best = start.support, at = counters_.size();
+    for (std::size_t k = 0; k < counters_.size(); ++k) {
+      if (counters_[k].votes <= best) continue;
+      best = counters_[k].votes;
+      at = k;
+    }
+    if (at == counters_.size()) return false;
+    start.support = best;
+    start.index = counters_[at].match;
+    start.pose.t[0] = x_ + width_ * static_cast<double>(at % static_cast<std::size_t>(side_));
+    start.pose.t[1] = y_ + width_ * static_cast<double>(at / static_cast<std::size_t>(side_));
+    return true;
+  }
+
+ private:
+  struct Counter {
+    std::uint32_t votes = 0, group = 0, match = 0;  // the last voter
+  };
+
+  int cell(double offset) const { return static_cast<int>(std::floor(offset / width_)); }
+
+  double x_, y_, width_;
+  int side_;
+  std::vector<Counter> counters_;
+};
+
+double median_height(const MatchTable& f, const std::vector<std::uint32_t>& matches,
+                     const PoseHypothesis& pose, double radius) {
+  const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
+  std::vector<float> heights;
+  for (const std::uint32_t k : matches) {
+    const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
+    const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
+    if (dx * dx + dy * dy <= radius * radius) heights.push_back(f.mz[k] - f.qz[k]);
+  }
+  if (heights.empty()) return 0.0;
+  const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2);
+  std::nth_element(heights.begin(), middle, heights.end());
+  return *middle;
+}
+
+}  // namespace
+
+PoseStart best_start(const MatchTable& f, const PoseCell& cell, const PoseVotes& votes,
+                     const ConsensusOptions& o, const Kernels& kernels) {
+  const std::vector<std::uint32_t> matches = gather(f, cell, votes.width, kernels);
+  const double turn = votes.turn / kFineSteps;
+  const double width = 2.0 * (kTypical * o.inlier_tolerance + 0.5 * turn * votes.radius);
+  // The query turns about its middle, as it did in the coarse vote.
+  const double c0 = std::cos(cell.yaw), s0 = std::sin(cell.yaw);
+  const double middle[2] = {c0 * votes.middle[0] - s0 * votes.middle[1] + cell.x,
+                            s0 * votes.middle[0] + c0 * votes.middle[1] + cell.y};
+  FineVotes fine(middle[0], middle[1], votes.width, width);
+  PoseStart start;
+  for (int step = 0; step <= kFineSteps; ++step) {
+    const double yaw = cell.yaw + (step - 0.5 * kFineSteps) * turn;
+    const double c = std::cos(yaw), s = std::sin(yaw);
+    fine.clear();
+    for (const std::uint32_t k : matches) {
+      const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
+      fine.add(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y), f.group[k], k);
+    }
+    if (fine.improve(start)) start.pose.yaw = yaw;
+  }
+  const double c = std::cos(start.pose.yaw), s = std::sin(start.pose.yaw);
+  start.pose.t[0] -= c * votes.middle[0] - s * votes.middle[1];
+  start.pose.t[1] -= s * votes.middle[0] + c * votes.middle[1];
+  start.pose.t[2] = median_height(f, matches, start.pose, width);
+  return start;
+}
+
+}  // namespace segloc

@@ -1,0 +1,69 @@
+// Two loops of the votes for poses: where each match votes, and which windows of cells may be full.
+#pragma once
+
+#include "simd/kernels.h"
+#include "simd/simd.h"
+
+namespace segloc {
+namespace SEGLOC_ISA {
+namespace {
+
+// Plain loops, which the compiler turns into vectors. No fused products: every instruction set must
+// find the same cells.
+void vote_cells(const MatchArrays& f, size_t count, const VoteLattice& l, uint32_t* cells) {
+  for (size_t k = 0; k < count; ++k) {
+    const float x = f.mx[k] - (l.cosine * f.qx[k] - l.sine * f.qy[k]) - l.low_x;
+    const float y = f.my[k] - (l.sine * f.qx[k] + l.cosine * f.qy[k]) - l.low_y;
+    const auto column = static_cast<uint32_t>(static_cast<int32_t>(x * l.per_metre));
+    const auto row = static_cast<uint32_t>(static_cast<int32_t>(y * l.per_metre));
+    cells[k] = (row & l.mask_y) << l.bits_x | (column & l.mask_x);
+  }
+}
+
+// The windows of the row `y` that hold `fewest` votes: two by two cells each, in the row `above`
+// and in the row `here`, the first ones of a row together with the last.
+size_t full_in_row(const uint16_t* above, const uint16_t* here, size_t columns, uint32_t y,
+                   uint32_t fewest, uint32_t* found) {
+  constexpr size_t kBlockCells = 32;
+  const auto votes = [&](size_t left, size_t right) {
+    return uint32_t(above[left] & kVotes) + uint32_t(above[right] & kVotes) +
+           uint32_t(here[left] & kVotes) + uint32_t(here[right] & kVotes);
+  };
+  size_t count = 0;
+  if (votes(columns - 1, 0) >= fewest) found[count++] = y * static_cast<uint32_t>(columns);
+  for (size_t first = 0; first < columns; first += kBlockCells) {
+    const uint16_t *a = above + first, *b = here + first;
+    uint16_t most = 0;
+    for (size_t i = 0; i < kBlockCells;
+         ++i) {  // in the first block also a window of two rows' ends
+      const auto sum = static_cast<uint16_t>((a[i] & kVotes) + (a[i - 1] & kVotes) +
+                                             (b[i] & kVotes) + (b[i - 1] & kVotes));
+      most = sum > most ? sum : most;
+    }
+    if (most < fewest) continue;
+    for (size_t x = first == 0 ? 1 : first; x < first + kBlockCells; ++x) {
+      if (votes(x - 1, x) < fewest) continue;
+      found[count++] = static_cast<uint32_t>(y * columns + x);
+    }
+  }
+  return count;
+}
+
+// Rows are cleared as soon as no window needs them, while they are in the first cache.
+size_t full_windows(uint16_t* cells, size_t columns, size_t rows, uint32_t fewest,
+                    uint32_t* found) {
+  size_t count = 0;
+  for (size_t y = 1; y <= rows; ++y) {  // the last window takes the last row and the first one
+    uint16_t* const above = cells + (y - 1) * columns;
+    const size_t row = y == rows ? 0 : y;
+    count += full_in_row(above, cells + row * columns, columns, static_cast<uint32_t>(row), fewest,
+                         found + count);
+    if (y > 1) clear_bytes(above, columns * sizeof(uint16_t));
+  }
+  clear_bytes(cells, columns * sizeof(uint16_t));
+  return count;
+}
+
+}  // namespace
+}  // namespace SEGLOC_ISA
+}  // namespace segloc

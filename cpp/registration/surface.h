@@ -1,0 +1,48 @@
+// A cloud as a surface: its points, and the normals of what they lie on.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+#include "segmentation/point_grid.h"
+
+namespace segloc {
+
+// A normal takes longer to find than a point, and an alignment needs few of a large map's: each is
+// computed when it is first needed, and kept. It depends on the points alone, so it does not matter
+// who needs it first, and several threads may call at once.
+class Surface {
+ public:
+  using Normal = std::array<double, 3>;
+
+  struct Nearest {
+    std::uint32_t point;  // its place in the grid's order; kNone where none is close enough
+    float distance;       // to it
+    float next;           // at least as far as this are all others: a bound, not a distance
+  };
+  static constexpr std::uint32_t kNone = 0xFFFFFFFFu;
+
+  // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
+  // metres away; the points within `support` metres of one decide on its normal.
+  Surface(const float* points, std::size_t n, double max_correspondence_distance, double support);
+
+  std::size_t size() const { return grid_.size(); }
+  const PointGrid& grid() const { return grid_; }
+
+  Nearest nearest(const PointGrid::Point& p) const;
+
+  // Unit length, of either sign; zero where the points around do not span a plane.
+  Normal normal(std::size_t i) const;
+
+ private:
+  Normal found(std::size_t i) const;
+
+  PointGrid grid_;
+  double max_correspondence_distance_, support_;
+  std::unique_ptr<std::atomic<std::uint64_t>[]> normals_;  // packed; 0: not yet found
+};
+
+}  // namespace segloc

@@ -1,0 +1,22 @@
+// The table of one instruction set. CMake compiles this file once for each one, with SEGLOC_ISA set
+// to its name and with its flags (simd/instruction_sets.cmake). A new kernel is included here.
+#include "descriptors/fps_kernel.h"
+#include "matching/knn_kernel.h"
+#include "network/conv_kernel.h"
+#include "network/neighbors_kernel.h"
+#include "network/xconv_kernel.h"
+#include "pose/consensus_kernel.h"
+#include "pose/votes_kernel.h"
+#include "simd/kernels.h"
+#include "training/train_kernel.h"
+
+namespace segloc {
+namespace SEGLOC_ISA {
+
+extern const Kernels kTable;
+const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,    kBlock,      kPanel,       &fps,
+                        &neighbors,      &xconv,    &dense,      &conv,        &knn_scan,
+                        &near_pose,      kTraining, &vote_cells, &full_windows};
+
+}  // namespace SEGLOC_ISA
+}  // namespace segloc

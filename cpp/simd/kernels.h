@@ -1,0 +1,196 @@
+// The kernels that exist once for each instruction set, and how one is chosen.
+//
+// kernel_table.cpp and the *_kernel.h files that it includes are compiled with the flags of each
+// instruction set (instruction_sets.cmake). The rest of the library uses them through the table
+// `Kernels` only.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include "simd/isa_list.h"
+
+namespace segloc {
+
+// portable, avx2, avx512: the list of instruction_sets.cmake, the best one last.
+#define SEGLOC_ENUMERATOR_BUILT(name, runs) name,
+#define SEGLOC_ENUMERATOR_MISSING(name) name,
+enum class Isa { SEGLOC_ISAS(SEGLOC_ENUMERATOR_BUILT, SEGLOC_ENUMERATOR_MISSING) };
+#undef SEGLOC_ENUMERATOR_BUILT
+#undef SEGLOC_ENUMERATOR_MISSING
+
+#define SEGLOC_NAME_BUILT(name, runs) #name,
+#define SEGLOC_NAME_MISSING(name) #name,
+static constexpr const char* kIsaNames[] = {SEGLOC_ISAS(SEGLOC_NAME_BUILT, SEGLOC_NAME_MISSING)};
+#undef SEGLOC_NAME_BUILT
+#undef SEGLOC_NAME_MISSING
+
+// One cloud for farthest-point sampling, in scratch memory of the caller: x, y, z and the distance
+// to the set, padded(n, 64) values each, one after another, then fps_group_max_size(n) more.
+struct FpsCloud {
+  float* memory;
+  int32_t* order;  // receives `samples` indices
+};
+
+// Sources and queries of one dilated neighbour search (the queries are the first of the sources).
+// x, y, z are padded to a multiple of 16 with infinity.
+struct NeighborTask {
+  const float* x;
+  const float* y;
+  const float* z;
+  size_t sources;
+  size_t queries;
+  int neighbors;     // K
+  int dilation;      // D
+  float* scratch;    // neighbor_scratch_size(sources) floats
+  uint16_t* result;  // (queries, K)
+};
+
+struct XConvWeights;
+struct XConvTask;
+struct DenseWeights;
+
+// Rows of a convolution or a dense layer: output = start + sum over the pieces of input * weight.
+// The columns come in panels as in DenseWeights; a row starts from its own sums.
+struct ConvTask {
+  size_t rows;
+  const float* const* input;  // (rows)
+  const float* const* start;  // (rows): the sums that a row starts from
+  float* const* output;       // (rows)
+  size_t pieces;
+  const size_t* offset;      // (pieces): from a row's input to the piece
+  const size_t* weight_row;  // (pieces): where its weights begin
+  size_t length;             // of a piece
+  const float* weight;       // (panels, weight_rows, panel)
+  size_t weight_rows;
+  size_t first_column, last_column;  // of the output; multiples of the panel
+  bool rectify;
+};
+
+// Squared distances of up to 4 queries to a tile of database points, fused with the selection.
+struct KnnScan {
+  const float* queries[4];
+  float thresholds[4];
+  // Appended to, for points with distance^2 <= threshold: their indices and distance^2.
+  uint32_t* candidates[4];
+  float* distances2[4];
+  size_t counts[4];
+};
+
+// Query and map coordinates of matches, an array for each. Up to 15 values behind the last one may
+// be read.
+struct MatchArrays {
+  const float* qx;
+  const float* qy;
+  const float* mx;
+  const float* my;
+};
+
+// Which matches lie near each other in the plane under a pose, in single precision.
+struct PoseTest {
+  float cosine, sine, x, y;
+  float max_distance2;
+};
+
+// Cells of translations at one yaw, folded into a table of 2^n columns and rows.
+struct VoteLattice {
+  float cosine, sine, low_x, low_y, per_metre;
+  uint32_t mask_x, mask_y;
+  int bits_x;
+};
+
+// A cell of the table holds its votes, and above them a mark of who voted last.
+static constexpr uint16_t kVotes = 0xff;
+
+// One point of an X-conv layer in training. rows is K padded to 4, width the channels and lanes K,
+// both padded to 16; whatever is padded is zero. x (rows, rows), f and t (rows, width), depthwise
+// (depth, rows, width), output (depth, width): the result, or the gradient that comes in.
+struct ApplyPoint {
+  size_t neighbors, rows, width, lanes, depth;
+  const float* x;
+  const float* x_transposed;
+  const float* f;
+  const float* f_transposed;  // (width, lanes)
+  const float* depthwise;
+  float* t;
+  float* output;
+  float* grad_t;
+  float* grad_f;          // (rows, width)
+  float* grad_x;          // (rows, lanes)
+  float* grad_depthwise;  // added to
+};
+
+// Points of a depthwise map of K x K matrices: row c of the result comes from column c of x.
+// x (points, K, K); y and its gradient (points, K, K) with 16 values behind the last that may be
+// read and written; weight (K, K, lanes): [c][i][o]; transposed [c][o][i]; lanes is K padded to 16.
+struct ColumnTask {
+  size_t points, neighbors, lanes;
+  const float* x;
+  const float* weight;
+  const float* transposed;
+  float* y;            // the result, or the gradient that comes in
+  float* grad_x;       // (points, K, K)
+  float* grad_weight;  // (K, K, lanes), added to; whatever is beyond K means nothing
+  float* scratch;      // (K, lanes)
+};
+
+// The inner loops of train_ops.cpp; rows of a width that is a multiple of 16.
+struct TrainKernels {
+  void (*apply)(const ApplyPoint& point);
+  void (*apply_backward)(const ApplyPoint& point);
+  void (*columns)(const ColumnTask& task);
+  void (*columns_backward)(const ColumnTask& task);
+  void (*elu_sums)(const float* input, size_t rows, size_t width, bool activate, float* z,
+                   float* sum, float* square);
+  void (*scale_shift)(const float* z, size_t rows, size_t width, const float* scale,
+                      const float* shift, float* output);
+  void (*gradient_sums)(const float* gradient, const float* z, size_t rows, size_t width,
+                        float* sum, float* product);
+  void (*norm_gradient)(const float* gradient, const float* z, size_t rows, size_t width,
+                        bool activate, const float* coefficients, float* output);
+};
+
+struct Kernels {
+  Isa isa;
+  size_t width;  // floats in a vector
+  size_t block;  // queries that xconv takes at a time
+  size_t panel;  // output channels of a column panel of dense weights
+  void (*fps)(const FpsCloud* clouds, size_t count, size_t n, size_t samples);
+  void (*neighbors)(const NeighborTask& task);
+  void (*xconv)(const XConvWeights& weights, const XConvTask& task);
+  void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
+                float* output, size_t output_stride);
+  void (*conv)(const ConvTask& task);
+  void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
+  // Writes the indices of the matches in [begin, end) that pass, and returns how many.
+  size_t (*near_pose)(const MatchArrays& f, const PoseTest& test, size_t begin, size_t end,
+                      uint32_t* found);
+  TrainKernels training;
+  // The cell that each match votes for.
+  void (*vote_cells)(const MatchArrays& f, size_t count, const VoteLattice& lattice,
+                     uint32_t* cells);
+  // Writes the windows with at least `fewest` votes, clears the table, and returns how many there
+  // are. The window of a cell are the two by two cells that end with it, across the edges of the
+  // table. A multiple of 32 columns; the value before the table may be read.
+  size_t (*full_windows)(uint16_t* cells, size_t columns, size_t rows, uint32_t fewest,
+                         uint32_t* found);
+};
+
+const Kernels& kernels(Isa isa);
+
+// "auto" is the best one that this processor runs; throws std::invalid_argument for a name that is
+// unknown or not available here.
+Isa parse_isa(const std::string& name);
+
+// static: a shared definition could come from a file built for a newer processor.
+static constexpr size_t padded(size_t n, size_t multiple) {
+  return (n + multiple - 1) / multiple * multiple;
+}
+static constexpr size_t kFpsGroup = 64;
+// The largest distances of each group, one vector (of at most 16) a group, in blocks of 64.
+static constexpr size_t fps_group_max_size(size_t n) {
+  return padded(padded(n, kFpsGroup) / kFpsGroup * 16, 64);
+}
+
+}  // namespace segloc

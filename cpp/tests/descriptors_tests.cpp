@@ -1,0 +1,73 @@
+// Sampling, preparation and hand-made descriptors, on odd segments.
+#include <cmath>
+#include <cstdint>
+
+#include "descriptors/esf.h"
+#include "descriptors/fps.h"
+#include "descriptors/gestalt.h"
+#include "descriptors/moments.h"
+#include "descriptors/prepare.h"
+#include "descriptors/profile.h"
+#include "tests/check.h"
+
+namespace segloc {
+namespace {
+
+const std::vector<int64_t> kOffsets = {0, 0, 1, 3, 40, 400, 1000};
+constexpr std::size_t kSegments = 6;
+
+void hand_made() {
+  for (const float size : {0.0f, 3.0f, 1e14f}) {
+    const auto points = random_floats(3 * 1000, -size, size, 1);
+    std::vector<double> means(3 * kSegments), values(3 * kSegments);
+    segment_moments(points.data(), kOffsets.data(), kSegments, 2, means.data(), values.data());
+    for (const double v : values) CHECK(v >= 0 && std::isfinite(v));
+    std::vector<float> shape(kSegments * kEsfSize, NAN), rings(kSegments * kGestaltSize, NAN);
+    esf(points.data(), kOffsets.data(), kSegments, 500, 3, 2, shape.data());
+    CHECK(all_finite(shape));
+    gestalt(points.data(), kOffsets.data(), kSegments, 2.0, 2, rings.data());
+    CHECK(all_finite(rings));
+  }
+}
+
+void profiles() {
+  constexpr std::size_t kClouds = 37;  // neither a whole number of batches nor of tasks
+  for (const std::size_t count : {32, 100, 256}) {
+    for (const float size : {0.0f, 3.0f, 1e15f}) {
+      const auto points = random_floats(3 * count * kClouds, -size, size, 5);
+      const auto heights = random_floats(kClouds, -1, 9, 6);
+      std::vector<float> one(kClouds * profile_size(), NAN), two(one);
+      shape_profiles(points.data(), heights.data(), kClouds, count, 1, one.data());
+      shape_profiles(points.data(), heights.data(), kClouds, count, 3, two.data());
+      CHECK(one == two && all_finite(one));
+    }
+  }
+}
+
+void sampling(Isa isa) {
+  for (const std::size_t n : {1, 5, 63, 64, 65, 256, 300}) {
+    const auto points = random_floats(3 * 4 * n, -3.0f, 3.0f, 7);
+    std::vector<int32_t> order(4 * n), portable(4 * n);
+    farthest_points(points.data(), 4, n, n, isa, 2, order.data());
+    farthest_points(points.data(), 4, n, n, Isa::portable, 1, portable.data());
+    CHECK(order == portable);
+  }
+  const std::vector<int64_t> offsets = {0, 0, 1, 4, 300, 6000};
+  const auto points = random_floats(3 * 6000, -5.0f, 5.0f, 8);
+  for (const Alignment alignment : {Alignment::none, Alignment::pca2d, Alignment::pca3d}) {
+    std::vector<float> out(5 * 256 * 3, NAN);
+    prepare_segments(points.data(), offsets.data(), 5, 256, alignment, isa, 2, out.data());
+    CHECK(all_finite(out));
+  }
+}
+
+}  // namespace
+}  // namespace segloc
+
+void descriptors_tests() {
+  segloc::hand_made();
+  segloc::profiles();
+  for (const segloc::Isa isa : instruction_sets()) {
+    segloc::sampling(isa);
+  }
+}

@@ -1,0 +1,39 @@
+// Poses from matches at every size from nothing up.
+#include <cmath>
+#include <cstdint>
+#include <random>
+
+#include "pose/consensus.h"
+#include "pose/prosac.h"
+#include "tests/check.h"
+
+namespace segloc {
+namespace {
+
+void poses() {
+  std::mt19937 engine(3);
+  std::uniform_real_distribution<double> uniform(-40.0, 40.0);
+  for (const std::size_t n : kSizes) {
+    std::vector<double> query(3 * n), map(3 * n);
+    std::vector<std::int64_t> index(n);
+    const double yaw = 0.7, c = std::cos(yaw), s = std::sin(yaw);
+    for (std::size_t i = 0; i < n; ++i) {
+      double* q = &query[3 * i];
+      for (int a = 0; a < 3; ++a) q[a] = uniform(engine) * (a == 2 ? 0.1 : 1.0);
+      const double moved[3] = {c * q[0] - s * q[1] + 5e6, s * q[0] + c * q[1] - 4e5, q[2] + 7.0};
+      for (int a = 0; a < 3; ++a) map[3 * i + a] = i % 2 ? moved[a] : uniform(engine);
+      index[i] = std::int64_t(i);
+    }
+    const auto found = consensus(query.data(), n, map.data(), index.data(), index.data(), n,
+                                 ConsensusOptions{}, 2);
+    const auto sampled = prosac(query.data(), map.data(), index.data(), index.data(), n, {});
+    if (n < 200) continue;
+    CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
+    CHECK(std::fabs(found[0].t[0] - 5e6) < 0.5 && std::fabs(sampled[0].T.t[0] - 5e6) < 0.5);
+  }
+}
+
+}  // namespace
+}  // namespace segloc
+
+void pose_tests() { segloc::poses(); }

@@ -1,0 +1,48 @@
+// Fixed-radius nearest points in a map's cloud, for verification.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "segmentation/point_grid.h"
+#include "verification/observed_height.h"
+
+namespace segloc {
+
+class PointIndex {
+ public:
+  // Copies n points, (n, 3) row-major. Queries take any radius up to `radius`.
+  PointIndex(const float* points, std::size_t n, double radius);
+
+  struct Overlap {
+    std::size_t judged = 0;  // points no higher than the indexed ones around them
+    std::size_t near = 0;    // those with an indexed point within the radius
+    double squared_sum = 0;  // of the distances of the latter
+  };
+
+  // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
+  Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
+
+  // At most `count` of the points within a horizontal distance of (x, y), (k, 3), evenly thinned,
+  // in an order of their own.
+  std::vector<float> sample(double x, double y, double radius, std::size_t count) const;
+
+  std::size_t size() const { return grid_.size(); }
+  double radius() const { return grid_.radius(); }
+
+ private:
+  struct Tile {
+    std::int64_t y, x;
+    std::vector<std::uint32_t> points;
+  };
+
+  void fill_tiles();
+  std::vector<std::uint32_t> within(double x, double y, double radius) const;
+
+  PointGrid grid_;
+  ObservedHeight height_;
+  std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
+};
+
+}  // namespace segloc

@@ -1,0 +1,128 @@
+#include "verification/visibility.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace segloc {
+namespace {
+
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;
+constexpr float kFar = std::numeric_limits<float>::infinity();
+constexpr double kGroundCell = 3.0;  // metres
+constexpr float kAbove = 0.5f;       // map points lower above the ground are not judged, metres
+constexpr double kSlant = 0.05;      // surfaces met at a slant spread over a pixel by their range
+
+double range_squared(const float* p) {
+  return double(p[0]) * p[0] + double(p[1]) * p[1] + double(p[2]) * p[2];
+}
+
+RangeImage image_of(const float* structure, std::size_t n, const float* ground, std::size_t g,
+                    double bin_deg) {
+  RangeImage image(bin_deg);
+  for (std::size_t i = 0; i < n; ++i) image.add(structure + 3 * i);
+  for (std::size_t i = 0; i < g; ++i) image.add(ground + 3 * i);
+  return image;
+}
+
+}  // namespace
+
+RangeImage::RangeImage(double bin_deg)
+    : bin_(bin_deg),
+      columns_(static_cast<int>(std::lround(360.0 / bin_deg))),
+      rows_(static_cast<int>(std::lround(180.0 / bin_deg)) + 1),
+      nearest_(static_cast<std::size_t>(columns_) * rows_, kFar) {}
+
+void RangeImage::add(const float* point) {
+  float& pixel = nearest_[at(point)];
+  pixel = std::min(pixel, static_cast<float>(std::sqrt(range_squared(point))));
+}
+
+RangeImage RangeImage::eroded() const {
+  RangeImage least = *this;
+  for (int c = 0; c < columns_; ++c) {
+    for (int r = 0; r < rows_; ++r) {
+      float value = kFar;
+      for (int dc = -1; dc <= 1; ++dc) {
+        const int column = (c + dc + columns_) % columns_;
+        for (int row = std::max(r - 1, 0); row <= std::min(r + 1, rows_ - 1); ++row) {
+          value = std::min(value, nearest_[static_cast<std::size_t>(column) * rows_ + row]);
+        }
+      }
+      least.nearest_[static_cast<std::size_t>(c) * rows_ + r] = value;
+    }
+  }
+  return least;
+}
+
+std::size_t RangeImage::at(const float* point) const {
+  const double x = point[0], y = point[1], z = point[2];
+  const double azimuth = std::atan2(y, x) * kDegrees + 180.0;
+  const double elevation = std::atan2(z, std::sqrt(x * x + y * y)) * kDegrees + 90.0;
+  const int column = static_cast<int>(azimuth / bin_) % columns_;
+  const int row = std::min(static_cast<int>(elevation / bin_), rows_ - 1);
+  return static_cast<std::size_t>(column) * rows_ + row;
+}
+
+GroundCeiling::GroundCeiling(const float* ground, std::size_t count, double range)
+    : side_(2 * static_cast<int>(std::ceil(range / kGroundCell)) + 3),
+      height_(static_cast<std::size_t>(side_) * side_, -kFar) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const float* p = ground + 3 * i;
+    const int x = cell(p[0]), y = cell(p[1]);
+    for (int cy = std::max(y - 1, 0); cy <= std::min(y + 1, side_ - 1); ++cy) {
+      for (int cx = std::max(x - 1, 0); cx <= std::min(x + 1, side_ - 1); ++cx) {
+        float& h = height_[static_cast<std::size_t>(cy) * side_ + cx];
+        h = std::max(h, p[2]);
+      }
+    }
+  }
+}
+
+float GroundCeiling::operator()(float x, float y) const {
+  const int cx = std::clamp(cell(x), 0, side_ - 1), cy = std::clamp(cell(y), 0, side_ - 1);
+  return height_[static_cast<std::size_t>(cy) * side_ + cx];
+}
+
+int GroundCeiling::cell(float v) const {
+  const double c = std::floor(double(v) / kGroundCell) + side_ / 2;
+  return static_cast<int>(std::clamp(c, -2.0, double(side_) + 1.0));
+}
+
+VisibilityCheck::VisibilityCheck(const float* structure, std::size_t n, const float* ground,
+                                 std::size_t g, double range, double bin_deg, double radius)
+    : range_(range),
+      query_(structure, n, radius),
+      image_(image_of(structure, n, ground, g, bin_deg)),
+      nearest_(image_.eroded()),
+      floor_(ground, g, range) {}
+
+VisibilityCheck::Counts VisibilityCheck::count(const float* map, std::size_t m, const double* T,
+                                               double radius, double margin) const {
+  const double max_range2 = range_ * range_;
+  const auto limit = static_cast<float>(radius * radius);
+  Counts counts;
+  for (std::size_t i = 0; i < m; ++i) {
+    const float* p = map + 3 * i;
+    float moved[3];
+    for (int a = 0; a < 3; ++a) {
+      moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] +
+                                    T[4 * a + 3]);
+    }
+    const double r2 = range_squared(moved);
+    if (!(r2 < max_range2)) continue;
+    const float below = floor_(moved[0], moved[1]);
+    if (below == -kFar || moved[2] <= below + kAbove) continue;
+    if (query_.nearest_squared({moved[0], moved[1], moved[2]}, limit) <= limit) {
+      ++counts.confirmed;
+      continue;
+    }
+    const std::size_t pixel = image_.at(moved);
+    const double range = std::sqrt(r2);
+    const double behind = range + std::max(margin, kSlant * range);
+    if (image_[pixel] < kFar && nearest_[pixel] > behind) ++counts.violations;
+  }
+  return counts;
+}
+
+}  // namespace segloc

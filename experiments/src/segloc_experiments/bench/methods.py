@@ -1,0 +1,175 @@
+"""Every method on the same query: 300 segments in a map of 10 000, stage by stage.
+
+    python benchmarks/bench_methods.py [--methods segmatch-eigen,nsm] [--map 10000] [--threads 1,2]
+
+Segments are shapes of `segloc.training.shapes`, seen from several sides. Networks whose weights are
+not there are given random ones: time hardly depends on what they say. SegMap's network is also
+timed against PyTorch and ONNX Runtime.
+"""
+
+import argparse
+import io
+import warnings
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from segloc import Config, _native
+from segloc.descriptors import available, segmap
+from segloc.matching import Matcher
+from segloc.system import processor
+from segloc.training.shapes import shapes_dataset
+from segloc.types import Segments
+
+from ..paper.random_weights import any_descriptor, voxel_tensors
+from .harness import OURS, Row, in_process, interleaved, optional, row
+from .rows import show
+
+VIEWS = 3
+PAPER_MS = {  # Tinchev et al., table III, several cores: description, matching, pruning
+    "segmatch-esf": (605, 50, 755),
+    "nsm": (24, 207, 913),
+    "segmap": (5902, 19, 0),
+}
+CHUNK = 30
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--methods", default=",".join(available()))
+    parser.add_argument("--query", type=int, default=300)
+    parser.add_argument("--map", type=int, default=10_000)
+    parser.add_argument("--threads", default="1,2")
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    print(processor())
+    print(
+        "| method | numbers | threads | prepare | describe | match | prune | kept of |\n"
+        "|---|---|---|---|---|---|---|---|"
+    )
+    threads = [int(count) for count in options.threads.split(",")]
+    for method in options.methods.split(","):
+        for count in threads:
+            arguments = (method, options.query, options.map, count, options.repeats)
+            print(in_process(count, measured, *arguments), flush=True)
+        if method in PAPER_MS:
+            described, matched, pruned = PAPER_MS[method]
+            print(f"| {method}, in the paper | | | | {described} | {matched} | {pruned} | |")
+    if "segmap" in options.methods.split(","):
+        for count in threads:
+            show([in_process(count, voxel_network, options.query, count, options.repeats)])
+
+
+def measured(method: str, query: int, size: int, threads: int, repeats: int) -> str:
+    """One line of the table."""
+    segments, descriptor = scene(query), any_descriptor(method, threads)[0]
+    vectors = descriptor.describe(scene(size, seed=1)).vectors
+    prior_map = SimpleNamespace(vectors=vectors, quality=None)
+    config = Config.preset(method).matching
+    matcher = Matcher(prior_map, config, pruner=descriptor.pruner, threads=threads)
+    prepared = descriptor.prepare(segments)
+    descriptors = descriptor.encode(prepared)
+    candidates = matcher.match(descriptors)
+    kept = matcher.prune(descriptors, candidates)
+    runs: dict[str, Callable[[], object]] = {
+        "preparation": lambda: descriptor.prepare(segments),
+        "description": lambda: descriptor.encode(prepared),
+        "matching": lambda: matcher.match(descriptors),
+        "pruning": lambda: matcher.prune(descriptors, candidates),
+    }
+    times = interleaved(runs, threads, repeats)
+    cells = [method, str(descriptor.dim), str(threads), *(f"{times[stage]:.1f}" for stage in runs)]
+    return "| " + " | ".join([*cells, f"{len(kept)} of {len(candidates)}"]) + " |"
+
+
+def scene(count: int, seed: int = 0) -> Segments:
+    """That many segments of 30 to some thousand points."""
+    dataset = shapes_dataset(-(-count // VIEWS), VIEWS, seed)
+    return dataset.segments(np.arange(count))
+
+
+def voxel_network(count: int, threads: int, repeats: int) -> Row:
+    """SegMap's network and its rivals."""
+    tensors = voxel_tensors()
+    network = _native.VoxelNetwork(tensors)
+    shapes = segmap.prepare(scene(count), threads)
+    runs: dict[str, Callable[[], np.ndarray]] = {
+        OURS: lambda: network.describe(shapes.voxels, shapes.offsets, shapes.scales, threads)
+    }
+    modules = optional("torch", "onnxruntime", "onnx")
+    if modules is not None:
+        torch, runtime, _ = modules
+        torch.set_num_threads(threads)
+        model = torch_model(torch, tensors)
+        chunks = list(
+            zip(
+                torch.split(torch.from_numpy(shapes.dense())[:, None], CHUNK),
+                torch.split(torch.from_numpy(shapes.scales), CHUNK),
+                strict=True,
+            )
+        )
+        runs[f"torch, chunks of {CHUNK}"] = lambda: torch_run(torch, model, chunks)
+        runs["onnxruntime"] = onnx_run(torch, runtime, model, chunks, threads)
+        for name, run in runs.items():
+            error = float(np.abs(run() - runs[OURS]()).max())
+            if error > 1e-3 * float(np.abs(runs[OURS]()).max()):
+                raise RuntimeError(f"{name} differs by {error}")
+    flops = 2.0 * count * (27 * (16384 * 32 + 2048 * 32 * 64 + 256 * 64 * 64) + 16387 * 512)
+    skipped = () if modules is not None else ("torch", "onnxruntime")
+    work = ("the dense convolutions", flops)
+    return row("SegMap's network", threads, repeats, runs, flops=work, skipped=skipped)
+
+
+def torch_model(torch: Any, tensors: dict[str, np.ndarray]) -> Any:
+    """The network in PyTorch, with the same weights."""
+    nn, functional = torch.nn, torch.nn.functional
+
+    class Model(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.conv1, self.conv2, self.conv3 = (
+                nn.Conv3d(*channels, 3, padding=1) for channels in ((1, 32), (32, 64), (64, 64))
+            )
+            self.fc1, self.fc2 = nn.Linear(16387, 512), nn.Linear(512, 64)
+            for name, module in self.named_children():
+                weight = torch.from_numpy(tensors[f"{name}.weight"])
+                weight = weight.permute(4, 3, 0, 1, 2) if weight.ndim == 5 else weight.T
+                module.weight = nn.Parameter(weight.contiguous())
+                module.bias = nn.Parameter(torch.from_numpy(tensors[f"{name}.bias"]))
+
+        def forward(self, grids: Any, scales: Any) -> Any:
+            x = functional.max_pool3d(self.conv1(grids).relu(), 2)
+            x = functional.max_pool3d(self.conv2(x).relu(), 2)
+            x = self.conv3(x).relu().permute(0, 2, 3, 4, 1).flatten(1)
+            return self.fc2(self.fc1(torch.cat([x, scales], 1)).relu()).relu()
+
+    return Model().eval()
+
+
+def torch_run(torch: Any, model: Any, chunks: list[tuple[Any, Any]]) -> np.ndarray:
+    with torch.inference_mode():
+        return torch.cat([model(*chunk) for chunk in chunks]).numpy()
+
+
+def onnx_run(
+    torch: Any, runtime: Any, model: Any, chunks: list, threads: int
+) -> Callable[[], np.ndarray]:
+    file = io.BytesIO()
+    names = ["grids", "scales"]
+    axes = {name: {0: "segments"} for name in names}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            model, chunks[0], file, input_names=names, dynamic_axes=axes, dynamo=False
+        )
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    session = runtime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
+    feeds = [dict(zip(names, (t.numpy() for t in chunk), strict=True)) for chunk in chunks]
+    return lambda: np.concatenate([session.run(None, feed)[0] for feed in feeds])
+
+
+if __name__ == "__main__":
+    main()

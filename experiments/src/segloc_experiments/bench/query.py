@@ -1,0 +1,241 @@
+"""A whole query: from the scan to the verified pose, in small and in large maps."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from segloc import geometry
+from segloc.batch.negative_maps import mirrored
+from segloc.config import DEFAULT_METHOD, Config
+from segloc.errors import SeglocError
+from segloc.localizer import Localizer
+from segloc.map.build import build_map
+from segloc.map.segment_map import SegmentMap
+from segloc.types import Descriptors, LocalCloud, Localization, Pose, Scan
+
+from . import inputs
+from .harness import OURS, Row, optional, processor_clock, row
+
+if TYPE_CHECKING:
+    from segloc.datasets import Recording
+
+SITE_SEGMENTS = 50_000
+KISS_VOXEL_M = 1.0
+_MAX_WITH_CLOUD = 100_000
+_STREET_M = 100.0
+_TOWN_M = 200.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A map, scans to find in it, and a mapped scan near the first of them.
+
+    Attributes
+    ----------
+    prior_map : SegmentMap
+    queries : list of (Scan or LocalCloud, Pose)
+        Without a pose in the map, and their true T_map_sensor.
+    mapped : Scan
+        What a scan-to-scan method is given in place of the map.
+    """
+
+    prior_map: SegmentMap
+    queries: list[tuple[Scan | LocalCloud, Pose]]
+    mapped: Scan
+
+
+def query(threads: int, repeats: int) -> Row:
+    """Single scans in a map of 50 000 segments, most of them of other places."""
+    return query_row("query", simulated_scene(threads), threads, repeats)
+
+
+def query_row(
+    name: str,
+    scene: Scene,
+    threads: int,
+    repeats: int,
+    *,
+    segments: int = SITE_SEGMENTS,
+    tolerance_m: float = 3.0,
+    rivals: bool = True,
+) -> Row:
+    """Localize the scans of a scene whose map is padded to ``segments``.
+
+    Raises
+    ------
+    SeglocError
+        If a pose is found that is wrong, or none at all.
+    """
+    prior_map = padded(scene.prior_map, segments)
+    localizer = Localizer(
+        prior_map, Config.preset(prior_map.descriptor).model_copy(update={"threads": threads})
+    )
+    answers: list[Localization] = []
+
+    def localize() -> None:
+        answers[:] = [localizer.localize(scan) for scan, _ in scene.queries]
+
+    runs: dict[str, Callable[[], object]] = {OURS: localize}
+    kiss = optional("kiss_matcher") if rivals else None
+    if kiss is not None:
+        runs["kiss-matcher, scan to scan"] = lambda: kiss_pose(kiss[0], scene)
+    count = len(scene.queries)
+    result = row(name, threads, repeats, runs)
+    correct = _correct(answers, scene, tolerance_m)
+    clock = processor_clock if threads == 1 else time.perf_counter
+    stages = [stage_ms(localizer, scan, clock) for scan, _ in scene.queries for _ in range(repeats)]
+    details = {
+        "map segments": float(len(prior_map)),
+        "query segments": statistics.median(a.counts["segments"] for a in answers),
+        "queries": float(count),
+        "correct": float(correct),
+        "a second": 1e3 * count / result.ours_ms,
+        **{f"{name}, ms": statistics.median(each[name] for each in stages) for name in stages[0]},
+    }
+    skipped = ("kiss-matcher",) if rivals and kiss is None else ()
+    ours = result.ours_ms / count
+    return Row(name, threads, ours, result.rivals, details=details, skipped=skipped)
+
+
+def stage_ms(
+    localizer: Localizer, query: Scan | LocalCloud, clock: Callable[[], float]
+) -> dict[str, float]:
+    """Milliseconds that each stage of :meth:`Localizer.localize` takes, by a clock of choice."""
+    marks = [("", clock())]
+
+    def mark(stage: str) -> None:
+        marks.append((stage, clock()))
+
+    cloud = localizer.accumulator.gather(query) if isinstance(query, Scan) else query
+    mark("local cloud")
+    scene = localizer.segmenter.segment(cloud)
+    mark("segmentation")
+    prepared = localizer.descriptor.prepare(scene.segments)
+    mark("preparation")
+    descriptors = localizer.descriptor.encode(prepared)
+    mark("description")
+    matches = localizer.matcher.match(descriptors)
+    mark("matching")
+    matches = localizer.matcher.prune(descriptors, matches)
+    mark("pruning")
+    hypotheses = localizer.estimator.estimate(
+        scene.segments.centroids, localizer.prior_map.centroids, matches
+    )
+    mark("pose")
+    localizer.verifier.verify(scene, hypotheses)
+    mark("verification")
+    return {name: 1e3 * (end - start) for (_, start), (name, end) in pairwise(marks)}
+
+
+def _correct(answers: Sequence[Localization], scene: Scene, tolerance_m: float) -> int:
+    correct = 0
+    for answer, (_, truth) in zip(answers, scene.queries, strict=True):
+        if answer.T_map_sensor is None:
+            continue
+        error = float(np.linalg.norm(answer.T_map_sensor[:3, 3] - truth[:3, 3]))
+        if error > tolerance_m:
+            raise SeglocError(f"a query was localized {error:.1f} m off")
+        correct += 1
+    if not correct:
+        raise SeglocError(f"no query was localized: {answers[0].reason}")
+    return correct
+
+
+def kiss_pose(kiss: Any, scene: Scene) -> Pose:
+    """The first query relative to its mapped scan, by kiss-matcher."""
+    matcher = kiss.KISSMatcher(kiss.KISSMatcherConfig(KISS_VOXEL_M))
+    source, target = scene.queries[0][0].points, scene.mapped.points
+    solution = matcher.estimate(list(source), list(target))
+    return geometry.rigid(np.array(solution.rotation), np.array(solution.translation))
+
+
+def simulated_scene(threads: int, method: str = DEFAULT_METHOD, queries: int = 5) -> Scene:
+    """A street of a simulated town and a later drive along it; a plaza without the simulator."""
+    config = Config.preset(method).model_copy(update={"threads": threads})
+    if optional("embreex") is None:
+        walk = inputs.PlazaWalk(inputs.Plaza())
+        return _scene(build_map(walk, config), walk, walk, range(3, 3 + queries))
+    from segloc.simulation import Route, hdl64e, simulate_session, town
+
+    world = town(0, size_m=_TOWN_M)
+    way = world.roads.walk(np.random.default_rng(0), [0], _STREET_M, avoid=[])
+    route = Route(tuple(way), length_m=_STREET_M)
+    again = Route(tuple(way), lane_offset_m=0.3, length_m=_STREET_M)
+    first = simulate_session(world, 0, route, hdl64e(900), 0)
+    mapped = build_map(first, config)
+    middle = first.scan(len(first) // 2)
+    later = simulate_session(world, 1, again, hdl64e(900), 1)
+    positions = np.linspace(0.2, 0.8, queries) * len(later)
+    return _scene(mapped, later, middle, positions.astype(int).tolist())
+
+
+def _scene(
+    prior_map: SegmentMap, later: Recording, mapped: Recording | Scan, positions: Sequence[int]
+) -> Scene:
+    assert later.poses is not None
+    scans: list[tuple[Scan | LocalCloud, Pose]] = [
+        (_unposed(later.scan(i)), later.poses[i]) for i in positions
+    ]
+    return Scene(
+        prior_map, scans, mapped if isinstance(mapped, Scan) else mapped.scan(positions[0])
+    )
+
+
+def _unposed(scan: Scan) -> Scan:
+    return Scan(scan.points, stamp=scan.stamp)
+
+
+def padded(prior_map: SegmentMap, segments: int, seed: int = 0) -> SegmentMap:
+    """The map with perturbed copies of itself around it, turned and scattered, in all ``segments``.
+
+    A copy's vectors are near the original's, so that the search has close rivals; its segments are
+    moved by metres each, and it is the mirror image, so that no place of the map is there twice.
+    """
+    rng = np.random.default_rng([seed, 80])
+    merged = prior_map.merge(prior_map)  # a copy
+    extent = np.ptp(prior_map.centroids[:, :2], axis=0)
+    tile = float(np.hypot(*extent)) + 200.0
+    image, middle = mirrored(prior_map), _middle(prior_map)
+    centre = _middle(image)
+    # Without a cloud in very large maps: only the eight best poses are ever compared with it.
+    kept = image.cloud[: None if segments <= _MAX_WITH_CLOUD else 0]
+    cloud = kept + image.origin - centre
+    spread = 0.3 * prior_map.vectors.std(axis=0)
+    for place in _around(math.ceil(max(0, segments - len(prior_map)) / max(len(prior_map), 1))):
+        count = min(len(prior_map), segments - len(merged))
+        turn = geometry.yaw_transform(rng.uniform(-np.pi, np.pi), (*(tile * place), 0.0))
+        moved = image.centroids[:count] - centre
+        moved += rng.uniform(-5, 5, (count, 3)) * [1, 1, 0]
+        vectors = prior_map.vectors[:count] + rng.normal(0, spread, (count, prior_map.dim))
+        quality = None if prior_map.quality is None else prior_map.quality[:count]
+        merged.add(
+            Descriptors(vectors.astype(np.float32), quality),
+            geometry.transform(turn, moved) + middle,
+            prior_map.sizes[:count],
+            session=1,
+            stamp=0.0,
+            cloud=geometry.transform(turn, cloud[: len(cloud) * count // len(prior_map)]) + middle,
+        )
+    return merged
+
+
+def _middle(prior_map: SegmentMap) -> np.ndarray:
+    return np.append(prior_map.centroids[:, :2].mean(axis=0), 0.0)
+
+
+def _around(count: int) -> np.ndarray:
+    """Places of a square lattice around the origin, nearest first, the origin left out."""
+    side = math.ceil(math.sqrt(count + 1)) + 2
+    grid = (
+        np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) - side // 2
+    )
+    order = np.argsort((grid**2).sum(axis=1), kind="stable")
+    return grid[order[1 : count + 1]].astype(np.float64)

@@ -1,0 +1,67 @@
+"""Rows of measurements as tables and as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from segloc._native import instruction_set
+from segloc.errors import SeglocError
+from segloc.system import processor
+
+from .harness import Row
+from .suite import run
+
+REPEATS = 15
+
+
+def table_rows(row: Row) -> list[tuple[str, str, str]]:
+    """(what, ms, how many times ours) of ours, of every rival and of the bound."""
+    threads = f"{row.threads} thread{'s' if row.threads > 1 else ''}"
+    rows = [(f"{row.name}, {threads}", _ms(row.ours_ms), "1.0")]
+    for name, ms in sorted(row.rivals.items(), key=lambda item: item[1]):
+        rows.append((f"  {name}", _ms(ms), _ratio(ms, row.ours_ms)))
+    if row.bound_ms is not None:
+        rows.append((f"  bound: {row.bound}", _ms(row.bound_ms), _ratio(row.bound_ms, row.ours_ms)))
+    return rows
+
+
+def _ms(value: float) -> str:
+    return f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def _ratio(theirs: float, ours: float) -> str:
+    return f"{theirs / ours:.1f}" if theirs > ours else f"{theirs / ours:.2f}"
+
+
+def show(rows: Sequence[Row]) -> None:
+    """Print rows as lines of text."""
+    for row in rows:
+        for what, ms, ratio in table_rows(row):
+            print(f"{what:<60} {ms:>9} ms {ratio:>8}")
+        print("".join(f"    {name}: {value:.5g}\n" for name, value in row.details.items()), end="")
+        if row.skipped:
+            print(f"    not installed: {', '.join(row.skipped)}")
+
+
+def main(*names: str) -> None:
+    """What a script of one claim does: measure with one and with two threads, and print."""
+    print(f"{processor()}, {os.cpu_count()} cores, {instruction_set()}")
+    for measured in run(names, (1, 2), REPEATS):
+        show([measured])
+
+
+def write_json(path: Path, rows: Iterable[Row]) -> None:
+    """Write the rows as a JSON list.
+
+    Raises
+    ------
+    SeglocError
+        If the file cannot be written.
+    """
+    try:
+        path.write_text(json.dumps([row.as_json() for row in rows], indent=1) + "\n", "utf-8")
+    except OSError as error:
+        raise SeglocError(f"{path}: cannot be written ({error.strerror or error})") from error

@@ -1,0 +1,83 @@
+"""``segloc bench``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from segloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..bench.harness import Row
+
+
+def bench(
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the measurements here, too.")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Only these benchmarks.")
+    ] = None,
+    threads: Annotated[
+        str, typer.Option(metavar="N,...", help="Each benchmark runs once with each number.")
+    ] = "1,2",
+    repeats: Annotated[int, typer.Option(min=1, help="Runs of which the median is taken.")] = 9,
+) -> None:
+    """Time the engine against other software, in turns, and against the processor's own limits.
+
+    Rivals that are not installed are left out; the extra "bench" brings them.
+    """
+    import os
+
+    from segloc.cli.console import busy, note
+    from segloc.system import processor
+
+    from ..bench.rows import write_json
+    from ..bench.suite import BENCHMARKS, run
+
+    rows: list[Row] = []
+    measurements = run(_names(only, list(BENCHMARKS)), _numbers(threads), repeats)
+    while True:
+        with busy("Measuring"):
+            row = next(measurements, None)
+        if row is None:
+            break
+        rows.append(row)
+    _show(rows, f"{processor()}, {os.cpu_count()} cores, {_isa()}")
+    skipped = sorted({name for row in rows for name in row.skipped})
+    if skipped:
+        note(f"not installed, so not measured: {', '.join(skipped)}")
+    if json is not None:
+        write_json(json, rows)
+
+
+def _isa() -> str:
+    from segloc._native import instruction_set
+
+    return instruction_set()
+
+
+def _names(only: str | None, every: list[str]) -> list[str]:
+    return every if only is None else [name.strip() for name in only.split(",")]
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--threads must be numbers joined by commas, not {text!r}") from error
+
+
+def _show(rows: list[Row], title: str) -> None:
+    from segloc.cli.console import table
+
+    from ..bench.rows import table_rows
+
+    lines = [line for row in rows for line in table_rows(row)]
+    table(title, ("", "ms", "ratio"), lines)
+    for row in rows:
+        if row.details:
+            text = ", ".join(f"{name} {value:.4g}" for name, value in row.details.items())
+            print(f"{row.name}, {row.threads} thread{'s' * (row.threads > 1)}: {text}")

@@ -1,0 +1,135 @@
+"""``segloc evaluate``: the studies of the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from segloc.cli import evaluate as own
+from segloc.cli.console import note, progress, say
+from segloc.cli.results import check_folder
+from segloc.errors import ConfigError, MissingDependency
+
+from ..paper.workspace import Workspace
+
+_EXPLAINED = {
+    "roc": "Which descriptor tells whether two segments are of one object? (Fig. 5)",
+    "generalization": "And in a place of another kind than it was trained on? (Table I)",
+    "rotation": "Does a descriptor change when its segment is turned? (Fig. 6)",
+    "sampling": "What does farthest-point sampling cost, and what does it bring?",
+    "timing": "How long does a query take, and where does the time go? (Table III)",
+    "memory": "How much memory does training take?",
+    "all": "Every study, one after the other.",
+}
+
+Suite = Annotated[str, typer.Option(metavar="NAME", help="The simulated test sets.")]
+Scale = Annotated[str, typer.Option(help="small or full.")]
+Kitti = Annotated[
+    Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
+]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the studies to ``segloc evaluate``; ``localization`` also runs without recordings."""
+    del app
+    group = own.evaluate
+    group.registered_commands[:] = [
+        command for command in group.registered_commands if command.name != "localization"
+    ]
+    for name in _EXPLAINED:
+        _add(group, name)
+    group.command("localization")(localization)
+
+
+def _add(group: typer.Typer, name: str) -> None:
+    def command(
+        out: own.Out = own.OUT,
+        suite: Suite = "six",
+        scale: Scale = "small",
+        kitti: Kitti = None,
+        methods: own.Methods = None,
+        seed: Seed = 0,
+        threads: own.Threads = 1,
+        workers: own.Workers = 2,
+    ) -> None:
+        _run(name, _workspace(out, suite, scale, kitti, methods, seed, threads, workers))
+
+    command.__doc__ = _EXPLAINED[name]
+    group.command(name)(command)
+
+
+def localization(
+    mapped: Annotated[
+        Path | None, typer.Argument(metavar="[MAP", help="Your own recording to map.")
+    ] = None,
+    query: Annotated[
+        Path | None, typer.Argument(metavar="QUERY]", help="And one to localize in that map.")
+    ] = None,
+    out: own.Out = own.OUT,
+    suite: Suite = "six",
+    scale: Scale = "small",
+    kitti: Kitti = None,
+    methods: own.Methods = None,
+    seed: Seed = 0,
+    threads: own.Threads = 1,
+    workers: own.Workers = 2,
+    map_poses: own.MapPoses = None,
+    poses: own.QueryPoses = None,
+    truth: own.Truth = None,
+    map_select: own.MapSelect = None,
+    select: own.QuerySelect = None,
+    topic: own.Topic = None,
+    every: own.Every = 10.0,
+) -> None:
+    """How many queries does each method localize, and how many of them falsely? (Table II)
+
+    On two recordings of your own, or without any on the places of the paper.
+    """
+    if mapped is None:
+        given = (out, suite, scale, kitti, methods, seed, threads, workers)
+        _run("localization", _workspace(*given))
+        return
+    if query is None:
+        raise ConfigError("give two recordings, one to map and one to localize in it")
+    files = (map_poses, poses, truth, map_select, select, topic)
+    own.compare_on(own.own_pair(mapped, query, *files, every), out, methods, threads, workers)
+
+
+def _workspace(
+    out: Path,
+    suite: str,
+    scale: str,
+    kitti: Path | None,
+    methods: str | None,
+    seed: int,
+    threads: int,
+    workers: int,
+) -> Workspace:
+    check_folder(out)
+    means = (seed, threads, workers, own.chosen(methods), progress, note, own.command_line())
+    return Workspace(out, *means, suite=suite, scale=scale, data=kitti)
+
+
+def _run(study: str, workspace: Workspace) -> None:
+    from ..paper import studies
+
+    if study == "all":
+        _run_all(workspace)
+    else:
+        own.show(studies.run(study, workspace))
+    own.write_report(workspace.out, requested=False, order=studies.STUDIES)
+
+
+def _run_all(workspace: Workspace) -> None:
+    """Run every study; one whose packages are missing is left out with a remark."""
+    from ..paper import studies
+
+    for name in studies.STUDIES:
+        say(f"segloc evaluate {name}")
+        try:
+            studies.run(name, workspace)
+        except MissingDependency as error:
+            note(f"{name} is left out: {error}")

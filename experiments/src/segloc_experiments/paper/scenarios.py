@@ -1,0 +1,126 @@
+"""The scenarios of the paper: simulated test sets, and KITTI odometry 00."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc.batch.run import query_positions
+from segloc.batch.scenario import MAX_GAP_M, Facts, OpenedScenario, QuerySet, Scenario, folder_size
+from segloc.datasets import NO_POSES, Recording, Swathes, open_sequence
+from segloc.errors import DatasetError
+from segloc.simulation.suites import SIX, TestSet
+
+from .workspace import Workspace
+
+EVERY_M = 10.0
+_NEGATIVE_SEED = 10_000
+
+
+@dataclass(frozen=True)
+class SuiteScenario:
+    """A simulated test set; the negative is a world of another seed, built by the same rules."""
+
+    test: TestSet
+    scale: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return self.test.name
+
+    def facts(self) -> Facts:
+        return Facts(self.test.kind, self.test.sensor)
+
+    def settings(self) -> dict[str, Any]:
+        return {"set": asdict(self.test), "scale": self.scale, "seed": self.seed}
+
+    def open(self) -> OpenedScenario:
+        sessions = self.test.sessions(self.scale, seed=self.seed)
+        query_sets = {name: _simulated(item) for name, item in sessions.items() if name != "map"}
+        return OpenedScenario(sessions["map"], self.negative(), query_sets)
+
+    def negative(self) -> Recording:
+        """What the map of another world is made of."""
+        alone = replace(self.test, tests=self.test.tests[:1], length_m=self._session_length())
+        return alone.sessions(self.scale, seed=self.seed + _NEGATIVE_SEED)["map"]
+
+    def _session_length(self) -> float:
+        return self.test.length_m / len(self.test.tests)
+
+
+def _simulated(recording: Recording) -> QuerySet:
+    truth = np.asarray(getattr(recording, "truth", recording.poses))
+    if isinstance(recording, Swathes):  # they lie 30 m apart: each is a query by itself
+        return QuerySet(recording, np.arange(len(recording), dtype=np.int64), truth)
+    positions = query_positions(truth, EVERY_M, MAX_GAP_M)
+    return QuerySet(recording, positions, truth[positions])
+
+
+@dataclass(frozen=True)
+class KittiScenario:
+    """KITTI odometry 00, as keyframes and as full scans with TUM poses.
+
+    "kitti00": the first half of the drive is mapped and all of the rest is asked every 10 m,
+    accumulated, and as one thinned keyframe each (sparse). "kitti00-later": the later passes are
+    mapped, and every full scan of the first 827 m is asked by itself. The negative is the simulated
+    town of the test set that has the same sensor.
+    """
+
+    data: Path
+    later: bool
+    scale: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return "kitti00-later" if self.later else "kitti00"
+
+    def facts(self) -> Facts:
+        return Facts("Urban, real", "hdl64e")
+
+    def settings(self) -> dict[str, Any]:
+        folders = [self.data, self.data / "keyframes", self.data / "scans"]
+        for folder in folders:
+            if not folder.is_dir():
+                raise DatasetError(f"{folder}: no such folder; --kitti needs keyframes and scans")
+        sizes = [folder_size(folder) for folder in folders]
+        return {"scenario": self.name, "bytes": sizes, "scale": self.scale, "seed": self.seed}
+
+    def open(self) -> OpenedScenario:
+        keyframes, scans = self.data / "keyframes", self.data / "scans"
+        town = next(test for test in SIX if test.name == "kitti")
+        negative = SuiteScenario(town, self.scale, self.seed).negative()
+        if self.later:
+            prior_map = open_sequence(keyframes, "keyframes.tum", "619:654,988:1003,1361:1600")
+            truths = open_sequence(scans, "scans.tum").poses
+            alone = open_sequence(scans, NO_POSES)
+            positions = np.arange(len(alone), dtype=np.int64)
+            return OpenedScenario(
+                prior_map, negative, {"single": QuerySet(alone, positions, truths)}
+            )
+        prior_map = open_sequence(keyframes, "keyframes.tum", "100:947")
+        accumulated = open_sequence(keyframes, "keyframes.tum", "948:1820")
+        sparse = open_sequence(keyframes, NO_POSES, "948:1820")
+        truths = accumulated.poses
+        assert truths is not None  # it was opened with them
+        positions = query_positions(truths, EVERY_M, MAX_GAP_M)
+        chosen = truths[positions]
+        query_sets = {
+            "accumulated": QuerySet(accumulated, positions, chosen),
+            "sparse": QuerySet(sparse, positions, chosen),
+        }
+        return OpenedScenario(prior_map, negative, query_sets)
+
+
+def scenarios(workspace: Workspace) -> Sequence[Scenario]:
+    """The test sets of the suite, and KITTI where it is at hand."""
+    scale, seed = workspace.scale, workspace.seed
+    chosen: list[Scenario] = [SuiteScenario(test, scale, seed) for test in workspace.sets]
+    if workspace.data is not None:
+        chosen += [KittiScenario(workspace.data, later, scale, seed) for later in (False, True)]
+    return chosen

@@ -1,0 +1,272 @@
+"""Milliseconds a query, stage by stage and method by method (Table III of the paper)."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from segloc.batch.comparison import build_maps, shared_config
+from segloc.batch.methods import METHODS
+from segloc.batch.report.study import Cell, Study, Table
+from segloc.batch.run import query_scans
+from segloc.config import Config
+from segloc.datasets import Recording
+from segloc.descriptors import Descriptor
+from segloc.local_cloud import Accumulator
+from segloc.map.segment_map import SegmentMap
+from segloc.matching import Matcher
+from segloc.pose import PoseEstimator
+from segloc.segmentation import Segmenter
+from segloc.system import processor
+from segloc.types import LocalCloud
+from segloc.verification.verifier import Verifier
+
+from ..bench.harness import in_process, processor_clock
+from ..bench.query import padded
+from . import published
+from .gpu import GPU_METHODS, gpu_ms
+from .random_weights import any_descriptor
+from .scenarios import KittiScenario, SuiteScenario
+from .workspace import Workspace
+
+TEXT = """\
+How long does one query take, and where does the time go? All methods are given the same clouds and
+the same segments, in a map of the same size; they take turns, query by query, and each figure is a
+median. Preprocessing brings segments into the form that a descriptor reads (alignment, sampling,
+voxels); matching finds the nearest descriptors of the map, K for each segment; pruning lets a
+random forest sort out matches; pose finds the poses that many matches agree on; verification, which
+the paper has not, compares them with the map's own cloud."""
+
+STAGES = (
+    "segmentation",
+    "preprocessing",
+    "descriptor",
+    "matching",
+    "pruning",
+    "pose",
+    "verification",
+)
+_PROSAC = "pose, PROSAC"
+MAP_SEGMENTS = 10_000
+_QUERIES = 5
+_REPEATS = {"small": 3, "full": 9}
+
+Times = dict[str, dict[str, float]]
+Source = Callable[[], tuple[Recording, list[LocalCloud]]]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What is timed.
+
+    Attributes
+    ----------
+    maps : dict of method to SegmentMap
+        Of the same segments; the first holds the cloud of all.
+    clouds : list of LocalCloud
+        The queries.
+    """
+
+    maps: Mapping[str, SegmentMap]
+    clouds: Sequence[LocalCloud]
+
+
+def run(workspace: Workspace) -> Study:
+    """Time swathes of the test set "burgess" (the suite's last without one), and KITTI's scans.
+
+    Raises
+    ------
+    SeglocError
+        If a recording cannot be read, or results cannot be written.
+    """
+    start = time.perf_counter()
+    names = workspace.methods or METHODS
+    chosen = {name: any_descriptor(name, 1) for name in names}
+    descriptors = {name: descriptor for name, (descriptor, _) in chosen.items()}
+    random = [name for name, (_, drawn) in chosen.items() if drawn]
+    tables = []
+    for label, settings, source in _sources(workspace):
+        measured = workspace.cached_json(
+            f"timing-{label}",
+            {
+                "source": settings,
+                "methods": {name: d.fingerprint for name, d in descriptors.items()},
+                "machine": [processor(), os.cpu_count()],
+                "repeats": _REPEATS[workspace.scale],
+                "segments": MAP_SEGMENTS,
+            },
+            partial(_measured, source, descriptors, workspace),
+        )
+        tables.append(time_table(label, measured, descriptors, random))
+    return Study(
+        "timing",
+        "Time of a query",
+        (*tables, published.times()),
+        (),
+        workspace.facts(
+            time.perf_counter() - start, {name: d.fingerprint for name, d in descriptors.items()}
+        ),
+        TEXT,
+    )
+
+
+def _sources(workspace: Workspace) -> Iterator[tuple[str, dict[str, Any], Source]]:
+    test = next((t for t in workspace.sets if t.name == "burgess"), workspace.sets[-1])
+    scenario = SuiteScenario(test, workspace.scale, workspace.seed)
+    yield scenario.name, scenario.settings(), partial(_clouds, scenario)
+    if workspace.data is not None:
+        kitti = KittiScenario(workspace.data, True, workspace.scale, workspace.seed)
+        yield kitti.name, kitti.settings(), partial(_clouds, kitti)
+
+
+def _clouds(scenario: SuiteScenario | KittiScenario) -> tuple[Recording, list[LocalCloud]]:
+    """The recording to map, and a few queries, evenly spread."""
+    opened = scenario.open()
+    query_set = next(iter(opened.query_sets.values()))
+    count = min(_QUERIES, len(query_set.positions))
+    chosen = query_set.positions[np.linspace(0, len(query_set.positions) - 1, count).astype(int)]
+    config = Config().local_cloud
+    accumulator = Accumulator(config)
+    return opened.map, [
+        accumulator.gather(scans) for scans in query_scans(query_set.recording, chosen, config)
+    ]
+
+
+def _measured(
+    source: Source,
+    descriptors: Mapping[str, Descriptor],
+    workspace: Workspace,
+) -> dict[str, Any]:
+    recording, clouds = source()
+    bench = Bench(build_maps(recording, descriptors), clouds)
+    repeats, cores = _REPEATS[workspace.scale], os.cpu_count() or 1
+    times: dict[str, Any] = {"one core": in_process(1, stage_times, bench, 1, repeats)}
+    if cores > 1:
+        times[f"{cores} cores"] = in_process(cores, stage_times, bench, cores, repeats)
+    segmenter = Segmenter()
+    scenes = [segmenter.segment(cloud) for cloud in clouds]
+    networks = tuple(name for name in descriptors if name in GPU_METHODS)
+    gpu = in_process(cores, gpu_ms, [scene.segments for scene in scenes], networks, repeats)
+    return {
+        "times": times,
+        "gpu": gpu,
+        "segments": statistics.median(len(scene.segments) for scene in scenes),
+        "map": len(next(iter(bench.maps.values()))),
+        "queries": len(clouds),
+    }
+
+
+def stage_times(bench: Bench, threads: int, repeats: int) -> Times:
+    """Median milliseconds of every stage, by method; all methods take turns.
+
+    With one thread the time is the processor's, which other work on the machine disturbs less.
+    """
+    clock = processor_clock if threads == 1 else time.perf_counter
+    pipelines = {name: _Pipeline(name, bench.maps, threads) for name in bench.maps}
+    samples: dict[str, list[dict[str, float]]] = {name: [] for name in pipelines}
+    for repeat in range(repeats + 1):
+        for cloud in bench.clouds:
+            for name, pipeline in pipelines.items():
+                sample = pipeline.stage_ms(cloud, clock)
+                if repeat:  # the first round warms up
+                    samples[name].append(sample)
+    medians = {
+        name: {stage: statistics.median(each[stage] for each in found) for stage in found[0]}
+        for name, found in samples.items()
+    }
+    shared = statistics.median(times["segmentation"] for times in medians.values())
+    return {name: {**times, "segmentation": shared} for name, times in medians.items()}
+
+
+class _Pipeline:
+    """The stages of one method, in a map padded to :data:`MAP_SEGMENTS`."""
+
+    def __init__(self, name: str, maps: Mapping[str, SegmentMap], threads: int) -> None:
+        config = shared_config(name, threads)
+        whole = next(iter(maps.values()))
+        prior_map = padded(maps[name], max(MAP_SEGMENTS, len(whole)))
+        self._descriptor, _ = any_descriptor(name, threads)
+        pruner = self._descriptor.pruner
+        self._matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
+        self._centroids = prior_map.centroids
+        self._segmenter = Segmenter(config.segmentation)
+        prosac = config.pose.model_copy(update={"estimator": "prosac"})
+        self._estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
+        self._prosac = PoseEstimator(prosac, threads=threads, seed=config.seed)
+        self._verifier = Verifier(whole.cloud, whole.origin, config.verification, threads=threads)
+
+    def stage_ms(self, cloud: LocalCloud, clock: Callable[[], float]) -> dict[str, float]:
+        marks = [("", clock())]
+
+        def mark(stage: str) -> None:
+            marks.append((stage, clock()))
+
+        scene = self._segmenter.segment(cloud)
+        mark("segmentation")
+        prepared = self._descriptor.prepare(scene.segments)
+        mark("preprocessing")
+        described = self._descriptor.encode(prepared)
+        mark("descriptor")
+        matches = self._matcher.match(described)
+        mark("matching")
+        matches = self._matcher.prune(described, matches)
+        mark("pruning")
+        found = self._estimator.estimate(scene.segments.centroids, self._centroids, matches)
+        mark("pose")
+        self._verifier.verify(scene, found)
+        mark("verification")
+        self._prosac.estimate(scene.segments.centroids, self._centroids, matches)
+        mark(_PROSAC)
+        return {name: 1e3 * (end - start) for (_, start), (name, end) in pairwise(marks)}
+
+
+def time_table(
+    label: str,
+    measured: Mapping[str, Any],
+    descriptors: Mapping[str, Descriptor],
+    random: Sequence[str],
+) -> Table:
+    """One row a method and processor; ``random`` names the methods whose weights were drawn."""
+    rows = [
+        _row(name, processor, descriptors, times)
+        for processor, by_method in measured["times"].items()
+        for name, times in by_method.items()
+    ]
+    several = list(measured["times"].values())[-1]
+    gpu = measured["gpu"]
+    for name, (prepare, describe) in (gpu["times"] if gpu else {}).items():
+        times = {**several[name], "preprocessing": prepare, "descriptor": describe}
+        rows.append(_row(name, gpu["device"], descriptors, times))
+    return Table(
+        f"times-{label}",
+        f"Milliseconds a query, {label}",
+        (
+            "method", "processor", "numbers", *STAGES[:4], "K", *STAGES[4:], "total",
+            _PROSAC, "total, PROSAC",
+        ),
+        tuple(rows),
+        f"Medians over {measured['queries']} clouds of {measured['segments']:g} segments; the map "
+        f"has {max(measured['map'], MAP_SEGMENTS)} segments, {measured['map']} of this place, and "
+        "the others of perturbed copies. "
+        + ("" if gpu else "There was no GPU to run the networks on. ")
+        + (f"With random weights, where none are shipped: {', '.join(random)}." if random else ""),
+    )  # fmt: skip
+
+
+def _row(
+    name: str, processor: str, descriptors: Mapping[str, Descriptor], times: Mapping[str, float]
+) -> tuple[Cell, ...]:
+    neighbours = Config.preset(name).matching.neighbours
+    total = sum(times[stage] for stage in STAGES)
+    prosac = total - times["pose"] + times[_PROSAC]
+    shown = [round(times[stage], 3) for stage in STAGES]
+    ends = (round(total, 3), round(times[_PROSAC], 3), round(prosac, 3))
+    return (name, processor, descriptors[name].dim, *shown[:4], neighbours, *shown[4:], *ends)

@@ -1,0 +1,48 @@
+"""Where a study of the paper runs: a folder, simulated test sets, and KITTI where it is at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from segloc.batch import workspace
+from segloc.errors import ConfigError
+from segloc.simulation.suites import SUITES, TestSet
+
+SCALES = ("small", "full")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workspace(workspace.Workspace):
+    """The folder, the data and the means of an evaluation.
+
+    Attributes
+    ----------
+    suite, scale : str
+        Of :data:`segloc.simulation.suites.SUITES`; "small" or "full".
+    data : Path or None
+        KITTI odometry 00: keyframes, scans and their poses, as ``protocols/kitti00.sh`` reads it.
+    """
+
+    suite: str = "six"
+    scale: str = "small"
+    data: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.scale not in SCALES:
+            raise ConfigError(f"scale must be one of {', '.join(SCALES)}, not {self.scale!r}")
+        if self.suite not in SUITES:
+            raise ConfigError(f"suite must be one of {', '.join(SUITES)}, not {self.suite!r}")
+
+    @property
+    def sets(self) -> tuple[TestSet, ...]:
+        """The test sets of the suite."""
+        return SUITES[self.suite]
+
+    def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
+        """What a study says of itself: enough to repeat it."""
+        data = None if self.data is None else self.data.name
+        own = {"suite": self.suite, "scale": self.scale, "data": data}
+        return {**super().facts(seconds, fingerprints), **own}

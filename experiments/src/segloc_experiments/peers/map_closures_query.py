@@ -1,0 +1,58 @@
+"""map-closures (Gupta et al., ICRA 2024): ORB features of density images of local maps.
+
+    python benchmarks/peers/map_closures_query.py OUT/accumulated --views long
+
+Run it in an environment of its own (see README.md). There is no call that asks without
+storing, so the time of a query includes storing it, and closures with earlier queries are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from map_closures.config import MapClosuresConfig
+from map_closures.map_closures import MapClosures
+
+from .exchange import Answers, Clouds, run
+
+REACH_M = 50.0
+
+
+def near(points: np.ndarray) -> np.ndarray:
+    return points[np.hypot(points[:, 0], points[:, 1]) < REACH_M].astype(np.float64)
+
+
+def ask(folder: Path, options: argparse.Namespace) -> None:
+    views = Clouds.load(folder / f"views-{options.views}.npz")
+    queries = Clouds.load(folder / "queries.npz")
+    closures = MapClosures(MapClosuresConfig(density_map_resolution=options.resolution))
+    for i in range(len(views)):
+        closures.get_best_closure(i, near(views[i]))
+    answers = Answers(len(queries))
+    for q in range(0, len(queries), options.every):
+        cloud = near(queries[q])
+        with answers.timed(q):
+            found = closures.get_top_k_closures(len(views) + q, cloud, options.top)
+        mapped = [
+            c for c in found if 0 <= c.source_id < len(views) and c.target_id == len(views) + q
+        ]
+        if mapped:
+            best = max(mapped, key=lambda closure: closure.number_of_inliers)
+            # The pose takes points of the view to the query.
+            T = views.poses[best.source_id] @ np.linalg.inv(np.asarray(best.pose))
+            answers.give(q, T, float(best.number_of_inliers))
+        answers.save(folder, f"map_closures-{options.views}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--views", default="long", help="long, short or scan")
+    parser.add_argument("--resolution", type=float, default=0.5, help="of the images, metres")
+    parser.add_argument("--top", type=int, default=20, help="closures looked at")
+    run(parser, ask)
+
+
+if __name__ == "__main__":
+    main()

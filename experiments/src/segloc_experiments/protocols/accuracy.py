@@ -1,0 +1,103 @@
+"""How exact localized poses are, against a reference that is registered to the map.
+
+Ground truth of KITTI 00 agrees from pass to pass to about a metre only. So the reference of each
+query is its ground truth, moved to where small_gicp aligns the query with the map's cloud at a
+finer resolution (0.3 m) than verification does (0.8 m), from all points within 50 m. References
+that move farther than 2.5 m, or from another start (0.3 m aside) end elsewhere, are left out and
+counted.
+
+    python benchmarks/accuracy.py DATA OUT --method profile      # OUT as filled by kitti00.sh
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import small_gicp
+
+from segloc import Config, Localizer, SegmentMap, geometry
+from segloc.batch.score import distances_to_path, pose_errors
+from segloc.types import Float64, LocalCloud, Pose
+
+from .city import PROTOCOLS, queries
+
+VOXEL_M, REACH_M, RADIUS_M = 0.3, 1.0, 50.0
+FARTHEST_M, AGREE_M = 2.5, 0.05
+
+
+class Reference:
+    """Where a cloud lies in a map, for clouds whose pose is known to a metre or so."""
+
+    def __init__(self, prior_map: SegmentMap) -> None:
+        self._cloud, self._origin = np.asarray(prior_map.cloud, dtype=np.float64), prior_map.origin
+
+    def pose(self, cloud: LocalCloud, truth: Pose) -> Pose | None:
+        """T_map_sensor; None where two starts do not agree."""
+        T = truth @ geometry.inverse(cloud.T_local_sensor)
+        T = geometry.rigid(T[:3, :3], T[:3, 3] - self._origin)
+        near = np.hypot(*(self._cloud[:, :2] - T[:2, 3]).T) < RADIUS_M + 10
+        target, tree = small_gicp.preprocess_points(self._cloud[near], VOXEL_M)
+        points = cloud.points.astype(np.float64)
+        inside = np.hypot(*points[:, :2].T) < RADIUS_M
+        source, _ = small_gicp.preprocess_points(points[inside], VOXEL_M)
+        ends = []
+        for aside in (0.0, 0.3):
+            start = T @ geometry.yaw_transform(0.0, (aside, aside, 0.0))
+            for reach in (2.0 * REACH_M, REACH_M):
+                result = small_gicp.align(
+                    target, source, tree, start, "GICP", max_correspondence_distance=reach
+                )
+                start = np.array(result.T_target_source)
+            ends.append(start)
+        (apart,), _ = pose_errors(ends[1][None], ends[0][None])
+        (moved,), _ = pose_errors(ends[0][None], T[None])
+        if apart > AGREE_M or moved > FARTHEST_M:
+            return None
+        end = geometry.orthonormal(ends[0])
+        return geometry.rigid(end[:3, :3], end[:3, 3] + self._origin) @ cloud.T_local_sensor
+
+
+def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[Float64, int, int]:
+    """Metres and degrees of the localized queries (N, 2), references left out, not localized."""
+    reference, found, out, lost = Reference(localizer.prior_map), [], 0, 0
+    for scans, truth in queries(data, protocol, localizer.config, step):
+        if distances_to_path(truth[None], localizer.prior_map.trajectory)[0] > 3.0:
+            continue
+        cloud = localizer.accumulator.gather(scans)
+        answer = localizer.localize(cloud)
+        if answer.T_map_sensor is None:
+            lost += 1
+            continue
+        expected = reference.pose(cloud, truth)
+        if expected is None:
+            out += 1
+            continue
+        found.append(np.concatenate(pose_errors(answer.T_map_sensor[None], expected[None])))
+    return np.array(found).reshape(-1, 2), out, lost
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--method", default="profile")
+    parser.add_argument("--step", type=int, default=1, help="ask every so many of the queries")
+    args = parser.parse_args()
+    config = Config.preset(args.method).model_copy(update={"threads": 1})
+    print("| run | queries | median m | 95 % m | median deg | 95 % deg | no reference | lost |")
+    print("|---|---|---|---|---|---|---|---|")
+    for protocol, (*_, name) in PROTOCOLS.items():
+        prior_map = SegmentMap.load(args.out / f"{name}-{args.method}.segmap")
+        off, out, lost = errors(args.data, protocol, Localizer(prior_map, config), args.step)
+        metres, degrees = off.T
+        print(
+            f"| {protocol} | {len(off)} | {np.median(metres):.3f} | {np.percentile(metres, 95):.3f}"
+            f" | {np.median(degrees):.2f} | {np.percentile(degrees, 95):.2f} | {out} | {lost} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Six drifting sessions of a simulated town, in two seasons, against the exact truth: Markdown.
+
+    python benchmarks/align_simulation.py [--scene town]
+
+Each session has other lanes, directions, cars and detours, 1 % of drift and a frame of its own;
+every second one is in winter, with a fifth of what can be moved replaced. Needs the extra ``sim``.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import time
+
+import numpy as np
+
+from segloc import Config, geometry
+from segloc.alignment import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.simulation import SCENES, SENSORS, Conditions, SimulatedSequence, simulate_sessions
+from segloc.types import Float64
+
+from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, print_table, timed
+
+
+def errors(drives: list[SimulatedSequence], found: Alignment) -> dict[tuple[int, int], Float64]:
+    """Metres and degrees that pairs of poses are off, (n, 2), by pair of connected sessions."""
+    result = {}
+    for members in found.components:
+        for b in members:
+            for a in (k for k in members if k < b):
+                result[a, b] = _errors(drives[a], drives[b], found.poses[a], found.poses[b])
+    return result
+
+
+def _errors(a: SimulatedSequence, b: SimulatedSequence, A: Float64, B: Float64) -> Float64:
+    apart = np.linalg.norm(a.truth[:, None, :2, 3] - b.truth[None, :, :2, 3], axis=2)
+    rows = []
+    for j in np.flatnonzero(apart.min(axis=0) < PLACE_M):
+        i = int(apart[:, j].argmin())
+        truth = geometry.inverse(a.truth[i]) @ b.truth[j]
+        delta = geometry.inverse(truth) @ geometry.inverse(A[i]) @ B[j]
+        turn = np.degrees(geometry.rotation_angle(delta))
+        rows.append((float(np.linalg.norm(delta[:3, 3])), turn))
+    return np.array(rows).reshape(-1, 2)
+
+
+def false_loops(drives: list[SimulatedSequence], found: Alignment) -> int:
+    """Accepted loops that are off the truth."""
+    count = 0
+    rows = zip(found.loops, found.loop_sessions, found.loop_scans, strict=True)
+    for loop, sessions, scans in rows:
+        a, b = (geometry.levelled(drives[s].truth[n]) for s, n in zip(sessions, scans, strict=True))
+        delta = geometry.inverse(geometry.inverse(a) @ b) @ loop.T_target_source
+        count += bool(loop.accepted and np.linalg.norm(delta[:3, 3]) > FALSE_M)
+    return count
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", choices=SCENES, default="town")
+    parser.add_argument("--sensor", choices=SENSORS, default="hdl64e")
+    parser.add_argument("--thin", type=int, default=4, help="every n-th firing of the sensor")
+    parser.add_argument("--sessions", type=int, default=6)
+    parser.add_argument("--length", type=float, default=300.0, help="metres of each")
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--threads", type=int, default=1)
+    args = parser.parse_args()
+    seasons = [Conditions(), Conditions(foliage=0.2, replaced=0.2)]
+    drives = simulate_sessions(
+        SCENES[args.scene](args.seed),
+        SENSORS[args.sensor]().thinned(args.thin),
+        [seasons[k % 2] for k in range(args.sessions)],
+        length_m=args.length,
+        seed=args.seed,
+    )
+    sessions = []
+    for k, drive in enumerate(drives):
+        rng = np.random.default_rng([args.seed, k])
+        frame = geometry.yaw_transform(
+            float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
+        )
+        sessions.append(Reposed(drive, frame @ DRIFT.odometry(drive.truth, rng)))
+    began = time.perf_counter()
+    found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
+    accepted = sum(loop.accepted for loop in found.loops)
+    print(f"\n{args.scene}: {time.perf_counter() - began:.0f} s. Components: {found.components}")
+    print(f"Loops: {accepted} accepted, {false_loops(drives, found)} of them false,")
+    print(f"{len(found.loops) - accepted} rejected.\n")
+    print_table(errors(drives, found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""How much simulated scans are like real ones: a table of both, printed as Markdown.
+
+    python benchmarks/simulation_realism.py SCANS POSES
+
+SCANS is a folder of full-resolution HDL-64E scans about two metres apart, POSES
+their poses (TUM). Both sides go through the same segmentation.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from segloc import _native, datasets
+from segloc.datasets.loaders.folder import FolderSequence
+from segloc.local_cloud import Accumulator, window
+from segloc.segmentation import Segmenter
+from segloc.simulation import demo_sessions, hdl64e
+from segloc.types import Float32
+
+WAY_M = 20.0
+
+
+def scan_figures(points: Float32) -> dict[str, float]:
+    """Figures of one full scan."""
+    ranges = np.linalg.norm(points, axis=1)
+    height = _native.heights_above_ground(points, 1.0, 0.2, 0.3)
+    figures = {"points a scan": float(len(points))}
+    for q in (10, 25, 50, 75, 90, 99):
+        figures[f"range, {q} % of points nearer (m)"] = float(np.percentile(ranges, q))
+    figures["points below 0.3 m (%)"] = 100 * float((height < 0.3).mean())
+    figures["points 0.3 to 2 m high (%)"] = 100 * float(((height >= 0.3) & (height < 2)).mean())
+    figures["points above 2 m (%)"] = 100 * float((height >= 2).mean())
+    return figures
+
+
+def shape_shares(points: Float32) -> dict[str, float]:
+    """What structure is made of: by the eigenvalues of each point's 16 nearest neighbours."""
+    _, near = cKDTree(points).query(points, 16)
+    patch = points[near] - points[near].mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))
+    small, middle, large = np.maximum(values, 1e-9).T
+    scattered = small / large > 0.08
+    line = ~scattered & (middle / large < 0.12)
+    flat = ~scattered & ~line
+    upright = np.abs(vectors[:, 2, 0]) < 0.3
+    return {
+        "structure: upright surfaces (%)": 100 * float((flat & upright).mean()),
+        "structure: other surfaces (%)": 100 * float((flat & ~upright).mean()),
+        "structure: edges and poles (%)": 100 * float(line.mean()),
+        "structure: scattered, as foliage (%)": 100 * float(scattered.mean()),
+    }
+
+
+def cloud_figures(sequence: datasets.Sequence, i: int) -> dict[str, float]:
+    """Figures of the local cloud gathered over the 20 m before position i."""
+    assert sequence.poses is not None
+    span = window(sequence.poses, i, WAY_M, centred=False, max_gap_m=10.0)
+    cloud = Accumulator().gather([sequence.scan(k) for k in span])
+    found = Segmenter().segment(cloud)
+    structure = found.structure[np.linalg.norm(found.structure[:, :2], axis=1) < 30.0]
+    points, offsets = found.segments.points, found.segments.offsets
+    low = np.minimum.reduceat(points, offsets[:-1])
+    extent = np.maximum.reduceat(points, offsets[:-1]) - low
+    flat = extent[:, :2].max(axis=1)
+    figures = {
+        "segments a local cloud": float(len(found.segments)),
+        "points a segment, median": float(np.median(found.segments.sizes)),
+        "segment length, quartile 1 (m)": float(np.percentile(flat, 25)),
+        "segment length, median (m)": float(np.median(flat)),
+        "segment length, quartile 3 (m)": float(np.percentile(flat, 75)),
+        "segment height, median (m)": float(np.median(extent[:, 2])),
+        "segments as long and high as a car (%)": 100 * float(_car_like(extent).mean()),
+        "structure voxels within 30 m": float(len(structure)),
+    }
+    return figures | shape_shares(structure)
+
+
+def _car_like(extent: Float32) -> np.ndarray:
+    long, short = np.sort(extent[:, :2], axis=1)[:, ::-1].T
+    return (long > 2.5) & (long < 6.0) & (short > 1.0) & (short < 3.5) & (extent[:, 2] < 1.9)
+
+
+Figures: TypeAlias = Callable[[datasets.Sequence, int], dict[str, float]]
+
+
+def quartiles(
+    sequences: Sequence[datasets.Sequence], figures: Figures, count: int
+) -> dict[str, tuple[float, float, float]]:
+    """Median and quartiles of each figure over evenly spaced positions."""
+    rows = [
+        figures(sequence, int(i))
+        for sequence in sequences
+        for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int)
+    ]
+    return {
+        name: tuple(float(v) for v in np.percentile([row[name] for row in rows], [50, 25, 75]))
+        for name in rows[0]
+    }
+
+
+def _cell(middle: float, low: float, high: float) -> str:
+    digits = 0 if middle > 30 else 1
+    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scans", help="folder of real scans")
+    parser.add_argument("poses", help="their poses (TUM)")
+    parser.add_argument("--count", type=int, default=24, help="scans and clouds a side")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 5], help="towns to simulate")
+    args = parser.parse_args()
+    real: list[datasets.Sequence] = [FolderSequence(args.scans, args.poses)]
+    simulated: list[datasets.Sequence] = [
+        demo_sessions(seed, sensor=hdl64e())["map"].with_odometry() for seed in args.seeds
+    ]
+    print("Medians, with quartiles.\n\n| | real | simulated |\n|---|---|---|")
+    for figures in (lambda s, i: scan_figures(s.scan(i).points), cloud_figures):
+        left, right = (quartiles(side, figures, args.count) for side in (real, simulated))
+        for name in left:
+            print(f"| {name} | {_cell(*left[name])} | {_cell(*right[name])} |")
+
+
+if __name__ == "__main__":
+    main()

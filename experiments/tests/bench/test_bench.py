@@ -1,0 +1,119 @@
+"""Benchmarks: what they time is right, and what they report is complete."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from segloc_experiments.bench import fps, geometric, harness, inputs, network, query, suite
+from typer.testing import CliRunner
+
+from segloc import Config, ConfigError, _native, build_map
+from segloc.cli import app
+from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS
+
+
+@pytest.mark.parametrize("sampler", [fps.per_segment, fps.batched, fps.batched_columns])
+def test_rival_samplers_take_the_farthest_points(sampler):
+    points = inputs.segments(4)
+    assert np.array_equal(sampler(points, 60), _native.fps(points, 60))
+    assert fps.shortfall(points, sampler(points, 60)) > 0.999
+
+
+def test_shortfall_sees_samples_that_are_too_near():
+    points = inputs.segments(4)
+    order = _native.fps(points, 60).copy()
+    order[2, 30:] = order[2, 30:][::-1]
+    assert fps.shortfall(points, order) < 0.999
+
+
+def test_partitions_are_compared_up_to_names():
+    assert geometric.same_partition(np.array([0, 0, 1]), np.array([5, 5, 2]))
+    assert not geometric.same_partition(np.array([0, 0, 1]), np.array([0, 1, 1]))
+    assert not geometric.same_partition(np.array([0, 0, 1]), np.array([0, 0, 0]))
+
+
+def test_rival_neighbours_are_exact():
+    database, queries = inputs.descriptors(500), inputs.descriptors(20, seed=1)
+    expected, _ = _native.knn(queries, database, 7)
+    assert np.array_equal(geometric.product_and_partition(queries, database, 7), expected)
+
+
+def test_match_problems_are_what_they_say():
+    problem = inputs.match_problem(inliers=0.02, mapped=1000)
+    R, t = problem.T_map_local[:3, :3], problem.T_map_local[:3, 3]
+    moved = problem.query[problem.match_query] @ R.T + t
+    near = np.linalg.norm(moved - problem.mapped[problem.match_map], axis=1) < 1.0
+    assert len(near) == 7500
+    assert 140 <= near.sum() <= 160
+    assert near[:3750].sum() > 1.5 * near[3750:].sum()
+    assert problem.found(problem.T_map_local[None])
+    assert not problem.found(np.eye(4)[None])
+    assert problem.found(geometric.consensus(problem))
+    assert problem.found(geometric.prosac(problem))
+
+
+@pytest.mark.parametrize("layers", [DSM_LAYERS, ESM_LAYERS])
+def test_random_networks_run(layers):
+    engine = network.build(layers, network.random_tensors(layers))
+    vectors, _ = engine.describe(network.prepared_segments(3), 1)
+    assert np.isfinite(vectors).all()
+    assert vectors.std(axis=0).max() > 0
+    assert all(flops > 0 for flops in network.layer_flops(layers))
+
+
+def test_interleaving_runs_each_in_turn():
+    order = []
+    runs = {name: lambda name=name: order.append(name) for name in "ab"}
+    times = harness.interleaved(runs, 1, 3)
+    assert order == list("ab") * 4  # one round to warm up
+    assert set(times) == set("ab")
+
+
+@pytest.fixture(scope="module")
+def plaza_scene():
+    walk = inputs.PlazaWalk(inputs.Plaza(), steps=6)
+    return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
+
+
+def test_a_padded_map_has_the_size_asked_for_and_still_localizes(plaza_scene):
+    size = 3 * len(plaza_scene.prior_map) + 7
+    measured = query.query_row("query", plaza_scene, 1, 1, segments=size)
+    assert measured.details["map segments"] == size
+    assert measured.details["correct"] == 2
+    assert {"segmentation, ms", "matching, ms", "verification, ms"} <= set(measured.details)
+
+
+def test_padding_leaves_the_map_as_it_was(plaza_scene):
+    prior_map = plaza_scene.prior_map
+    count = len(prior_map)
+    larger = query.padded(prior_map, count + 500)
+    assert (len(prior_map), len(larger)) == (count, count + 500)
+    assert np.array_equal(np.sort(larger.centroids[:count], 0), np.sort(prior_map.centroids, 0))
+    assert len(query.padded(prior_map, 10)) == count
+
+
+@pytest.mark.parametrize(
+    ("names", "threads", "repeats"), [(["sorting"], [1], 1), (["fps"], [0], 1), (["fps"], [1], 0)]
+)
+def test_wrong_requests_are_refused(names, threads, repeats):
+    with pytest.raises(ConfigError):
+        suite.run(names, threads, repeats)
+
+
+def test_the_command_line_writes_every_figure(tmp_path: Path):
+    file = tmp_path / "bench.json"
+    options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]
+    result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)
+    assert result.exit_code == 0
+    rows = json.loads(file.read_text())
+    assert [row["name"] for row in rows] == ["clustering", "knn"]
+    for row in rows:
+        assert row["threads"] == 1
+        assert row["ours_ms"] > 0
+        assert any("SciPy" in name for name in row["rivals"])
+    assert rows[0]["bound_ms"] is None
+    assert rows[1]["bound_ms"] > 0
+    assert "SciPy" in result.stdout

@@ -1,0 +1,143 @@
+"""The localization study on a tiny test set: right counts, and nothing computed twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from segloc_experiments.paper import localization as localization_study
+from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario
+from segloc_experiments.paper.workspace import Workspace
+from tiny_suite import TINY
+
+from segloc import Config, Localizer, build_map
+from segloc.batch import comparison as comparison
+from segloc.batch.methods import METHODS, fingerprint, ready
+from segloc.batch.report.study import Study, Table
+from segloc.batch.run import localize_sequence
+from segloc.descriptors import create
+from segloc.errors import ConfigError, DatasetError
+from segloc.simulation.suites import SUITES
+
+METHOD = "geo"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("evaluation")
+
+
+@pytest.fixture
+def workspace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
+    pytest.importorskip("embreex", reason="the simulation needs embreex")
+    monkeypatch.setitem(SUITES, "tiny", (TINY,))
+    return Workspace(folder, suite="tiny", methods=(METHOD, "profile"))
+
+
+@pytest.fixture
+def study(workspace: Workspace) -> Study:
+    """From the cache for every test but the first."""
+    return localization_study.run(workspace)
+
+
+def table(study: Study, name: str) -> Table:
+    return next(each for each in study.tables if each.name == name)
+
+
+def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspace) -> None:
+    """Segments shared by all methods give what a map and a localizer of one method give."""
+    opened = SuiteScenario(TINY, "small", 0).open()
+    query_set = opened.query_sets["test_0"]
+    config = Config.preset(METHOD).model_copy(update={"threads": 1})
+    localizer = Localizer(build_map(opened.map, config), config)
+    expected = localize_sequence(localizer, query_set.recording, query_set.positions)
+    result = localization_study.asked(workspace, ready((METHOD,)))[0]
+    answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
+    assert [a["reason"] for a in answers] == [r.reason for r in expected]
+    assert [a["inliers"] for a in answers] == [r.inliers for r in expected]
+    for answer, localization in zip(answers, expected, strict=True):
+        if localization.T_map_sensor is not None:
+            np.testing.assert_array_equal(answer["T_map_sensor"], localization.T_map_sensor.ravel())
+
+
+def test_the_tables_count_what_was_answered(study: Study) -> None:
+    ours = table(study, "localizations-consensus")
+    assert ours.columns[-2:] == (METHOD, "profile")
+    ((name, kind, sensor, queries, places, *found),) = ours.rows
+    assert (name, kind, sensor) == ("tiny", "City park", "vlp16")
+    assert queries == 8 and isinstance(places, int) and 3 <= places <= 8
+    assert all(isinstance(cell, int) and cell >= 4 for cell in found)
+    for negatives in ("negatives-consensus", "negatives-prosac"):
+        assert table(study, negatives).rows == (("tiny", 8, 0, 0), ("all", 8, 0, 0))
+    details = table(study, "details")
+    assert {(row[1], row[2]) for row in details.rows} == {
+        (method, estimator) for method in (METHOD, "profile") for estimator in comparison.ESTIMATORS
+    }
+    assert table(study, "localizations-paper").source == "paper"
+
+
+def test_the_map_shows_every_query(study: Study) -> None:
+    (figure,) = study.figures
+    shown = sum(len(figure.series[key][0]) for key in ("localized", "not localized"))
+    assert figure.kind == "map" and shown == 8
+    assert len(figure.series["map"][0]) > 100
+
+
+def test_a_second_run_asks_nothing(
+    study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("was asked again")
+
+    monkeypatch.setattr(comparison, "localize_all", never)
+    again = localization_study.run(workspace)
+    assert again.tables == study.tables
+
+
+def test_what_is_damaged_is_asked_again(
+    study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (part,) = workspace.out.glob(f"cache/localization-tiny-{METHOD}-*/data")
+    part.write_bytes(part.read_bytes()[:-2])
+    asked: list[tuple[str, ...]] = []
+    whole = comparison.localize_all
+
+    def watched(opened: object, methods: tuple[str, ...], *rest: object) -> object:
+        asked.append(methods)
+        return whole(opened, methods, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(comparison, "localize_all", watched)
+    said: list[str] = []
+    again = localization_study.run(replace(workspace, say=said.append))
+    assert asked == [(METHOD,)]  # the other method is as it was
+    assert len(said) == 1 and "damaged" in said[0]
+    assert again.tables == study.tables
+
+
+def test_false_answers_stand_in_brackets(study: Study, workspace: Workspace) -> None:
+    (result,) = localization_study.asked(workspace, ready((METHOD,)))
+    answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
+    first = next(answer for answer in answers if answer["T_map_sensor"] is not None)
+    first["T_map_sensor"][3] += 30.0
+    rows = localization_study.summaries([result], ready((METHOD,)), "consensus")
+    cell = next(rows).rows[0][-1]
+    assert isinstance(cell, str) and cell.endswith("(1)")
+
+
+def test_methods_without_weights_are_named_with_the_reason() -> None:
+    found = ready()
+    assert set(found.names) | set(found.left_out) == set(METHODS)
+    assert {"geo", "profile", "dsm", "nsm"} <= set(found.names)
+    for name, why in found.left_out.items():
+        assert f"{name} ({why})" in found.note()
+    assert "+forest-" in fingerprint("nsm") and fingerprint("geo") == create("geo").fingerprint
+    with pytest.raises(ConfigError, match="no method 'best'"):
+        ready(("best",))
+
+
+def test_kitti_without_its_folders_is_one_line(tmp_path: Path) -> None:
+    scenario = KittiScenario(tmp_path, False, "small", 0)
+    with pytest.raises(DatasetError, match="keyframes: no such folder; --kitti needs"):
+        scenario.settings()

@@ -1,0 +1,271 @@
+"""Localizing the queries of a scenario by several methods at once: each cloud is segmented once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from ..config import Config
+from ..descriptors import Descriptor, create
+from ..errors import DatasetError
+from ..local_cloud import Accumulator
+from ..localizer import Localizer
+from ..map.build import add_view, empty_map, map_views
+from ..map.segment_map import SegmentMap
+from ..pose import PoseEstimator
+from ..segmentation import Segmenter
+from ..types import Descriptors, Float64, Localization, Recording, Segments
+from ..verification.verifier import Verifier
+from .run import query_scans
+from .scenario import OpenedScenario, Scenario
+from .score import Evaluation
+
+ESTIMATORS = ("consensus", "prosac")
+"""Ours, and the one of the paper."""
+
+QUALITY = "-fq"
+"""What the name of a method ends with that orders its matches by quality."""
+
+_CELL_M, _TALL_M = 0.5, 1.0
+
+Answer = dict[str, Any]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class MappedPlace:
+    """One place as every method has it in its map, over one cloud.
+
+    Attributes
+    ----------
+    localizers : dict of method to dict of estimator to Localizer
+    trajectory : (V, 4, 4) float64
+    cloud : (N, 3) float64
+        Map frame.
+    """
+
+    localizers: Mapping[str, Mapping[str, Localizer]]
+    trajectory: Float64
+    cloud: Float64
+
+
+def shared_config(method: str, threads: int) -> Config:
+    """A method's preset, with the segmentation that all methods share: the default one."""
+    preset, default = Config.preset(method), Config()
+    shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}
+    return preset.model_copy(update={**shared, "threads": threads})
+
+
+def build_maps(
+    recording: Recording,
+    descriptors: Mapping[str, Descriptor],
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, SegmentMap]:
+    """The maps of several methods, made of the same segments; the first has the cloud of all.
+
+    Raises
+    ------
+    DatasetError
+        If the recording has no poses, or nothing that could be segmented.
+    """
+    config = Config(threads=threads)
+    poses = recording.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
+    first = next(iter(descriptors))
+    maps = {name: empty_map(each, config, poses[0, :3, 3]) for name, each in descriptors.items()}
+    for view in map_views(recording, config, progress=progress):
+        described = describe_all(descriptors, view.scene.segments)
+        for name in descriptors:
+            add_view(maps[name], view, described[name], with_cloud=name == first)
+    if not len(maps[first]):
+        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
+    for prior_map in maps.values():
+        prior_map.add_trajectory(poses)
+    return maps
+
+
+def describe_all(
+    descriptors: Mapping[str, Descriptor], segments: Segments
+) -> dict[str, Descriptors]:
+    """The same segments described by every method; with and without quality it is one network."""
+    found: dict[str, Descriptors] = {}
+    for name in sorted(descriptors, key=len, reverse=True):  # those with quality first
+        rated = found.get(name + QUALITY)
+        found[name] = (
+            descriptors[name].describe(segments) if rated is None else Descriptors(rated.vectors)
+        )
+    return found
+
+
+def build_place(
+    recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
+) -> MappedPlace:
+    """The maps of :func:`build_maps`, ready for queries."""
+    return place_of(build_maps(recording, descriptors, threads), threads)
+
+
+def place_of(maps: Mapping[str, SegmentMap], threads: int = 1) -> MappedPlace:
+    """Maps of one place by several methods, the first with the cloud of all, ready for queries."""
+    bases = {
+        name: Localizer(prior_map, shared_config(name, threads)) for name, prior_map in maps.items()
+    }
+    # The cloud is the same for all methods, and so is what verification prepares of it.
+    first = next(iter(bases.values()))
+    localizers = {name: _localizers(base, first.verifier) for name, base in bases.items()}
+    return MappedPlace(
+        localizers, first.prior_map.trajectory, first.prior_map.cloud + first.prior_map.origin
+    )
+
+
+def _localizers(base: Localizer, verifier: Verifier) -> dict[str, Localizer]:
+    config = base.config
+    found = {}
+    for name in ESTIMATORS:
+        pose = config.pose.model_copy(update={"estimator": name})
+        localizer = copy(base)
+        localizer.verifier = verifier
+        localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+        found[name] = localizer
+    return found
+
+
+def localize_all(
+    opened: OpenedScenario,
+    methods: tuple[str, ...],
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], dict[str, Float64]]:
+    """Localize every query of a scenario in its map and in the negative one, by every method.
+
+    Returns
+    -------
+    answers : dict
+        ``answers[method][query_set][place][estimator]`` is a list of one dict a query, in values that
+        JSON can hold.
+    arrays : dict of str to array
+        "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each query_set "indices-SET"
+        and "truths-SET".
+    """
+    descriptors = {name: create(name, threads) for name in methods}
+    places = {"map": build_place(opened.map, descriptors, threads)}
+    if opened.negative is not None:
+        places["negative"] = build_place(opened.negative, descriptors, threads)
+    answers: dict[str, Any] = {
+        method: {
+            query_set: {place: {name: [] for name in ESTIMATORS} for place in places}
+            for query_set in opened.query_sets
+        }
+        for method in methods
+    }
+    total = sum(len(query_set.positions) for query_set in opened.query_sets.values())
+    for done, (query_set, found) in enumerate(_answered(opened, descriptors, places)):
+        for (method, place, estimator), result in found.items():
+            answers[method][query_set][place][estimator].append(_record(result))
+        if progress:
+            progress(done + 1, total)
+    return answers, _arrays(opened, places["map"])
+
+
+def _answered(
+    opened: OpenedScenario, descriptors: Mapping[str, Descriptor], places: Mapping[str, MappedPlace]
+) -> Iterator[tuple[str, dict[tuple[str, str, str], Localization]]]:
+    config = Config()
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    queries = chain.from_iterable(
+        (
+            (name, scans)
+            for scans in query_scans(query_set.recording, query_set.positions, config.local_cloud)
+        )
+        for name, query_set in opened.query_sets.items()
+    )
+    for name, scans in queries:
+        cloud = accumulator.gather(scans)
+        scene = segmenter.segment(cloud)
+        found = {}
+        for method, described in describe_all(descriptors, scene.segments).items():
+            for place, prior_map in places.items():
+                for estimator, localizer in prior_map.localizers[method].items():
+                    answer = localizer.locate(cloud, scene, described)
+                    found[method, place, estimator] = answer
+        yield name, found
+
+
+def _record(result: Localization) -> Answer:
+    pose = result.T_map_sensor
+    return {
+        "reason": result.reason,
+        "T_map_sensor": None if pose is None else pose.ravel().tolist(),
+        "inliers": result.inliers,
+        "overlap": result.overlap,
+        "confidence": result.confidence,
+    }
+
+
+def _arrays(opened: OpenedScenario, prior_map: MappedPlace) -> dict[str, Float64]:
+    arrays = {
+        "trajectory": prior_map.trajectory[:, :2, 3],
+        "cloud": _standing(prior_map.cloud),
+    }
+    for name, query_set in opened.query_sets.items():
+        arrays[f"indices-{name}"] = query_set.recording.indices[query_set.positions].astype(
+            np.float64
+        )
+        if query_set.truths is not None:
+            arrays[f"truths-{name}"] = query_set.truths
+    return arrays
+
+
+def _standing(cloud: Float64) -> Float64:
+    """Where something stands, (N, 2): cells whose points differ in height by a metre or more."""
+    if not len(cloud):
+        return np.empty((0, 2))
+    cells, group = np.unique(np.round(cloud[:, :2] / _CELL_M), axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    starts = np.flatnonzero(np.diff(group.ravel()[order], prepend=-1))
+    z = cloud[order, 2]
+    tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts) >= _TALL_M
+    standing: Float64 = cells[tall] * _CELL_M
+    return standing
+
+
+def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], query_set: str) -> Evaluation:
+    """The answers to one set of queries, scored against the truth where it is known."""
+    results = [
+        Localization(
+            localized=answer["T_map_sensor"] is not None,
+            reason=answer["reason"],
+            T_map_sensor=None
+            if answer["T_map_sensor"] is None
+            else np.array(answer["T_map_sensor"]).reshape(4, 4),
+            inliers=answer["inliers"],
+            overlap=answer["overlap"],
+            confidence=answer["confidence"],
+        )
+        for answer in answers
+    ]
+    path = np.tile(np.eye(4), (len(arrays["trajectory"]), 1, 1))
+    path[:, :2, 3] = arrays["trajectory"]
+    indices = arrays[f"indices-{query_set}"].astype(np.int64)
+    return Evaluation(indices, results, path, arrays.get(f"truths-{query_set}"))
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scenario to be run by some methods, in a process of its own."""
+
+    scenario: Scenario
+    methods: tuple[str, ...]
+    threads: int
+
+
+def done(job: Job) -> tuple[Job, dict[str, Any], dict[str, Float64]]:
+    """The job, and what :func:`localize_all` found."""
+    answers, arrays = localize_all(job.scenario.open(), job.methods, job.threads)
+    return job, answers, arrays

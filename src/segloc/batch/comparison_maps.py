@@ -1,0 +1,68 @@
+"""Answers drawn on their maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..types import Float64
+from .comparison_tables import Result, groups, label_of
+from .methods import Methods
+from .report.study import Curve, Figure
+from .score import PATH_BREAK_M, Evaluation
+
+_CLOUD_REACH_M = 60.0
+
+
+def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
+    """Every scenario with the answers of one method: ours where it is among them."""
+    method = "profile" if "profile" in methods.names else methods.names[-1]
+    for result in results:
+        for group in groups(result):
+            label = label_of(result, group)
+            parts = [_drawn(result.scored(method, query_set, "consensus")) for query_set in group]
+            series = {"map": _near_way(result.arrays), "path of the map": _way(result.arrays)}
+            for key in parts[0]:
+                series[key] = _joined([part[key] for part in parts])
+            yield Figure(
+                f"map-{label.replace(' ', '-')}",
+                f"{label}: {method}",
+                "map",
+                series,
+                "m",
+                "m",
+            )
+
+
+def _near_way(arrays: Mapping[str, Float64]) -> Curve:
+    cloud, way = arrays["cloud"], arrays["trajectory"]
+    near = cKDTree(way).query(cloud, distance_upper_bound=_CLOUD_REACH_M)[0] < _CLOUD_REACH_M
+    return cloud[near, 0], cloud[near, 1]
+
+
+def _way(arrays: Mapping[str, Float64]) -> Curve:
+    way = arrays["trajectory"]
+    breaks = np.flatnonzero(np.linalg.norm(np.diff(way, axis=0), axis=1) > PATH_BREAK_M) + 1
+    broken = np.insert(way, breaks, np.nan, axis=0)
+    return broken[:, 0], broken[:, 1]
+
+
+def _drawn(scored: Evaluation) -> dict[str, Float64]:
+    """Points of each kind of answer, (N, 2); a false one is tied to its true place."""
+    found = scored.positions_found()[:, :2, 3]
+    false = scored.false[scored.localized]
+    drawn = {"not localized": np.empty((0, 2)), "localized": found[~false]}
+    if scored.truths is not None:
+        truths = scored.truths[:, :2, 3]
+        drawn["not localized"] = truths[~scored.localized]
+        gaps = np.full((int(false.sum()), 2), np.nan)
+        ties = np.stack([truths[scored.false], found[false], gaps], axis=1)
+        drawn["true place of a false one"] = ties.reshape(-1, 2)
+    return {**drawn, "localized falsely": found[false]}
+
+
+def _joined(parts: list[Float64]) -> Curve:
+    points = np.concatenate(parts)
+    return points[:, 0], points[:, 1]

@@ -1,0 +1,80 @@
+"""A failed query from above."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import geometry
+from ..errors import MissingDependency
+from ..types import Float64
+from .failures import Case, gathered
+
+if TYPE_CHECKING:
+    from ..localizer import Localizer
+    from ..types import Recording
+
+
+def draw_case(
+    localizer: Localizer, sequence: Recording, case: Case, position: int, radius_m: float = 60.0
+) -> bytes:
+    """A failed query from above: its segments under the true pose, on those of the map.
+
+    Parameters
+    ----------
+    position : int
+        Of the query in the sequence.
+
+    Returns
+    -------
+    bytes
+        A PNG image.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read.
+    MissingDependency
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependency("matplotlib", "report", "drawing") from error
+    scene = localizer.segmenter.segment(gathered(localizer, sequence, position, sequence.scan))
+    T = np.array(case.T_map_local)
+    middle = T[:2, 3]
+    figure = Figure(figsize=(8.0, 8.4), dpi=110, facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.01, 0.01, 0.98, 0.93))
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+    axes.set_xlim(middle[0] - radius_m, middle[0] + radius_m)
+    axes.set_ylim(middle[1] - radius_m, middle[1] + radius_m)
+    prior_map = localizer.prior_map
+    layers: tuple[tuple[Float64, dict[str, Any], str], ...] = (
+        (
+            prior_map.cloud[:, :2] + prior_map.origin[:2],
+            {"s": 0.3, "color": "#c3c9d4"},
+            "cloud of the map",
+        ),
+        (geometry.transform(T, scene.segments.points)[:, :2], {"s": 0.6, "color": "#f0883e"}, ""),
+        (prior_map.centroids[:, :2], {"s": 10, "color": "#3f4756"}, "segments of the map"),
+        (
+            geometry.transform(T, scene.segments.centroids)[:, :2],
+            {"s": 46, "facecolors": "none", "edgecolors": "#e5243b"},
+            "segments of the query, under the true pose",
+        ),
+    )
+    for points, style, label in layers:
+        near = np.abs(points - middle).max(axis=1) < radius_m if len(points) else slice(0)
+        axes.scatter(*points[near].T, label=label or None, **style)
+    axes.legend(loc="upper right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
+    title = f"{case.index}: {case.stage} ({case.segments} segments, {case.repeated} repeated, "
+    figure.text(0.02, 0.965, f"{title}{case.matched} matched, {case.inliers} inliers)", fontsize=11)
+    image = io.BytesIO()
+    figure.savefig(image, format="png", metadata={"Software": None})
+    return image.getvalue()

@@ -1,0 +1,241 @@
+"""Where queries are lost: the stage at which each one that has a place in the map failed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .. import geometry
+from ..local_cloud import window
+from ..types import Float64, Hypothesis, Int64, LocalCloud, Matches, Pose
+from ..verification.verifier import Verdict
+from .score import PLACE_RADIUS_M, Tolerance, distances_to_path
+
+if TYPE_CHECKING:
+    from ..localizer import Localizer
+    from ..segmentation import Segmentation
+    from ..types import Recording
+
+REPEAT_RADIUS_M = 0.5
+"""A query segment is repeated where the map has the centroid of a segment this close to its own."""
+
+FEWEST_SEGMENTS = 10
+"""A query with fewer segments shows too little, whatever the map holds."""
+
+STAGES = (
+    "localized",
+    "localized falsely",
+    "too few segments",
+    "segments not repeated",
+    "true neighbours not matched",
+    "pose not found",
+    "pose found but rejected",
+)
+
+_MIN_ALIGNED = 0.3
+_SCANS_IN_MEMORY = 64
+
+
+@dataclass(frozen=True)
+class Case:
+    """One query that has a place in the map.
+
+    Attributes
+    ----------
+    index : int
+        The query's number in its sequence.
+    stage : str
+        One of :data:`STAGES`: the first at which too little was left.
+    detail : str
+        The gate that rejected the pose, or "".
+    segments : int
+        Of the query.
+    repeated : int
+        Objects of the query that the map holds, by their centroids under the true pose.
+    matched : int
+        Those of them that are among the matches.
+    inliers : int
+        Of the hypothesis nearest to the truth; 0 if there is none.
+    overlap : float
+        Of the live cloud with the map under the true pose.
+    T_map_local : (4, 4) list
+        The true pose, aligned.
+    """
+
+    index: int
+    stage: str
+    detail: str
+    segments: int
+    repeated: int
+    matched: int
+    inliers: int
+    overlap: float
+    T_map_local: list[list[float]] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Funnel:
+    """How many queries got how far.
+
+    Attributes
+    ----------
+    queries : int
+        Asked in all.
+    cases : tuple of Case
+        Those that have a place in the map.
+    """
+
+    queries: int
+    cases: tuple[Case, ...]
+
+    def counts(self) -> dict[str, int]:
+        """Cases at every stage, in the order of the pipeline."""
+        found = Counter(case.stage for case in self.cases)
+        return {stage: found[stage] for stage in STAGES}
+
+    def details(self) -> dict[str, int]:
+        """Rejected poses by the gate that rejected them, the commonest first."""
+        found = Counter(case.detail for case in self.cases if case.detail)
+        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+
+    def worst(self, count: int) -> list[Case]:
+        """Failed cases, those first that the map explains best: they should have been found."""
+        failed = [case for case in self.cases if case.stage != "localized"]
+        return sorted(failed, key=lambda case: (-case.repeated, case.index))[:count]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything in values that JSON can hold."""
+        return {
+            "queries": self.queries,
+            "within_coverage": len(self.cases),
+            "stages": self.counts(),
+            "rejected_by": self.details(),
+            "cases": [asdict(case) for case in self.cases],
+        }
+
+
+def funnel(
+    localizer: Localizer,
+    sequence: Recording,
+    truths: Float64,
+    positions: Iterable[int] | None = None,
+) -> Funnel:
+    """Follow every query that has a place in the map through the stages.
+
+    Parameters
+    ----------
+    localizer : Localizer
+    sequence : Recording
+        With poses, queries gather the scans of the way behind them, as when localizing.
+    truths : (N, 4, 4) float64
+        True T_map_sensor of the sequence's scans. Where they are good to a metre or two only, the
+        alignment with the map corrects them.
+    positions : iterable of int, optional
+        The queries; all scans by default.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read.
+    """
+    chosen: Int64 = np.fromiter(
+        range(len(sequence)) if positions is None else positions, dtype=np.int64
+    )
+    near = distances_to_path(truths[chosen], localizer.prior_map.trajectory) <= PLACE_RADIUS_M
+    read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)
+    tree = cKDTree(localizer.prior_map.centroids)
+    cases = []
+    for position in map(int, chosen[near]):
+        cloud = gathered(localizer, sequence, position, read)
+        index = int(sequence.indices[position])
+        cases.append(_examine(localizer, tree, cloud, truths[position], index))
+    return Funnel(len(chosen), tuple(cases))
+
+
+def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:
+    """The local cloud of a query: one scan, or with poses those of the way behind it."""
+    scans = range(position, position + 1)
+    if sequence.poses is not None:
+        config = localizer.config.local_cloud
+        scans = window(
+            sequence.poses, position, config.window_m, centred=False, max_gap_m=config.max_gap_m
+        )
+    return localizer.accumulator.gather([read(i) for i in scans])
+
+
+def _examine(
+    localizer: Localizer, tree: cKDTree, cloud: LocalCloud, truth: Pose, index: int
+) -> Case:
+    scene = localizer.segmenter.segment(cloud)
+    centroids = scene.segments.centroids
+    found = localizer.search(scene, localizer.descriptor.describe(scene.segments))
+    T, overlap = _aligned(localizer, scene, truth @ geometry.inverse(cloud.T_local_sensor))
+    placed = geometry.transform(T, centroids)
+    repeated = tree.query(placed)[0] < REPEAT_RADIUS_M if len(placed) else np.empty(0, bool)
+    matched = _matched(localizer.prior_map.centroids, found.matches, placed)
+    nearest = [h for h in found.hypotheses if _same(h.T_map_local, T)]
+    held = _objects(centroids[repeated], localizer)
+    proposed = _objects(centroids[matched & repeated], localizer)
+    inliers = max((h.inliers for h in nearest), default=0)
+    stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found.verdict, T)
+    detail = found.verdict.reason.split(" (")[0] if stage == STAGES[-1] else ""
+    return Case(index, stage, detail, len(centroids), held, proposed, inliers, overlap, T.tolist())
+
+
+def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
+    """The true pose, moved to where the clouds fit best; as it was where they do not."""
+    refined = localizer.verifier.refined(Hypothesis(T, 0), scene)
+    return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
+
+
+def _matched(prior_map: Float64, matches: Matches, placed: Float64) -> Any:
+    found = np.zeros(len(placed), bool)
+    gaps = np.linalg.norm(placed[matches.query] - prior_map[matches.map], axis=1)
+    found[matches.query[gaps < REPEAT_RADIUS_M]] = True
+    return found
+
+
+def _objects(centroids: Float64, localizer: Localizer) -> int:
+    """Segments closer than the estimator's distinct radius are one object."""
+    kept: list[Float64] = []
+    radius = localizer.config.pose.distinct_radius
+    for point in centroids[:, :2]:
+        if all(np.linalg.norm(point - other) >= radius for other in kept):
+            kept.append(point)
+    return len(kept)
+
+
+def _same(a: Pose, b: Pose) -> bool:
+    tolerance = Tolerance()
+    delta = geometry.inverse(a) @ b
+    turned = math.degrees(geometry.rotation_angle(delta))
+    return bool(np.linalg.norm(delta[:2, 3]) <= tolerance.metres and turned <= tolerance.degrees)
+
+
+def _stage(
+    localizer: Localizer,
+    segments: int,
+    objects: tuple[int, int],
+    found: bool,
+    verdict: Verdict,
+    T: Pose,
+) -> str:
+    needed = localizer.config.verification.min_inliers
+    localized, falsely, few, unrepeated, unmatched, unfound, rejected = STAGES
+    if verdict.best is not None and not verdict.reason:
+        return localized if _same(verdict.best.T_map_local, T) else falsely
+    if segments < FEWEST_SEGMENTS:
+        return few
+    repeated, matched = objects
+    if repeated < needed:
+        return unrepeated
+    if matched < needed:
+        return unmatched
+    return rejected if found else unfound

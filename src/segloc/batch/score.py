@@ -1,0 +1,221 @@
+"""How right the answers to many queries are."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .. import geometry
+from ..types import Float64, Int64, Localization, Pose
+
+Bools = NDArray[np.bool_]
+
+PLACE_RADIUS_M = 3.0
+"""A query has a place in a map when the map's trajectory passes this close to it."""
+
+PATH_BREAK_M = 35.0
+"""Poses of a map's trajectory that are farther apart are not joined."""
+
+STAGES = (
+    "segmentation",
+    "preprocessing",
+    "descriptor",
+    "matching",
+    "pruning",
+    "pose",
+    "verification",
+    "total",
+)
+_PATH_STEP_M = 0.5
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far a pose may be from the truth and still count as correct."""
+
+    metres: float = 3.0
+    degrees: float = 5.0
+
+
+def pose_errors(estimates: Float64, truths: Float64) -> tuple[Float64, Float64]:
+    """Distance in metres and angle in degrees between two arrays of poses.
+
+    Parameters
+    ----------
+    estimates, truths : (N, 4, 4) float64
+
+    Returns
+    -------
+    (N,), (N,) float64
+    """
+    deltas = [geometry.inverse(T) @ E for T, E in zip(truths, estimates, strict=True)]
+    translations = [float(np.linalg.norm(delta[:3, 3])) for delta in deltas]
+    rotations = [math.degrees(geometry.rotation_angle(delta)) for delta in deltas]
+    return np.array(translations, dtype=np.float64), np.array(rotations, dtype=np.float64)
+
+
+def distances_to_path(poses: Float64, path: Float64) -> Float64:
+    """Horizontal distance of each pose to a path; infinite where the path is empty.
+
+    The path runs straight between neighbouring poses, except where they are more than
+    ``PATH_BREAK_M`` apart.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+    path : (V, 4, 4) float64
+
+    Returns
+    -------
+    (N,) float64
+        Metres.
+    """
+    if not len(path):
+        return np.full(len(poses), np.inf)
+    start, step = path[:, :2, 3], np.diff(path[:, :2, 3], axis=0, append=path[-1:, :2, 3])
+    step[np.hypot(*step.T) > PATH_BREAK_M] = 0.0
+    shares = np.arange(0.0, 1.0, _PATH_STEP_M / PATH_BREAK_M)
+    points = start[:, None] + shares[:, None] * step[:, None]
+    distances, _ = cKDTree(points.reshape(-1, 2)).query(poses[:, :2, 3])
+    return np.asarray(distances, dtype=np.float64)
+
+
+class Evaluation:
+    """Answers to N queries, and the truth where it is known.
+
+    Parameters
+    ----------
+    indices : (N,) int64
+        The queries' numbers in their sequence.
+    results : list of N Localization
+    path : (V, 4, 4) float64
+        The map's trajectory.
+    truths : (N, 4, 4) float64, optional
+        True T_map_sensor.
+
+    Attributes
+    ----------
+    localized, correct, false, within_coverage : (N,) bool
+        ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those whose true
+        position the map's trajectory passes within ``PLACE_RADIUS_M``. Without truths all three
+        are all False.
+    translation_error, rotation_error, distance_to_map : (N,) float64
+        Metres, degrees, metres; NaN where not known.
+    """
+
+    def __init__(
+        self,
+        indices: Int64,
+        results: list[Localization],
+        path: Float64,
+        truths: Float64 | None = None,
+        tolerance: Tolerance | None = None,
+    ) -> None:
+        tolerance = tolerance or Tolerance()
+        count = len(results)
+        self.indices, self.results, self.truths = indices, results, truths
+        self.localized: Bools = np.array([r.localized for r in results], dtype=bool)
+        self.translation_error = np.full(count, np.nan)
+        self.rotation_error = np.full(count, np.nan)
+        self.distance_to_map = np.full(count, np.nan)
+        if truths is not None:
+            found = np.flatnonzero(self.localized)
+            errors = pose_errors(self.positions_found(), truths[found])
+            self.translation_error[found], self.rotation_error[found] = errors
+            self.distance_to_map = distances_to_path(truths, path)
+        self.correct: Bools = (self.translation_error <= tolerance.metres) & (
+            self.rotation_error <= tolerance.degrees
+        )
+        self.false: Bools = self.localized & ~self.correct & (truths is not None)
+        self.within_coverage: Bools = self.distance_to_map <= PLACE_RADIUS_M
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def positions_found(self) -> Float64:
+        """T_map_sensor of the localized queries, (L, 4, 4) float64."""
+        poses = [r.T_map_sensor for r in self.results if r.T_map_sensor is not None]
+        return np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """One query after another in values that JSON can hold; all times are under ``ms``."""
+        for i, (index, result) in enumerate(zip(self.indices, self.results, strict=True)):
+            record = {"index": int(index), **_record(result)}
+            if self.truths is not None:
+                record |= {
+                    "translation_error_m": _finite(self.translation_error[i]),
+                    "rotation_error_deg": _finite(self.rotation_error[i]),
+                    "correct": bool(self.correct[i]),
+                    "distance_to_map_m": _finite(self.distance_to_map[i]),
+                }
+            yield {**record, "ms": {k: _finite(v) for k, v in result.times_ms.items()}}
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, errors and times over all queries, in values that JSON can hold."""
+        known = self.truths is not None
+        reasons = Counter(r.reason for r in self.results if not r.localized)
+        summary: dict[str, Any] = {
+            "queries": len(self),
+            "localized": int(self.localized.sum()),
+            "not_localized": int((~self.localized).sum()),
+            "correct": int(self.correct.sum()) if known else None,
+            "false": int(self.false.sum()) if known else None,
+            "translation_error_m": _spread(self.translation_error),
+            "rotation_error_deg": _spread(self.rotation_error),
+            "ms": {stage: self._median_ms(stage) for stage in STAGES},
+            "reasons": dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0]))),
+        }
+        if known:
+            summary["within_coverage"] = int(self.within_coverage.sum())
+            summary["within_coverage_correct"] = int((self.within_coverage & self.correct).sum())
+        return summary
+
+    def _median_ms(self, stage: str) -> float | None:
+        times = [r.times_ms[stage] for r in self.results if stage in r.times_ms]
+        return _finite(np.median(times)) if times else None
+
+
+def _record(result: Localization) -> dict[str, Any]:
+    other = result.runner_up
+    return {
+        "stamp": _finite(result.stamp),
+        "localized": result.localized,
+        "reason": result.reason,
+        "T_map_sensor": _nested(result.T_map_sensor),
+        "inliers": result.inliers,
+        "overlap": _finite(result.overlap),
+        "seen": _finite(result.seen),
+        "margin": _finite(result.margin),
+        "rmse": _finite(result.rmse),
+        "confidence": _finite(result.confidence),
+        "runner_up": None
+        if other is None
+        else {
+            "T_map_local": _nested(other.T_map_local),
+            "inliers": other.inliers,
+            "overlap": _finite(other.overlap),
+        },
+        "counts": dict(result.counts),
+    }
+
+
+def _nested(pose: Pose | None) -> list[list[float]] | None:
+    return None if pose is None else np.asarray(pose, dtype=np.float64).tolist()
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _spread(values: Float64) -> dict[str, float | None]:
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return {"median": None, "p95": None}
+    return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}

@@ -1,0 +1,168 @@
+"""Where a study runs: its folder, its means, and the finished parts it never computes again."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .._native import __version__, instruction_set
+from ..errors import SeglocError
+from ..system import processor
+from . import cache
+
+T = TypeVar("T")
+Update = Callable[[int, int], None]
+
+
+@contextmanager
+def silent(label: str) -> Iterator[Update]:
+    """A progress that shows nothing."""
+    del label
+    yield lambda done, total: None
+
+
+def mute(text: str) -> None:
+    """Take a remark and say nothing."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The folder and the means of an evaluation.
+
+    Attributes
+    ----------
+    out : Path
+        The folder of all results; finished parts lie in its folder ``cache``.
+    seed, threads, workers : int
+        Of whatever is drawn at random; of the engine (0: all cores); processes.
+    methods : tuple of str or None
+        Only these.
+    progress : callable
+        ``with progress(label) as update: update(done, total)``.
+    say : callable
+        Takes remarks of one line.
+    command : str
+        That repeats the work; printed beside the results.
+    """
+
+    out: Path
+    seed: int = 0
+    threads: int = 1
+    workers: int = 1
+    methods: tuple[str, ...] | None = None
+    progress: Callable[[str], AbstractContextManager[Update]] = field(default=silent)
+    say: Callable[[str], None] = field(default=mute)
+    command: str = ""
+
+    def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
+        """What a study says of itself: enough to repeat it.
+
+        ``fingerprints`` are those of weights and descriptors, by method.
+        """
+        packages = ("numpy", "scipy", "torch", "embreex", "scikit-learn")
+        versions = {"segloc": __version__, "python": platform.python_version()}
+        return {
+            "command": self.command,
+            "seed": self.seed,
+            "threads": self.threads,
+            "workers": self.workers,
+            "fingerprints": dict(fingerprints),
+            "versions": versions | {name: v for name in packages if (v := _version(name))},
+            "machine": f"{processor()}, {os.cpu_count()} cores, {instruction_set()}",
+            "seconds": round(seconds, 1),
+        }
+
+    def cached(
+        self,
+        name: str,
+        settings: Mapping[str, object],
+        compute: Callable[[], T],
+        save: Callable[[T, Path], object],
+        load: Callable[[Path], T],
+    ) -> T:
+        """What ``compute`` returns, computed once for a name and settings.
+
+        Parameters
+        ----------
+        name : str
+            Of the part, for people; letters, digits, ``-`` and ``_``.
+        settings : dict
+            Everything that the result depends on, in values that JSON can hold, fingerprints of
+            weights and data included.
+        compute : callable
+        save : callable
+            Writes the value to a path that does not exist yet, as a file or as a folder.
+        load : callable
+            Reads it back. A part whose files have changed, or that cannot be loaded, is computed
+            again.
+
+        Raises
+        ------
+        SeglocError
+            If the folder cannot be written.
+        """
+        found = self.find(name, settings, load)
+        if found is not None:
+            return found
+        value = compute()
+        self.keep(name, settings, value, save)
+        return value
+
+    def find(
+        self, name: str, settings: Mapping[str, object], load: Callable[[Path], T]
+    ) -> T | None:
+        """A finished part, or None where there is none or its files are damaged."""
+        folder = self._folder(name, settings)
+        if not folder.exists():
+            return None
+        try:
+            cache.check(folder)
+            return load(folder / cache.DATA)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, SeglocError) as error:
+            self.say(f"{folder}: damaged, computed again ({_line(error)})")
+            return None
+
+    def keep(
+        self,
+        name: str,
+        settings: Mapping[str, object],
+        value: T,
+        save: Callable[[T, Path], object],
+    ) -> None:
+        """Store a finished part, the whole of it or nothing.
+
+        Raises
+        ------
+        SeglocError
+            If the folder cannot be written.
+        """
+        entry: dict[str, object] = {"name": name, "settings": settings}
+        cache.store(self._folder(name, settings), entry, lambda path: save(value, path))
+
+    def _folder(self, name: str, settings: Mapping[str, object]) -> Path:
+        return self.out / "cache" / f"{name}-{cache.digest(settings)[:16]}"
+
+    def cached_json(
+        self, name: str, settings: Mapping[str, object], compute: Callable[[], Any]
+    ) -> Any:
+        """:meth:`cached` for a value that JSON can hold; returned as JSON gives it back."""
+        value = self.cached(name, settings, compute, cache.save_json, cache.load_json)
+        return json.loads(json.dumps(value))
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,81 @@
+"""``segloc evaluate failures``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import ConfigFile, Every, Poses, Recording, Select, Threads, check_every, load_config
+
+if TYPE_CHECKING:
+    from ..batch.failures import Funnel
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to a command line."""
+    app.command("failures")(failures)
+
+
+def failures(
+    sequence: Recording,
+    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    truth: Annotated[Path, typer.Option(help="True poses in the map's frame.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
+    poses: Poses = None,
+    select: Select = None,
+    every: Every = None,
+    pictures: Annotated[int, typer.Option(min=0, help="Draw so many of the worst cases.")] = 5,
+    config: ConfigFile = None,
+    threads: Threads = 0,
+) -> None:
+    """Show at which stage each query that has a place in the map was lost.
+
+    Writes funnel.json, and a picture of each of the failures that the map explains best.
+    """
+    import json
+
+    import numpy as np
+
+    from ..batch.failure_picture import draw_case
+    from ..batch.failures import funnel
+    from ..batch.run import query_positions
+    from ..datasets import open_sequence
+    from ..errors import DatasetError
+    from ..files import replacing
+    from ..localizer import Localizer
+    from ..map.segment_map import SegmentMap
+    from .results import check_folder
+
+    check_every(every)
+    check_folder(out)
+    prior = SegmentMap.load(prior_map)
+    localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
+    recording = open_sequence(sequence, poses, select)
+    truths = open_sequence(sequence, truth, select).poses
+    if truths is None:
+        raise DatasetError(f"{truth}: no poses")
+    positions = np.arange(len(recording), dtype=np.int64)
+    if every is not None:
+        positions = query_positions(truths, every, localizer.config.local_cloud.max_gap_m)
+    found = funnel(localizer, recording, truths, positions)
+    show(found)
+    out.mkdir(parents=True, exist_ok=True)
+    with replacing(out / "funnel.json") as file:
+        file.write((json.dumps(found.to_json(), indent=2, allow_nan=False) + "\n").encode())
+    at = {int(index): position for position, index in enumerate(recording.indices)}
+    for case in found.worst(pictures):
+        with replacing(out / f"failure_{case.index:06d}.png") as file:
+            file.write(draw_case(localizer, recording, case, at[case.index]))
+
+
+def show(found: Funnel) -> None:
+    """Print a funnel as one table."""
+    from .console import table
+
+    rows = [("queries", str(found.queries)), ("with a place in the map", str(len(found.cases)))]
+    for stage, count in found.counts().items():
+        rows.append((f"  {stage}", str(count)))
+    rows += [(f"    {gate}", str(count)) for gate, count in found.details().items()]
+    table("Where queries are lost", ("", ""), rows)

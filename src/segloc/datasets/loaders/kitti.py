@@ -1,0 +1,111 @@
+"""KITTI odometry and SemanticKITTI: ``sequences/00``, with ``velodyne`` and ``calib.txt``.
+
+Format: the development kit's readme.txt, cvlibs.net/datasets/kitti/eval_odometry.php. Poses are
+those of the left camera; ``Tr`` of calib.txt takes Velodyne points to it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ... import geometry
+from ...errors import DatasetError
+from ...io.trajectory import read_trajectory_and_kind
+from ...types import Float64, Int64, Pose
+from ..binary import parse_float4
+from ..layout import holds_scans, numbers, relative, scan_files
+from ..recorded import FileSource, Found
+from ..tracks import Track, matrix_poses, read_table
+
+NAME = "KITTI odometry"
+INNER = ("velodyne",)
+
+
+def recognises(path: Path) -> bool:
+    """Whether the path is a sequence's folder."""
+    beside = any((path / name).is_file() for name in ("calib.txt", "times.txt"))
+    return beside and holds_scans(path / "velodyne")
+
+
+def find(path: Path, topic: str | None) -> Found:
+    """Read what is there besides the scans."""
+    files = scan_files(path / "velodyne")
+    indices = numbers(files)
+    stamps, note = _stamps(path / "times.txt", indices)
+    truth = next((file for file in _truths(path) if file.is_file()), None)
+    return Found(
+        name=path.resolve().name,
+        format=NAME,
+        source=FileSource(tuple(files), parse_float4),
+        indices=indices,
+        stamps=stamps,
+        own_track=lambda: camera_track(truth, path, relative(truth, path)) if truth else None,
+        frame="velodyne",
+        fields="x y z reflectance",
+        notes=(note,) if note else (),
+        own_poses=lambda file: camera_track(file, path, str(file)),
+    )
+
+
+def _truths(path: Path) -> tuple[Path, Path]:
+    """SemanticKITTI's poses, then those of the benchmark."""
+    folder = path.resolve()
+    return path / "poses.txt", folder.parent.parent / "poses" / f"{folder.name}.txt"
+
+
+def _stamps(path: Path, indices: Int64) -> tuple[Float64 | None, str]:
+    if not path.is_file():
+        return None, "times.txt is missing: scans have no times"
+    times = read_table(path, [0], separator=None)[:, 0]
+    if len(times) <= indices.max():
+        return (
+            None,
+            f"times.txt has {len(times)} rows, but scans go up to {indices.max()}: not used",
+        )
+    return times[indices], ""
+
+
+def camera_track(file: Path, folder: Path, name: str) -> Track | None:
+    """A KITTI file of camera poses as those of the Velodyne; None for a TUM file.
+
+    The world is the first Velodyne frame: x forward, z up.
+    """
+    trajectory, kind = read_trajectory_and_kind(file)
+    if kind != "kitti" or not len(trajectory):
+        return None
+    T_cam_velo = read_calibration(folder / "calib.txt", "Tr")
+    poses = geometry.inverse(T_cam_velo) @ np.array(trajectory.poses) @ T_cam_velo
+    return Track(name, np.array(trajectory.stamps), poses, "numbers")
+
+
+def read_calibration(path: Path, key: str) -> Pose:
+    """The rigid transform that a line ``key: 12 numbers`` of a calibration file holds.
+
+    Raises
+    ------
+    DatasetError
+        If the file or the line is missing, or it is no rigid transform.
+    """
+    values = read_values(path, key)
+    if values.shape != (12,):
+        raise DatasetError(f"{path}: {key} has {len(values)} numbers, not 12")
+    T: Pose = matrix_poses(values[None])[0]
+    if np.abs(T[:3, :3] - values.reshape(3, 4)[:, :3]).max() > 1e-2:
+        raise DatasetError(f"{path}: {key} is not a rigid transform")
+    return T
+
+
+def read_values(path: Path, key: str) -> Float64:
+    """The numbers behind ``key:`` in a calibration file."""
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such file; poses cannot be read without it")
+    for line in path.read_text("utf-8", "replace").splitlines():
+        name, _, rest = line.partition(":")
+        if name.strip() == key:
+            try:
+                return np.array([float(word) for word in rest.split()])
+            except ValueError as error:
+                raise DatasetError(f"{path}: {key}: {error}") from error
+    raise DatasetError(f"{path}: no line {key!r}")

@@ -1,0 +1,114 @@
+"""nuScenes: the folder that holds ``v1.0-mini`` (or another version), ``samples`` and ``sweeps``.
+
+Format: the schema of nuscenes.org and github.com/nutonomy/nuscenes-devkit; H. Caesar et al.,
+"nuScenes: A multimodal dataset for autonomous driving", CVPR 2020. A recording is a scene, which
+is chosen like a topic: ``--topic scene-0061``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import DatasetError
+from ...io.kitti_bin import parse_nuscenes
+from ...types import Float64
+from ..layout import choose
+from ..recorded import FileSource, Found
+from ..tracks import clean_track, quaternion_poses
+
+NAME = "nuScenes"
+INNER: tuple[str, ...] = ()
+_CHANNEL = "LIDAR_TOP"
+_MOST_NAMED = 12
+
+Row = dict[str, Any]
+
+
+def recognises(path: Path) -> bool:
+    """Whether the path is a data root."""
+    return bool(_versions(path))
+
+
+def _versions(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return []
+    return sorted(file.parent for file in path.glob("v1.0-*/scene.json"))
+
+
+def find(path: Path, topic: str | None) -> Found:
+    """Read the tables and follow one scene's sweeps."""
+    scenes = {
+        row["name"]: (folder, row) for folder in _versions(path) for row in _table(folder, "scene")
+    }
+    named = sorted(scenes)
+    if topic is None and len(named) > _MOST_NAMED:
+        few = ", ".join(named[:_MOST_NAMED])
+        raise DatasetError(f"{path}: {len(named)} scenes: choose one: --topic {few}, ...")
+    name = choose(path, named, topic)
+    folder, scene = scenes[name]
+    try:
+        sweeps = _sweeps(folder, scene)
+        poses, stamps = _poses(folder, sweeps)
+        files = tuple(path / sweep["filename"] for sweep in sweeps)
+    except (KeyError, TypeError) as error:
+        raise DatasetError(f"{folder}: tables do not fit together: {error!r}") from error
+    return Found(
+        name=name,
+        format=NAME,
+        source=FileSource(files, parse_nuscenes),
+        indices=np.arange(len(files)),
+        stamps=stamps,
+        own_track=lambda: clean_track("ego_pose", stamps, poses),
+        topic=name,
+        frame=_CHANNEL,
+        fields="x y z intensity ring",
+    )
+
+
+def _table(folder: Path, name: str) -> list[Row]:
+    path = folder / f"{name}.json"
+    try:
+        rows = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: {str(error).splitlines()[0]}") from error
+    if not isinstance(rows, list):
+        raise DatasetError(f"{path}: not a table")
+    return rows
+
+
+def _sweeps(folder: Path, scene: Row) -> list[Row]:
+    """The scene's sweeps of the roof LiDAR, in order."""
+    sensors = {row["token"] for row in _table(folder, "sensor") if row["channel"] == _CHANNEL}
+    mounts = {
+        row["token"]: row
+        for row in _table(folder, "calibrated_sensor")
+        if row["sensor_token"] in sensors
+    }
+    samples = {
+        row["token"] for row in _table(folder, "sample") if row["scene_token"] == scene["token"]
+    }
+    rows = [
+        {**row, "mount": mounts[row["calibrated_sensor_token"]]}
+        for row in _table(folder, "sample_data")
+        if row["sample_token"] in samples and row["calibrated_sensor_token"] in mounts
+    ]
+    return sorted(rows, key=lambda row: int(row["timestamp"]))
+
+
+def _poses(folder: Path, sweeps: list[Row]) -> tuple[Float64, Float64]:
+    wanted = {sweep["ego_pose_token"] for sweep in sweeps}
+    egos = {row["token"]: row for row in _table(folder, "ego_pose") if row["token"] in wanted}
+    T_world_car = _stacked([egos[sweep["ego_pose_token"]] for sweep in sweeps], folder)
+    T_car_lidar = _stacked([sweep["mount"] for sweep in sweeps], folder)
+    stamps = np.array([int(sweep["timestamp"]) * 1e-6 for sweep in sweeps])
+    return T_world_car @ T_car_lidar, stamps
+
+
+def _stacked(rows: list[Row], folder: Path) -> Float64:
+    xyz = np.array([row["translation"] for row in rows], dtype=np.float64).reshape(-1, 3)
+    wxyz = np.array([row["rotation"] for row in rows], dtype=np.float64).reshape(-1, 4)
+    return quaternion_poses(xyz, wxyz[:, [1, 2, 3, 0]], str(folder))

@@ -1,0 +1,99 @@
+"""Captures of Ouster packets (``.pcap``) with the sensor's metadata (``.json``) beside them."""
+
+from __future__ import annotations
+
+import glob
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import DatasetError
+from ...io.scans import read_file
+from ...types import Scan
+from ..layout import choose
+from ..recorded import Found
+from .captures import datagrams, mapped
+from .ouster_packets import FIELDS, FRAME, Sensor, Turns, gather, read_sensor
+
+NAME = "Ouster packets"
+INNER: tuple[str, ...] = ()
+
+
+def recognises(path: Path) -> bool:
+    """Whether the path is a capture with metadata of an Ouster beside it."""
+    return path.suffix == ".pcap" and path.is_file() and bool(_metadata(path))
+
+
+def _metadata(path: Path) -> dict[str, Path]:
+    """Files of metadata by the names of the sensors: CAPTURE.json, or CAPTURE*.json of several."""
+    own = path.with_suffix(".json")
+    several = sorted(path.parent.glob(f"{glob.escape(path.stem)}*.json"))
+    others = [file for file in several if not file.with_suffix(".pcap").exists()]
+    found = [own] if own.is_file() else others
+    return {file.stem: file for file in found if b"beam_altitude_angles" in file.read_bytes()}
+
+
+def find(path: Path, topic: str | None) -> Found:
+    """Find where the turns are; nothing is decoded yet."""
+    present = _metadata(path)
+    name = choose(path, list(present), topic)
+    sensor = read_sensor(read_file(present[name]), str(present[name]))
+    count = 0
+    with mapped(path) as data:
+        packets = []
+        for datagram in datagrams(data):
+            count += 1
+            if sensor.sent(datagram.size, datagram.port):
+                number = sensor.frame_id(datagram.content(data))
+                packets.append((number, datagram.stamp, datagram.first, datagram.stop))
+        turns = gather(packets, sensor)
+    if not len(turns):
+        to = f" to port {sensor.port}" if sensor.port else ""
+        raise DatasetError(
+            f"{path}: no turn of an Ouster: {len(packets)} of {count} datagrams have "
+            f"{sensor.packet.itemsize} bytes{to}, as {present[name].name} says"
+        )
+    return Found(
+        name=path.stem,
+        format=NAME,
+        source=TurnSource(path, sensor, turns),
+        indices=np.arange(len(turns)),
+        stamps=turns.stamps,
+        topic=name if len(present) > 1 else None,
+        frame=FRAME,
+        fields=FIELDS,
+        notes=turns.notes,
+    )
+
+
+class TurnSource:
+    """The turns of a capture.
+
+    Parameters
+    ----------
+    path : path
+    sensor : Sensor
+    turns : Turns
+        Places are bytes of the file.
+    """
+
+    def __init__(self, path: Path, sensor: Sensor, turns: Turns) -> None:
+        self._path, self._sensor, self._turns = path, sensor, turns
+
+    def __len__(self) -> int:
+        return len(self._turns)
+
+    def where(self, k: int) -> str:
+        """The turn, as errors name it."""
+        return f"{self._path}: turn {k}"
+
+    def read(self, k: int) -> Scan:
+        """Decode the turn at position k."""
+        first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
+        with mapped(self._path) as data:
+            packets = [
+                datagram.content(data)
+                for datagram in datagrams(data, first, stop)
+                if self._sensor.sent(datagram.size, datagram.port)
+            ]
+        return self._sensor.decode(packets, int(self._turns.numbers[k]), self.where(k))

@@ -1,0 +1,299 @@
+"""Ouster's packets: from a sensor's metadata and the bytes it sent to points.
+
+Format: the Ouster Sensor Documentation, "Lidar Data Packet Format" and "Coordinate Frames and XYZ
+Calculation". Read here, and not by ouster-sdk, since that pins an old version of the package that
+reads bags. Of two returns the first, stronger one is taken.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ... import geometry
+from ...errors import DatasetError
+from ...io.fields import one_line
+from ...types import Float64, Int64, Pose, Scan
+from ..binary import returned
+
+FRAME = "os_sensor"
+FIELDS = "range reflectivity time"
+_LEGACY = "LEGACY"
+_PIXELS = {
+    _LEGACY: 12,
+    "RNG19_RFL8_SIG16_NIR16": 12,
+    "RNG19_RFL8_SIG16_NIR16_DUAL": 16,
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": 12,
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": 16,
+    "RNG19_RFL8_SIG16_NIR16_RGB16": 16,
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": 20,
+    "RNG15_RFL8_NIR8": 4,
+    "RNG15_RFL8_WIN8": 4,
+    "RNG15_RFL8_NIR8_DUAL": 8,
+    "RNG15_RFL8_NIR8_ZONE16": 8,
+    "FUSA_RNG15_RFL8_NIR8_DUAL": 8,
+}
+"""Bytes of a pixel by the profile of the packets; the range comes first in all of them."""
+_RANGES = {"LEGACY": ("<u4", 0xFFFFF, 1e-3), "RNG19": ("<u4", 0x7FFFF, 1e-3),
+           "RNG15": ("<u2", 0x7FFF, 8e-3)}  # fmt: skip
+"""Type, mask and unit (m) of the range."""
+_FEWEST_PACKETS = 8  # of a turn; less is left from where the recording begins or ends
+_MOST_COLUMNS = 1 << 15
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What its metadata say of a sensor.
+
+    Attributes
+    ----------
+    packet : dtype
+        The layout of a packet: ``columns`` with ``time``, ``number``, ``status`` and ``pixels``.
+    columns : int
+        In a turn.
+    port : int
+        Where the packets are sent to; 0 if unknown.
+    id_type, id_place : str, int
+        Of the number of the turn in a packet.
+    mask, unit_m : int, float
+        Of ranges.
+    altitudes, azimuths : (P,) float64
+        Of the beams, radians.
+    T_lidar_beam : (4, 4) float64
+        Where beams start: off the sensor's axis.
+    T_sensor_lidar : (4, 4) float64
+    """
+
+    packet: np.dtype[np.void]
+    columns: int
+    port: int
+    id_type: str
+    id_place: int
+    mask: int
+    unit_m: float
+    altitudes: Float64
+    azimuths: Float64
+    T_lidar_beam: Pose
+    T_sensor_lidar: Pose
+
+    def sent(self, size: int, port: int) -> bool:
+        """Whether a datagram of this size, to this port, can be a packet of the sensor."""
+        return size == self.packet.itemsize and (self.port in (0, port))
+
+    def frame_id(self, packet: bytes) -> int:
+        """The number of the turn that a packet belongs to; 16 bits of it."""
+        return int(np.frombuffer(packet, self.id_type, 1, self.id_place)[0]) & 0xFFFF
+
+    def decode(self, packets: Sequence[bytes], number: int, where: str) -> Scan:
+        """The points of those packets that belong to turn ``number``, in the sensor's frame.
+
+        Times are seconds after the first column. Pixels without return are left out.
+
+        Raises
+        ------
+        DatasetError
+            If there is none of its packets; names ``where``.
+        """
+        whole = [packet for packet in packets if self.frame_id(packet) == number]
+        if not whole:
+            raise DatasetError(f"{where}: its packets are not there any more")
+        columns = np.frombuffer(b"".join(whole), self.packet)["columns"].reshape(-1)
+        columns = columns[(columns["status"] & 1 == 1) & (columns["number"] < self.columns)]
+        ranges = (columns["pixels"]["range"] & self.mask) * self.unit_m
+        points = self._points(ranges, columns["number"])
+        since = columns["time"] - columns["time"].min(initial=np.iinfo(np.uint64).max)
+        times = np.repeat(since.astype(np.float64) * 1e-9, len(self.altitudes))
+        points[ranges.reshape(-1) == 0] = 0.0
+        return returned(points, times)
+
+    def _points(self, ranges: Float64, numbers: np.ndarray) -> Float64:
+        """Points (C * P, 3) of ranges (C, P) in columns with these numbers."""
+        B = self.T_lidar_beam[:3, 3]
+        reach = ranges - np.hypot(B[0], B[2])
+        encoder = 2 * np.pi * (1 - numbers / self.columns)[:, None]
+        turned = encoder - self.azimuths
+        flat = reach * np.cos(self.altitudes)
+        x = flat * np.cos(turned) + B[0] * np.cos(encoder)
+        y = flat * np.sin(turned) + B[0] * np.sin(encoder)
+        z = reach * np.sin(self.altitudes) + B[2]
+        points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+        return geometry.transform(self.T_sensor_lidar, points)
+
+
+def read_sensor(text: bytes | str, where: str) -> Sensor:
+    """A sensor from its metadata, in any of the layouts that firmware and drivers write.
+
+    Raises
+    ------
+    DatasetError
+        If something is missing, or cannot be; names ``where``.
+    """
+    try:
+        document = json.loads(text)
+        return _sensor(_flat(document))
+    except DatasetError as error:
+        raise DatasetError(f"{where}: {error}") from error
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+        raise DatasetError(f"{where}: no metadata of an Ouster: {one_line(error)}") from error
+
+
+def _flat(document: Any) -> dict[str, Any]:
+    """All entries in one: newer firmware groups them."""
+    if not isinstance(document, dict):
+        raise DatasetError("no metadata of an Ouster: not a JSON object")
+    entries = dict(document)
+    for group in document.values():
+        if isinstance(group, dict):
+            entries |= group
+    return entries
+
+
+def _sensor(entries: dict[str, Any]) -> Sensor:
+    altitudes, azimuths = (_numbers(entries, f"beam_{kind}_angles")
+                           for kind in ("altitude", "azimuth"))  # fmt: skip
+    rows = len(altitudes)
+    if not rows or len(azimuths) != rows:
+        raise DatasetError(f"{rows} altitudes and {len(azimuths)} azimuths of beams")
+    profile = str(entries.get("udp_profile_lidar", _LEGACY))
+    if profile not in _PIXELS:
+        raise DatasetError(f"packets of profile {profile[:40]!r} cannot be read")
+    columns = _count(entries, "columns_per_frame", str(entries.get("lidar_mode", "")).split("x")[0])
+    packed = _count(entries, "columns_per_packet", 16)
+    if _count(entries, "pixels_per_column", rows) != rows:
+        raise DatasetError(f"{rows} beams, but {entries['pixels_per_column']} pixels of a column")
+    kind = next(name for name in _RANGES if name in profile)
+    dtype, mask, unit = _RANGES[kind]
+    wide = str(entries.get("header_type", "")) == "FUSA" or profile.startswith("FUSA")
+    legacy = profile == _LEGACY
+    return Sensor(
+        packet=_layout(rows, packed, _PIXELS[profile], dtype, legacy),
+        columns=columns,
+        port=int(entries.get("udp_port_lidar") or 0),
+        id_type="<u4" if wide and not legacy else "<u2",
+        id_place=10 if legacy else 4 if wide else 2,
+        mask=mask,
+        unit_m=unit,
+        altitudes=np.radians(altitudes),
+        azimuths=np.radians(azimuths),
+        T_lidar_beam=_beam_origin(entries),
+        T_sensor_lidar=_matrix(entries, "lidar_to_sensor_transform"),
+    )
+
+
+def _layout(rows: int, columns: int, size: int, range_type: str, legacy: bool) -> np.dtype[np.void]:
+    """A packet: a header, columns with a header each, and a footer."""
+    before, after, ends = (16, 4, 0) if legacy else (12, 0, 32)
+    pixel = np.dtype(
+        {"names": ["range"], "formats": [range_type], "offsets": [0], "itemsize": size}
+    )
+    places = [0, 8, before + rows * size if legacy else 10, before]
+    column = np.dtype(
+        {
+            "names": ["time", "number", "status", "pixels"],
+            "formats": ["<u8", "<u2", "<u4" if legacy else "<u2", (pixel, (rows,))],
+            "offsets": places,
+            "itemsize": before + rows * size + after,
+        }
+    )
+    total = 2 * ends + columns * column.itemsize
+    return np.dtype({"names": ["columns"], "formats": [(column, (columns,))], "offsets": [ends],
+                     "itemsize": total})  # fmt: skip
+
+
+def _numbers(entries: dict[str, Any], key: str) -> Float64:
+    if key not in entries:
+        raise DatasetError(f"no {key!r} in it")
+    values = np.asarray(entries[key], dtype=np.float64)
+    if values.ndim != 1 or not np.isfinite(values).all():
+        raise DatasetError(f"{key!r} is no list of numbers")
+    return values
+
+
+def _count(entries: dict[str, Any], key: str, default: int | str) -> int:
+    value = int(entries.get(key, default))
+    if not 0 < value < _MOST_COLUMNS:
+        raise DatasetError(f"{key!r} cannot be {value}")
+    return value
+
+
+def _matrix(entries: dict[str, Any], key: str) -> Pose:
+    """A transform of 16 numbers, row by row, lengths in millimetres; identity if missing."""
+    if key not in entries:
+        return np.eye(4)
+    T = np.array(_numbers(entries, key).reshape(4, 4))
+    T[:3, 3] *= 1e-3
+    return T
+
+
+def _beam_origin(entries: dict[str, Any]) -> Pose:
+    if "beam_to_lidar_transform" in entries:
+        return _matrix(entries, "beam_to_lidar_transform")
+    T = np.eye(4)
+    T[0, 3] = 1e-3 * float(entries.get("lidar_origin_to_beam_origin_mm", 0.0))
+    if not math.isfinite(T[0, 3]):
+        raise DatasetError("'lidar_origin_to_beam_origin_mm' is no number")
+    return T
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Where the packets of each of T turns are.
+
+    Attributes
+    ----------
+    numbers : (T,) int64
+        What their packets are numbered by.
+    stamps : (T,) float64
+        When the first packet was recorded.
+    firsts, stops : (T,) int64
+        Where the first packet is, and behind the last.
+    notes : tuple of str
+    """
+
+    numbers: Int64
+    stamps: Float64
+    firsts: Int64
+    stops: Int64
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+
+@dataclass
+class _Turn:
+    number: int
+    stamp: float
+    first: int
+    stop: int
+    packets: int = 1
+
+
+def gather(packets: Iterable[tuple[int, float, int, int]], sensor: Sensor) -> Turns:
+    """The turns of packets, each a number, a stamp, and where it begins and ends.
+
+    A packet that comes late is counted to the turn before. Turns of which only a few packets are
+    there are left out, such as those in which the recording begins and ends.
+    """
+    turns: list[_Turn] = []
+    for number, stamp, first, stop in packets:
+        turn = next((turn for turn in turns[:-3:-1] if turn.number == number), None)
+        if turn is None:
+            turns.append(_Turn(number, stamp, first, stop))
+        else:
+            turn.stop, turn.packets = max(turn.stop, stop), turn.packets + 1
+    wanted = sensor.columns // sensor.packet["columns"].shape[0]
+    kept = [turn for turn in turns if turn.packets >= min(_FEWEST_PACKETS, wanted)]
+    missing = sum(turn.packets < wanted for turn in kept[1:-1])
+    return Turns(
+        np.array([turn.number for turn in kept], np.int64),
+        np.array([turn.stamp for turn in kept], np.float64),
+        np.array([turn.first for turn in kept], np.int64),
+        np.array([turn.stop for turn in kept], np.int64),
+        (f"{missing} of {len(kept)} turns miss packets",) if missing else (),
+    )

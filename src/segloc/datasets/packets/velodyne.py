@@ -1,0 +1,133 @@
+"""Captures of Velodyne packets (``.pcap``), a scan for each turn of the sensor.
+
+Format: the packets of 12 blocks in the manuals of the VLP-16 and the HDL-32E. The package
+velodyne-decoder turns them into points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import DatasetError, MissingDependency
+from ...io.fields import one_line
+from ...types import Float64, Int64, Scan
+from ..binary import returned
+from ..recorded import Found
+from .captures import mapped, records
+
+NAME = "Velodyne packets"
+INNER: tuple[str, ...] = ()
+PACKET = 1206  # bytes
+_BLOCK = b"\xff\xee"
+_FEWEST_PACKETS = 8  # of a turn; less is left from where the capture begins or ends
+
+
+def recognises(path: Path) -> bool:
+    """Whether the path is a capture."""
+    return path.suffix == ".pcap" and path.is_file()
+
+
+def find(path: Path, topic: str | None) -> Found:
+    """Find where the turns are; nothing is decoded yet."""
+    stamps, places, azimuths = _packets(path)
+    turns = turns_of(azimuths)
+    if not len(turns):
+        raise DatasetError(
+            f"{path}: no turn of a Velodyne among its {len(places)} packets, and no metadata of an "
+            f"Ouster beside it ({path.stem}.json)"
+        )
+    return Found(
+        name=path.stem,
+        format=NAME,
+        source=TurnSource(path, stamps, places, turns),
+        indices=np.arange(len(turns)),
+        stamps=stamps[turns[:, 0]],
+        frame="velodyne",
+        fields="x y z intensity ring time",
+    )
+
+
+def turns_of(azimuths: Int64) -> Int64:
+    """First packet of each turn and the one behind its last, (T, 2), from packets' azimuths."""
+    wraps = np.flatnonzero(np.diff(azimuths) < 0) + 1
+    bounds = np.concatenate([[0], wraps, [len(azimuths)]])
+    turns = np.column_stack([bounds[:-1], bounds[1:]])
+    return np.asarray(turns[turns[:, 1] - turns[:, 0] >= _FEWEST_PACKETS], dtype=np.int64)
+
+
+def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
+    """Stamps, places in the file and first azimuths (hundredths of degrees) of data packets."""
+    stamps, places, azimuths = [], [], []
+    with mapped(path) as data:
+        for stamp, start, size in records(data):
+            place = start + size - PACKET
+            if size >= PACKET and data[place : place + 2] == _BLOCK:
+                stamps.append(stamp)
+                places.append(place)
+                azimuths.append(int.from_bytes(data[place + 2 : place + 4], "little"))
+    return np.array(stamps, np.float64), np.array(places, np.int64), np.array(azimuths, np.int64)
+
+
+class TurnSource:
+    """The turns of a capture.
+
+    Parameters
+    ----------
+    path : path
+    stamps : (P,) float64
+        Of each packet.
+    places : (P,) int64
+        Where it is in the file.
+    turns : (T, 2) int64
+        First packet of each turn and the one behind its last.
+    """
+
+    def __init__(self, path: Path, stamps: Float64, places: Int64, turns: Int64) -> None:
+        self._path, self._stamps, self._places, self._turns = path, stamps, places, turns
+
+    def __len__(self) -> int:
+        return len(self._turns)
+
+    def where(self, k: int) -> str:
+        """The turn, as errors name it."""
+        return f"{self._path}: turn {k}"
+
+    def read(self, k: int) -> Scan:
+        """Decode the turn at position k."""
+        packets = []
+        with self._path.open("rb") as file:
+            for i in range(*self._turns[k]):
+                file.seek(int(self._places[i]))
+                packets.append((float(self._stamps[i]), file.read(PACKET)))
+        return decode(packets, self.where(k))
+
+
+def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
+    """The points of stamped packets, with times after the first of them.
+
+    Raises
+    ------
+    DatasetError
+        If they cannot be decoded; names ``where``.
+    MissingDependency
+        If velodyne-decoder is not installed.
+    """
+    try:
+        import velodyne_decoder
+    except ImportError as error:
+        raise MissingDependency("velodyne-decoder", "packets", "Velodyne packets") from error
+    try:
+        decoder = velodyne_decoder.ScanDecoder(
+            velodyne_decoder.Config(timestamp_first_packet=True, cut_angle=None)
+        )
+        vector = velodyne_decoder.PacketVector()
+        for stamp, data in packets:
+            vector.append(velodyne_decoder.VelodynePacket(stamp, data))
+        points: Any = np.asarray(decoder.decode(vector)[1])
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise DatasetError(f"{where}: {one_line(error)}") from error
+    return returned(points[:, :3], points[:, 4].astype(np.float64))

@@ -1,0 +1,98 @@
+"""Bags opened by the package rosbags, and what can go wrong with them."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ...errors import DatasetError, MissingDependency
+from ...io.fields import one_line
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+_BEGINNINGS = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
+
+
+@contextmanager
+def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
+    """A reader of the bag; whatever goes wrong with it is a fault of the bag.
+
+    Raises
+    ------
+    DatasetError
+        If it is cut off, damaged or of a kind that cannot be read.
+    MissingDependency
+        If the package rosbags is not installed.
+    """
+    _check_beginnings(paths)
+    with faults_of(paths[0]), _reader(paths) as reader:
+        yield reader
+
+
+def _check_beginnings(paths: tuple[Path, ...]) -> None:
+    """Name what is no bag in other words than those of a parser that lost its way."""
+    for path in paths:
+        if not path.is_file():
+            continue
+        with path.open("rb") as file:
+            head = file.read(16)
+        if not head:
+            raise DatasetError(f"{path}: is empty")
+        if not head.startswith(_BEGINNINGS[path.suffix]):
+            raise DatasetError(f"{path}: no {path.suffix[1:]} file, by its first bytes")
+
+
+def _reader(paths: tuple[Path, ...]) -> AnyReader:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingDependency("rosbags", "ros", "reading bags") from error
+    # Older ROS 2 bags do not hold the definitions of their messages.
+    return AnyReader(list(paths), default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+
+@contextmanager
+def faults_of(path: Path) -> Iterator[None]:
+    """Turn any error into one of the file's: damaged bytes show in any way."""
+    try:
+        yield
+    except (DatasetError, MissingDependency):
+        raise
+    except Exception as error:
+        raise DatasetError(f"{path}: cannot be read as a bag: {one_line(error)}") from error
+
+
+class BagFile:
+    """A bag that is opened when it is first read, and by each process for itself.
+
+    Parameters
+    ----------
+    paths : tuple of path
+        What has to be opened.
+    """
+
+    def __init__(self, paths: tuple[Path, ...]) -> None:
+        self._paths = paths
+        self._reader: AnyReader | None = None
+
+    @property
+    def path(self) -> Path:
+        """The first of its files, which messages name."""
+        return self._paths[0]
+
+    def reader(self) -> AnyReader:
+        """Open, until this object is let go."""
+        if self._reader is None:
+            reader = _reader(self._paths)
+            reader.open()
+            weakref.finalize(self, reader.close)
+            self._reader = reader
+        return self._reader
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"_paths": self._paths, "_reader": None}

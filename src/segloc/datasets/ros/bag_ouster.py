@@ -1,0 +1,136 @@
+"""Ouster's packets in bags: a message each, and the sensor's metadata on a topic of its own.
+
+Messages: ``PacketMsg`` of the packages ouster_ros, ouster_sensor_msgs and ouster_msgs, one array
+of bytes without a header, so that times are those of recording; metadata as ``std_msgs/String``.
+They are read from the bytes: they need no definition, which older bags lack.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import DatasetError
+from ...types import Scan
+from ..packets.ouster_packets import FIELDS, FRAME, Sensor, Turns, gather, read_sensor
+from ..recorded import Found
+from .bag_file import BagFile, faults_of
+from .bag_poses import find_track
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+KINDS = tuple(
+    f"{package}/msg/PacketMsg" for package in ("ouster_sensor_msgs", "ouster_ros", "ouster_msgs")
+)
+_STRING = "std_msgs/msg/String"
+
+
+def on(reader: AnyReader, topic: str) -> bool:
+    """Whether a topic has Ouster's packets."""
+    return any(item.topic == topic and item.msgtype in KINDS for item in reader.connections)
+
+
+def inertial(item: Any) -> bool:
+    """Whether a topic has those of Ouster's packets that have no points."""
+    return item.msgtype in KINDS and "imu" in item.topic
+
+
+def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, storage: str) -> Found:
+    """Find where the turns are; reads the bag through once.
+
+    Raises
+    ------
+    DatasetError
+        If there are no metadata or no whole turn.
+    """
+    sensor = _metadata(reader, topic)
+    turns = gather(
+        ((sensor.frame_id(packet), time * 1e-9, time, time + 1)
+         for time, packet in _packets(reader, topic, sensor)),
+        sensor,
+    )  # fmt: skip
+    if not len(turns):
+        raise DatasetError(
+            f"{topic}: no turn of an Ouster: too few packets of {sensor.packet.itemsize} bytes"
+        )
+    track, remarks = find_track(reader, FRAME)
+    return Found(
+        name=name,
+        format=storage,
+        source=BagTurns(paths, topic, sensor, turns),
+        indices=np.arange(len(turns)),
+        stamps=turns.stamps,
+        own_track=lambda: track,
+        topic=topic,
+        frame=FRAME,
+        fields=FIELDS,
+        notes=(*turns.notes, *remarks),
+    )
+
+
+def _metadata(reader: AnyReader, topic: str) -> Sensor:
+    """The sensor's, from the topic ``metadata`` beside that of the packets."""
+    name = f"{topic.rpartition('/')[0]}/metadata"
+    wanted = [c for c in reader.connections if c.topic == name and c.msgtype == _STRING]
+    for _, _, data in reader.messages(wanted) if wanted else ():
+        return read_sensor(_array(data, cdr=reader.is2).rstrip(b"\0"), name)
+    raise DatasetError(f"{topic}: packets cannot be read without metadata on {name} ({_STRING})")
+
+
+def _packets(
+    reader: AnyReader, topic: str, sensor: Sensor, first: int | None = None, stop: int | None = None
+) -> Iterator[tuple[int, bytes]]:
+    """Packets of the sensor's size, with the times of recording."""
+    wanted = [item for item in reader.connections if item.topic == topic]
+    for _, time, data in reader.messages(wanted, start=first, stop=stop):
+        packet = _array(data, cdr=reader.is2)
+        if len(packet) >= sensor.packet.itemsize:  # drivers send their whole buffer
+            yield time, packet[: sensor.packet.itemsize]
+
+
+def _array(data: bytes, *, cdr: bool) -> bytes:
+    """The only field of a message: its size, then its bytes."""
+    order = "<" if not cdr or data[1:2] == b"\1" else ">"
+    start = 8 if cdr else 4
+    if len(data) < start:
+        raise DatasetError(f"cut off: a message of {len(data)} bytes")
+    (size,) = struct.unpack_from(f"{order}I", data, start - 4)
+    if start + size > len(data):
+        raise DatasetError(f"cut off: {len(data) - start} of {size} bytes")
+    return bytes(data[start : start + size])
+
+
+class BagTurns:
+    """The turns of one topic.
+
+    Parameters
+    ----------
+    paths : tuple of path
+    topic : str
+    sensor : Sensor
+    turns : Turns
+        Places are times of recording, nanoseconds.
+    """
+
+    def __init__(self, paths: tuple[Path, ...], topic: str, sensor: Sensor, turns: Turns) -> None:
+        self._file, self._topic, self._sensor, self._turns = BagFile(paths), topic, sensor, turns
+
+    def __len__(self) -> int:
+        return len(self._turns)
+
+    def where(self, k: int) -> str:
+        """The turn, as errors name it."""
+        return f"{self._file.path}: turn {k} of {self._topic}"
+
+    def read(self, k: int) -> Scan:
+        """Decode the turn at position k."""
+        first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
+        with faults_of(self._file.path):
+            found = _packets(self._file.reader(), self._topic, self._sensor, first, stop)
+            packets = [packet for _, packet in found]
+            return self._sensor.decode(packets, int(self._turns.numbers[k]), self.where(k))

@@ -1,0 +1,112 @@
+"""ROS's sensor_msgs/PointCloud2: from the fields and bytes of a message to a scan.
+
+Layout: docs.ros.org, sensor_msgs/PointCloud2 and PointField. Names of time fields are those of the
+drivers of Ouster (t, ns), Velodyne (time, s), Hesai and RoboSense (timestamp, s since 1970) and
+Livox (offset_time, ns).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import DatasetError
+from ...types import Float64, Scan
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "timeOffset")
+_EPOCH_S = 1e8  # no turn takes so long: such times are seconds since 1970
+
+
+class Field(Protocol):
+    """sensor_msgs/PointField."""
+
+    name: str
+    offset: int
+    datatype: int
+    count: int
+
+
+class Cloud(Protocol):
+    """sensor_msgs/PointCloud2."""
+
+    height: int
+    width: int
+    fields: Sequence[Field]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: NDArray[np.uint8]
+
+
+def to_scan(cloud: Cloud, stamp: float) -> Scan:
+    """The points of a message and their times after ``stamp``; firings without return left out.
+
+    Parameters
+    ----------
+    cloud : sensor_msgs/PointCloud2
+    stamp : float
+        Of the message, seconds.
+
+    Raises
+    ------
+    DatasetError
+        If x, y or z is missing, or the message has fewer bytes than its sizes promise.
+    """
+    columns = _columns(cloud)
+    try:
+        with np.errstate(all="ignore"):  # what float32 cannot hold becomes inf, which is dropped
+            xyz = np.column_stack([columns[axis].astype(np.float32) for axis in "xyz"])
+    except KeyError as error:
+        raise DatasetError(f"no field {error} among {', '.join(columns) or 'none'}") from error
+    times = _seconds(columns, stamp)
+    hit = (xyz != 0).any(axis=1)
+    return Scan(xyz[hit], times=None if times is None else times[hit])
+
+
+def _columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
+    """Each field of one value, (N,); row by row, since rows may be padded."""
+    rows, width = int(cloud.height), int(cloud.width)
+    step, stride = int(cloud.point_step), int(cloud.row_step)
+    data = np.frombuffer(cloud.data, dtype=np.uint8)
+    if stride == 0 or rows == 1:
+        stride = width * step  # some writers leave it out
+    needed = (rows - 1) * stride + width * step if rows and width else 0
+    if needed > len(data) or stride < width * step:
+        raise DatasetError(
+            f"{rows} x {width} points need {needed} bytes, but there are {len(data)}"
+        )
+    order = ">" if cloud.is_bigendian else "<"
+    columns: dict[str, NDArray[Any]] = {}
+    for field in cloud.fields:
+        kind = _TYPES.get(int(field.datatype))
+        if kind is None or int(field.count) > 1:
+            continue
+        dtype = np.dtype(order + kind)
+        if int(field.offset) + dtype.itemsize > step:
+            raise DatasetError(f"field {field.name} lies outside the {step} bytes of a point")
+        if not needed:
+            columns[field.name] = np.empty(0, dtype)
+            continue
+        view: NDArray[Any] = np.ndarray(
+            (rows, width), dtype, data.data, int(field.offset), (stride, step)
+        )
+        columns[field.name] = view.reshape(-1)
+    return columns
+
+
+def _seconds(columns: dict[str, NDArray[Any]], stamp: float) -> Float64 | None:
+    name = next((name for name in _TIMES if name in columns), None)
+    if name is None:
+        return None
+    raw = columns[name]
+    times = raw.astype(np.float64)
+    latest = times[np.isfinite(times)].max(initial=0.0)
+    if raw.dtype.kind in "iu" or latest > _EPOCH_S * 1e6:
+        times, latest = times * 1e-9, latest * 1e-9
+    if latest > _EPOCH_S:
+        times -= stamp
+    return times

@@ -1,0 +1,173 @@
+"""Random forests that judge pairs of descriptors, stored as plain arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _native
+from ..errors import WeightsError
+from ..types import Float32, Int64
+from .base import Descriptor, Pruner
+from .weightfile import read_weights, shipped_weights, write_weights
+
+_KIND = "forest"
+_DTYPES = {"roots": np.int32, "feature": np.int32, "threshold": np.float32, "first_child": np.int32}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a pair of descriptors becomes features (Dubé et al., "SegMatch", section III-C).
+
+    Attributes
+    ----------
+    plain : int
+        The first values of a descriptor are compared one by one: their absolute difference.
+    ratios : bool
+        Also that difference relative to either value, and both values.
+    histogram : int
+        Bins of each of the histograms that follow, which are compared by their intersection; 0
+        where there are none.
+    """
+
+    plain: int
+    ratios: bool = False
+    histogram: int = 0
+
+    @property
+    def row(self) -> tuple[int, bool, int]:
+        """As the native functions take it."""
+        return self.plain, self.ratios, self.histogram
+
+    def features(self, dim: int) -> int:
+        """Number of features of a pair of descriptors of that length."""
+        histograms = (dim - self.plain) // self.histogram if self.histogram else 0
+        return (5 if self.ratios else 1) * self.plain + histograms
+
+
+@dataclass(frozen=True)
+class Trees:
+    """All trees in one set of arrays.
+
+    Attributes
+    ----------
+    roots : (T,) int32
+        The nodes where the trees begin.
+    feature : (N,) int32
+        What a node looks at; 0 for a leaf.
+    threshold : (N,) float32
+        Up to here a node hands on to its first child; the answer, for a leaf.
+    first_child : (N,) int32
+        The second one is the node behind it; -1 for a leaf.
+    """
+
+    roots: NDArray[np.int32]
+    feature: NDArray[np.int32]
+    threshold: Float32
+    first_child: NDArray[np.int32]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """By name, as they are stored."""
+        return {name: np.ascontiguousarray(getattr(self, name), t) for name, t in _DTYPES.items()}
+
+
+class PairForest(Pruner):
+    """The mean answer of the trees: how likely a pair of descriptors shows one object.
+
+    Parameters
+    ----------
+    trees : Trees
+    layout : Layout
+    dim : int
+        Length of a descriptor.
+    card : dict, optional
+
+    Raises
+    ------
+    ValueError
+        If the arrays are no trees, or look at features that there are not.
+    """
+
+    def __init__(
+        self, trees: Trees, layout: Layout, dim: int, card: Mapping[str, Any] | None = None
+    ) -> None:
+        self.layout = layout
+        self.card = dict(card or {})
+        self._forest = _native.Forest(**trees.arrays(), features=layout.features(dim))
+
+    def probability(
+        self, query: Float32, mapped: Float32, rows: Int64, columns: Int64, threads: int = 0
+    ) -> Float32:
+        """See :meth:`Pruner.probability`."""
+        return self._forest.predict_pairs(query, mapped, rows, columns, self.layout.row, threads)
+
+    @staticmethod
+    def load(path: Path, descriptor: Descriptor) -> PairForest | None:
+        """Read and check the forest of a descriptor; None if there is no such file.
+
+        Raises
+        ------
+        WeightsError
+            If the file is damaged, no forest, or was made for another descriptor.
+        """
+        if not path.exists():
+            return None
+        file = read_weights(path, _KIND, _DTYPES)
+        made_for = file.settings.get("descriptor")
+        if made_for != descriptor.fingerprint:
+            raise WeightsError(f"{path}: made for {made_for}, not for {descriptor.fingerprint}")
+        try:
+            layout = Layout(**json.loads(file.settings["layout"]))
+            return PairForest(Trees(**file.tensors), layout, descriptor.dim, file.card)
+        except KeyError as error:
+            raise WeightsError(f"{path}: the metadata has no {error}") from error
+        except (TypeError, ValueError) as error:
+            raise WeightsError(f"{path}: {error}") from error
+
+
+class ForestDescriptor(Descriptor):
+    """A descriptor whose candidate matches are pruned by a forest.
+
+    Parameters
+    ----------
+    threads : int
+        0 is all cores; results do not depend on it.
+
+    Attributes
+    ----------
+    layout : Layout
+        What the forest sees of a pair of its descriptors.
+
+    Raises
+    ------
+    WeightsError
+        If the shipped forest is damaged.
+    """
+
+    layout: Layout
+
+    def __init__(self, threads: int = 0) -> None:
+        self._threads = threads
+        self.pruner = PairForest.load(shipped_forest(self.name), self)
+
+
+def save_forest(
+    path: Path, trees: Trees, layout: Layout, fingerprint: str, card: Mapping[str, Any]
+) -> None:
+    """Write a forest for descriptors of that fingerprint.
+
+    ``card`` says where the forest comes from: data, command, figures, licence.
+    """
+    settings = {"descriptor": fingerprint, "layout": json.dumps(asdict(layout), sort_keys=True)}
+    write_weights(path, _KIND, trees.arrays(), settings, card)
+
+
+def shipped_forest(method: str) -> Path:
+    """Path of the forest that comes with the package for a method."""
+    return shipped_weights(f"{method}-forest.safetensors")

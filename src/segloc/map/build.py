@@ -1,0 +1,174 @@
+"""A posed sequence of scans -> a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field
+
+from .. import geometry
+from ..descriptors import Descriptor, create
+from ..errors import DatasetError
+from ..local_cloud import Accumulator, window
+from ..segmentation import Segmentation, Segmenter
+from ..types import Descriptors, Float64, Pose
+from .segment_map import SegmentMap
+
+if TYPE_CHECKING:
+    from ..config import Config
+    from ..types import Recording
+
+
+class ViewConfig(BaseModel):
+    """One length of local cloud that a map is built from."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    length_m: float = Field(ge=0, description="travelled distance a view spans; 0: single scans")
+    every_m: float = Field(gt=0, description="distance between views")
+
+
+class MappingConfig(BaseModel):
+    """What a map keeps: views of several lengths, since short ones match single scans best."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    views: tuple[ViewConfig, ...] = (
+        ViewConfig(length_m=40, every_m=8),
+        ViewConfig(length_m=16, every_m=8),
+    )
+    cloud_voxel: float = Field(0.3, gt=0, description="voxel of the cloud kept for verification")
+
+
+def build_map(
+    sequence: Recording,
+    config: Config,
+    *,
+    every_m: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> SegmentMap:
+    """Build a map from scans with poses.
+
+    Parameters
+    ----------
+    sequence : Recording
+        With poses: they define the map frame, whose z axis must point up.
+    config : Config
+    every_m : float, optional
+        Distance between views; overrides the configuration.
+    progress : callable, optional
+        Called with (views done, views in all).
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses, or nothing that could be segmented.
+    """
+    poses = _poses(sequence)
+    descriptor = create(config.method, config.threads)
+    prior_map = empty_map(descriptor, config, poses[0, :3, 3])
+    for view in map_views(sequence, config, every_m=every_m, progress=progress):
+        add_view(prior_map, view, descriptor.describe(view.scene.segments))
+    if len(prior_map) == 0:
+        raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
+    prior_map.add_trajectory(poses)
+    prior_map.metadata["config"] = config.to_yaml()
+    prior_map.metadata["sequence"] = sequence.name
+    return prior_map
+
+
+@dataclass(frozen=True)
+class View:
+    """One local cloud of a map, segmented."""
+
+    T_map_local: Pose
+    stamp: float
+    scene: Segmentation
+
+
+def empty_map(descriptor: Descriptor, config: Config, origin: ArrayLike) -> SegmentMap:
+    """A map of nothing yet, to be described by ``descriptor``; the origin is near its place."""
+    return SegmentMap.empty(
+        descriptor.name,
+        descriptor.fingerprint,
+        descriptor.dim,
+        origin,
+        cloud_voxel=config.mapping.cloud_voxel,
+    )
+
+
+def add_view(
+    prior_map: SegmentMap, view: View, descriptors: Descriptors, *, with_cloud: bool = True
+) -> None:
+    """Add a view, whose segments have these descriptors, to a map of one session.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+    view : View
+    descriptors : Descriptors
+    with_cloud : bool
+        Whether the map is to hold the view's surface, which poses are verified against.
+    """
+    segments = view.scene.segments
+    surface = view.scene.surface if with_cloud else np.empty((0, 3))
+    prior_map.add(
+        descriptors,
+        geometry.transform(view.T_map_local, segments.centroids),
+        segments.sizes,
+        session=0,
+        stamp=view.stamp,
+        cloud=geometry.transform(view.T_map_local, surface),
+    )
+
+
+def map_views(
+    sequence: Recording,
+    config: Config,
+    *,
+    every_m: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[View]:
+    """The views that :func:`build_map` describes, along the way; they depend on no descriptor.
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses.
+    """
+    poses = _poses(sequence)
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    plan = _plan(poses, config, every_m)
+    # Neighbouring views share most of their scans: each is read once.
+    read = lru_cache(maxsize=max(len(scans) for _, scans in plan))(sequence.scan)
+    for done, (index, scans) in enumerate(plan):
+        cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
+        scene = segmenter.segment(cloud)
+        yield View(geometry.levelled(poses[index]), float(sequence.indices[index]), scene)
+        if progress:
+            progress(done + 1, len(plan))
+
+
+def _poses(sequence: Recording) -> Float64:
+    poses = sequence.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{sequence.name}: building a map needs a pose for every scan")
+    return poses
+
+
+def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tuple[int, range]]:
+    """The views of a map: (index of the reference scan, scans it gathers), along the way."""
+    way = geometry.travelled(poses)
+    plan: list[tuple[int, range]] = []
+    for view in config.mapping.views:
+        marks = np.arange(0.0, way[-1] + 1e-9, every_m or view.every_m)
+        for index in np.unique(np.searchsorted(way, marks - 1e-9)):
+            gap = config.local_cloud.max_gap_m
+            scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
+            plan.append((int(index), scans))
+    return sorted(plan, key=lambda item: item[0])

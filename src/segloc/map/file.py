@@ -1,0 +1,221 @@
+"""The ``.segmap`` file: arrays in safetensors layout, with a version and checksums.
+
+The layout is that of https://github.com/huggingface/safetensors: a length, a JSON header, and raw
+little-endian buffers, so a map can be opened by any safetensors reader and never runs code. The
+header's ``__metadata__`` holds the format version, the map's own text fields, a BLAKE2b-128
+checksum of every array, and one of the header itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+
+from ..errors import MapFormatError
+from ..files import replacing
+
+FORMAT_VERSION = 1
+"""Raised whenever an older reader would misread a newer file."""
+
+Array = NDArray[Any]
+
+# Name -> dtype and shape. A letter stands for a length that must agree wherever it occurs.
+SCHEMA: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "origin": ("F64", (3,)),
+    "centroids": ("F64", ("P", 3)),
+    "stamps": ("F64", ("P",)),
+    "trajectory": ("F64", ("V", 4, 4)),
+    "vectors": ("F32", ("P", "D")),
+    "quality": ("F32", ("P",)),
+    "cloud": ("F32", ("N", 3)),
+    "sizes": ("I32", ("P",)),
+    "session": ("I32", ("P",)),
+    "missed": ("I32", ("P",)),
+}
+OPTIONAL = frozenset({"quality", "missed"})
+REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
+
+_DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4"}
+_VERSION, _CHECKSUM = "segmap_version", "checksum"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a map file holds.
+
+    Attributes
+    ----------
+    arrays : mapping
+        The arrays of ``SCHEMA``.
+    descriptor, fingerprint : str
+    cloud_voxel : float
+        Metres.
+    metadata : dict of str to str
+    """
+
+    arrays: Mapping[str, Array]
+    descriptor: str
+    fingerprint: str
+    cloud_voxel: float
+    metadata: Mapping[str, str]
+
+    def fields(self) -> dict[str, str]:
+        """The text fields of ``REQUIRED_FIELDS``."""
+        return {
+            "descriptor": self.descriptor,
+            "fingerprint": self.fingerprint,
+            "cloud_voxel": repr(self.cloud_voxel),
+            "metadata": json.dumps(dict(self.metadata), sort_keys=True),
+        }
+
+
+def write(path: str | Path, contents: Contents) -> None:
+    """Write a map file: whole or not at all, and the same bytes for the same map.
+
+    Raises
+    ------
+    SeglocError
+        If the file cannot be written.
+    """
+    data = {
+        name: np.ascontiguousarray(contents.arrays[name], dtype=_DTYPES[dtype])
+        for name, (dtype, _) in SCHEMA.items()  # widest first, which keeps every buffer aligned
+        if name in contents.arrays
+    }
+    shapes = {name: (SCHEMA[name][0], list(array.shape)) for name, array in data.items()}
+    texts = {**contents.fields(), _VERSION: str(FORMAT_VERSION)}
+    texts |= {f"{_CHECKSUM}.{name}": _digest(array) for name, array in data.items()}
+    texts[_CHECKSUM] = _header_digest(texts, shapes)
+    with replacing(path) as stream:
+        stream.write(_header(texts, shapes, {name: array.nbytes for name, array in data.items()}))
+        for array in data.values():
+            stream.write(array.reshape(-1).view(np.uint8).data)
+
+
+def read(path: str | Path) -> Contents:
+    """Read a map file.
+
+    Sizes are checked against the length of the file before any array is allocated.
+
+    Raises
+    ------
+    MapFormatError
+        If there is no such file, or it is truncated, corrupt, newer, or no map; one line.
+    """
+    try:
+        if not Path(path).is_file():
+            kind = "is not a regular file" if Path(path).exists() else "no such file"
+            raise MapFormatError(f"{path}: {kind}")
+        # The package checks that header and buffers cover the file exactly, without a gap.
+        with safe_open(path, framework="numpy") as file:
+            return _read_checked(path, file)
+    except SafetensorError as error:
+        fault = str(error).splitlines()[0] if str(error) else "unreadable header"
+        raise MapFormatError(f"{path}: not a map, or a damaged one ({fault})") from error
+    except OSError as error:
+        raise MapFormatError(f"{path}: cannot be read: {error}") from error
+
+
+def _read_checked(path: str | Path, file: Any) -> Contents:
+    texts: dict[str, str] = file.metadata() or {}
+    _check_version(path, texts)
+    shapes: dict[str, tuple[str, list[int]]] = {}
+    for name in file.keys():  # noqa: SIM118 (not a mapping)
+        part = file.get_slice(name)
+        shapes[name] = (part.get_dtype(), part.get_shape())
+    if texts.get(_CHECKSUM) != _header_digest(texts, shapes):
+        raise MapFormatError(f"{path}: damaged: the header does not match its checksum")
+    _check_shapes(path, shapes)
+    _check_fields(path, texts)
+    arrays: dict[str, Array] = {}
+    for name in shapes:
+        arrays[name] = file.get_tensor(name)
+        if texts.get(f"{_CHECKSUM}.{name}") != _digest(arrays[name]):
+            raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
+    return _contents(path, arrays, texts)
+
+
+def _contents(path: str | Path, arrays: dict[str, Array], texts: Mapping[str, str]) -> Contents:
+    try:
+        voxel = float(texts["cloud_voxel"])
+        metadata = {str(k): str(v) for k, v in json.loads(texts["metadata"]).items()}
+    except (ValueError, AttributeError, RecursionError) as error:
+        raise MapFormatError(f"{path}: damaged: unreadable text fields") from error
+    if not (np.isfinite(voxel) and voxel > 0 and arrays["vectors"].shape[1] > 0):
+        raise MapFormatError(f"{path}: damaged: dim or cloud_voxel is not positive")
+    return Contents(arrays, texts["descriptor"], texts["fingerprint"], voxel, metadata)
+
+
+def _check_version(path: str | Path, texts: Mapping[str, str]) -> None:
+    version = texts.get(_VERSION, "")
+    if not (version.isascii() and version.isdigit() and len(version) < 10):
+        raise MapFormatError(f"{path}: not a segloc map")
+    if int(version) > FORMAT_VERSION:
+        raise MapFormatError(
+            f"{path}: written by a newer segloc (map format {int(version)}, "
+            f"this version reads up to {FORMAT_VERSION})"
+        )
+
+
+def _check_shapes(path: str | Path, shapes: Mapping[str, tuple[str, list[int]]]) -> None:
+    missing = SCHEMA.keys() - OPTIONAL - shapes.keys()
+    unknown = shapes.keys() - SCHEMA.keys()
+    if missing or unknown:
+        fault = "lacks" if missing else "has unknown"
+        raise MapFormatError(f"{path}: {fault} {', '.join(sorted(missing or unknown))}")
+    lengths: dict[str, int] = {}
+    for name, (dtype, shape) in shapes.items():
+        wanted_dtype, wanted = SCHEMA[name]
+        resolved = [lengths.get(d, d) if isinstance(d, str) else d for d in wanted]
+        fits = len(shape) == len(wanted) and all(
+            isinstance(w, str) or w == s for w, s in zip(resolved, shape, strict=True)
+        )
+        if dtype != wanted_dtype or not fits:
+            text = ", ".join(str(d) for d in resolved)
+            raise MapFormatError(
+                f"{path}: {name} is {dtype} {tuple(shape)}, not {wanted_dtype} ({text})"
+            )
+        for d, size in zip(wanted, shape, strict=True):
+            if isinstance(d, str):
+                lengths[d] = size
+
+
+def _check_fields(path: str | Path, texts: Mapping[str, str]) -> None:
+    missing = [key for key in REQUIRED_FIELDS if key not in texts]
+    if missing:
+        raise MapFormatError(f"{path}: lacks {', '.join(missing)}")
+
+
+def _header(
+    texts: Mapping[str, str],
+    shapes: Mapping[str, tuple[str, list[int]]],
+    sizes: Mapping[str, int],
+) -> bytes:
+    # Written here because the package orders the metadata at random: equal maps, equal bytes.
+    header: dict[str, Any] = {"__metadata__": dict(sorted(texts.items()))}
+    begin = 0
+    for name, (dtype, shape) in shapes.items():
+        end = begin + sizes[name]
+        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [begin, end]}
+        begin = end
+    encoded = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    encoded += b" " * (-len(encoded) % 8)
+    return len(encoded).to_bytes(8, "little") + encoded
+
+
+def _header_digest(texts: Mapping[str, str], shapes: Mapping[str, tuple[str, list[int]]]) -> str:
+    covered = {key: value for key, value in texts.items() if key != _CHECKSUM}
+    encoded = json.dumps([covered, dict(shapes)], sort_keys=True).encode()
+    return hashlib.blake2b(encoded, digest_size=16).hexdigest()
+
+
+def _digest(array: Array) -> str:
+    return hashlib.blake2b(np.ascontiguousarray(array).data, digest_size=16).hexdigest()

@@ -1,0 +1,95 @@
+"""The union of two maps, part by part. Every union is idempotent, and commutative up to order."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..types import Float64, Int64
+from .voxel_cloud import VoxelCloud
+
+Array = NDArray[Any]
+Key = tuple[bytes, int]
+
+_SEPARATOR = "\n---\n"
+
+
+def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) -> dict[str, Array]:
+    """All rows of ``mine``, then those of ``theirs`` that are new to the last bit.
+
+    Sessions do not count in the comparison: they are renumbered. See `SegmentMap.merge`. Nor does
+    ``missed``: of a segment in both the larger is kept.
+    """
+    if not len(theirs["session"]):
+        return dict(mine)
+    if not len(mine["session"]):
+        return dict(theirs)
+    names = sorted(mine.keys() - {"session", "missed"})
+    my_row, their_row = (_rows([part[name] for name in names]) for part in (mine, theirs))
+    twin = _twins(my_row, their_row)
+    theirs = {**theirs, "session": _renumbered(mine["session"], theirs["session"], twin)}
+    missed = mine["missed"].copy()
+    np.maximum.at(missed, twin[twin >= 0], theirs["missed"][twin >= 0])
+    mine = {**mine, "missed": missed}
+    return {name: np.concatenate([mine[name], theirs[name][twin < 0]]) for name in mine}
+
+
+def union_of_rows(mine: Array, theirs: Array) -> Array:
+    """All rows of ``mine``, then those of ``theirs`` that are new to the last bit."""
+    new = _twins(_rows([mine]), _rows([theirs])) < 0
+    return np.concatenate([mine, theirs[new]])
+
+
+def union_of_clouds(mine: VoxelCloud, theirs: VoxelCloud) -> VoxelCloud:
+    """Both clouds on the coarser grid, relative to the smaller of the two origins."""
+    origin: Float64 = min(mine.origin, theirs.origin, key=lambda array: tuple(array.tolist()))
+    voxel = max(mine.voxel, theirs.voxel)
+    union = mine.moved_to(origin, voxel)
+    union.add_relative(theirs.moved_to(origin, voxel).points)
+    return union
+
+
+def union_of_texts(mine: Mapping[str, str], theirs: Mapping[str, str]) -> dict[str, str]:
+    """All entries; where they differ, both as the documents of one YAML stream."""
+    documents: dict[str, set[str]] = defaultdict(set)
+    for texts in (mine, theirs):
+        for key, text in texts.items():
+            documents[key].update(text.split(_SEPARATOR))
+    return {key: _SEPARATOR.join(sorted(documents[key])) for key in sorted(documents)}
+
+
+def _rows(columns: list[Array]) -> list[Key]:
+    """The bytes of each row, and how many rows before it have the same bytes."""
+    count = len(columns[0])
+    flat = [np.ascontiguousarray(c).reshape(count, -1).view(np.uint8) for c in columns if count]
+    seen: dict[bytes, int] = defaultdict(int)
+    keys = []
+    for row in np.concatenate(flat, axis=1) if count else ():
+        key = row.tobytes()
+        keys.append((key, seen[key]))
+        seen[key] += 1
+    return keys
+
+
+def _twins(mine: list[Key], theirs: list[Key]) -> Int64:
+    """For each of ``theirs`` the index of the same row in ``mine``, or -1."""
+    index = {key: i for i, key in enumerate(mine)}
+    return np.array([index.get(key, -1) for key in theirs], dtype=np.int64)
+
+
+def _renumbered(mine: Array, theirs: Array, twin: Int64) -> Array:
+    free = int(mine.max()) + 1
+    renumbered = np.empty_like(theirs)
+    for session in np.unique(theirs):
+        rows = theirs == session
+        twins = twin[rows & (twin >= 0)]
+        if len(twins):
+            renumbered[rows] = mine[twins].min()
+        else:
+            renumbered[rows] = free
+            free += 1
+    return renumbered

@@ -1,0 +1,299 @@
+"""The prior map: described segments, and a thin cloud to verify a pose against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import MapMismatch, SeglocError
+from ..types import Descriptors, Float32, Float64, checked_pose
+from . import file as mapfile
+from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
+from .segment_table import SEGMENT_DTYPES, Array, SegmentTable, checked, joined, no_segments
+from .voxel_cloud import VoxelCloud
+
+
+class SegmentMap(SegmentTable):
+    """Segments of a place with their descriptors, and the cloud that they were cut from.
+
+    Start from :meth:`empty` or :meth:`load`.
+
+    Attributes
+    ----------
+    descriptor, fingerprint : str
+        Which descriptor made the vectors; queries must use the same.
+    dim : int
+        Length of a vector.
+    origin : (3,) float64
+        Map frame; the cloud is relative to it, so that maps in UTM coordinates keep precision.
+    cloud_voxel : float
+        The cloud holds one point a voxel of this edge length, metres.
+    metadata : dict of str to str
+        Free text, for example the configuration that the map was built with.
+    """
+
+    def __init__(
+        self,
+        descriptor: str,
+        fingerprint: str,
+        segments: Mapping[str, Array],
+        cloud: VoxelCloud,
+        trajectory: Float64,
+        metadata: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(segments)
+        self.descriptor = descriptor
+        self.fingerprint = fingerprint
+        self.metadata = dict(metadata or {})
+        self._cloud = cloud
+        self._trajectory = [trajectory]
+
+    @classmethod
+    def empty(
+        cls,
+        descriptor_name: str,
+        fingerprint: str,
+        dim: int,
+        origin: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        cloud_voxel: float = 0.3,
+    ) -> SegmentMap:
+        """A map of nothing yet."""
+        if dim < 1:
+            raise SeglocError(f"dim must be positive, not {dim}")
+        if not (np.isfinite(cloud_voxel) and cloud_voxel > 0):
+            raise SeglocError(f"cloud_voxel must be positive, not {cloud_voxel}")
+        where = checked(origin, "origin", (3,), np.float64)
+        cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
+        return cls(descriptor_name, fingerprint, no_segments(dim), cloud, np.empty((0, 4, 4)))
+
+    # --- what it holds -------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return f"SegmentMap({len(self)} segments, {self.descriptor!r}, {len(self.cloud)} points)"
+
+    @property
+    def cloud(self) -> Float32:
+        """Thinned points, (N, 3) float32, relative to ``origin``."""
+        return self._cloud.points
+
+    @property
+    def origin(self) -> Float64:
+        return self._cloud.origin
+
+    @property
+    def cloud_voxel(self) -> float:
+        return self._cloud.voxel
+
+    @property
+    def trajectory(self) -> Float64:
+        """Poses T_map_sensor along which the map was recorded, (V, 4, 4) float64."""
+        return joined(self._trajectory)
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes held by the arrays."""
+        return sum(array.nbytes for array in self._arrays().values())
+
+    def info(self) -> dict[str, Any]:
+        """What the map holds, in values that JSON can hold."""
+        centroids = self.centroids
+        extent = np.ptp(centroids, axis=0).tolist() if len(self) else [0.0, 0.0, 0.0]
+        return {
+            "descriptor": self.descriptor,
+            "fingerprint": self.fingerprint,
+            "dim": self.dim,
+            "segments": len(self),
+            "sessions": len(np.unique(self.session)),
+            "poses": len(self.trajectory),
+            "has_quality": self.quality is not None,
+            "cloud_points": len(self.cloud),
+            "cloud_voxel_m": self.cloud_voxel,
+            "origin_m": self.origin.tolist(),
+            "extent_m": extent,
+            "memory_bytes": self.memory_bytes,
+            "metadata": dict(self.metadata),
+        }
+
+    # --- changing it ---------------------------------------------------------------------------
+
+    def add(
+        self,
+        descriptors: Descriptors,
+        centroids: ArrayLike,
+        sizes: ArrayLike,
+        *,
+        session: int,
+        stamp: float,
+        cloud: ArrayLike,
+    ) -> None:
+        """Add one view.
+
+        Parameters
+        ----------
+        descriptors : Descriptors
+            Of P segments.
+        centroids : (P, 3) float64
+            Map frame.
+        sizes : (P,) int
+            Points in each segment.
+        session : int
+            Which traversal the view belongs to.
+        stamp : float
+        cloud : (N, 3) float32 or float64
+            Points of the view to verify poses against, map frame.
+
+        Raises
+        ------
+        SeglocError
+            If a shape does not fit or a value is not finite; the map is then unchanged.
+        """
+        columns = self._rows_of(descriptors, centroids, sizes, session, stamp)
+        self._cloud.add(np.asarray(cloud))
+        self._append(columns)
+
+    def add_trajectory(self, poses: ArrayLike) -> None:
+        """Add the way of the sensor: (V, 4, 4) poses T_map_sensor.
+
+        It tells which places the map covers, and it is drawn in pictures.
+
+        Raises
+        ------
+        SeglocError
+            If the shape is wrong or a pose is not a rigid transform.
+        """
+        array = np.asarray(poses)
+        if array.ndim != 3 or array.shape[1:] != (4, 4):
+            raise SeglocError(f"poses must have shape (V, 4, 4), not {array.shape}")
+        checked = [checked_pose(T, f"poses[{i}]") for i, T in enumerate(array)]
+        self._trajectory.append(np.array(checked, dtype=np.float64).reshape(-1, 4, 4))
+
+    def merge(self, other: SegmentMap) -> SegmentMap:
+        """A new map of everything that either map holds.
+
+        A segment or view that is the same in both, to the last bit, is kept once: merging a map
+        with itself, or twice with the same map, changes nothing. A session of ``other`` that
+        shares a segment with a session of this map gets that session's number, others get new
+        numbers. Except for those numbers and for order, ``a.merge(b)`` equals ``b.merge(a)``.
+
+        Raises
+        ------
+        MapMismatch
+            If the maps were made by different descriptors.
+        """
+        if (self.descriptor, self.fingerprint) != (other.descriptor, other.fingerprint):
+            raise MapMismatch(
+                f"maps made by {self.descriptor!r} ({self.fingerprint}) and "
+                f"{other.descriptor!r} ({other.fingerprint}) cannot be merged"
+            )
+        if len(self) and len(other) and (self.quality is None) != (other.quality is None):
+            raise MapMismatch("one map has descriptor quality and the other has none")
+        return SegmentMap(
+            self.descriptor,
+            self.fingerprint,
+            union_of_segments(self._segments(), other._segments()),
+            union_of_clouds(self._cloud, other._cloud),
+            union_of_rows(self.trajectory, other.trajectory),
+            union_of_texts(self.metadata, other.metadata),
+        )
+
+    def crop(self, center_xy: ArrayLike, radius: float) -> SegmentMap:
+        """A new map of what lies within a horizontal distance of a point of the map frame."""
+        center = checked(center_xy, "center_xy", (2,), np.float64)
+        if not radius >= 0:
+            raise SeglocError(f"radius must not be negative, not {radius}")
+
+        def inside(xy: Float64) -> NDArray[np.bool_]:
+            distances: Float64 = np.hypot(*(xy - center).T)
+            return distances <= radius
+
+        near = inside(self.centroids[:, :2])
+        near_points = inside(self.cloud[:, :2] + self.origin[:2])
+        way = self.trajectory[inside(self.trajectory[:, :2, 3])]
+        return self._part(self._segments(), near, near_points, way)
+
+    def kept(
+        self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
+    ) -> SegmentMap:
+        """A new map of some of the segments and points, along the same way.
+
+        Parameters
+        ----------
+        rows : (P,) bool
+            The segments to keep.
+        points : (N,) bool
+            The points of the cloud to keep.
+        missed : (P,) int, optional
+            What takes the place of the column of that name.
+
+        Raises
+        ------
+        SeglocError
+            If a shape does not fit.
+        """
+        segments = self._segments()
+        if missed is not None:
+            segments["missed"] = checked(missed, "missed", (len(self),), np.int32)
+        masks = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
+        if masks[0].shape != (len(self),) or masks[1].shape != (len(self.cloud),):
+            raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not fit")
+        return self._part(segments, *masks, self.trajectory)
+
+    # --- on disk -------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write the map to one ``.segmap`` file, whole or not at all.
+
+        Raises
+        ------
+        SeglocError
+            If the file cannot be written; an older file of that name is then as it was.
+        """
+        contents = mapfile.Contents(
+            self._arrays(), self.descriptor, self.fingerprint, self.cloud_voxel, self.metadata
+        )
+        mapfile.write(path, contents)
+
+    @classmethod
+    def load(cls, path: str | Path) -> SegmentMap:
+        """Read a map from a ``.segmap`` file.
+
+        Raises
+        ------
+        MapFormatError
+            If there is no such file, or it is truncated, corrupt, newer, or no map.
+        """
+        file = mapfile.read(path)
+        return cls(
+            file.descriptor,
+            file.fingerprint,
+            {name: array for name, array in file.arrays.items() if name in SEGMENT_DTYPES},
+            VoxelCloud(file.arrays["cloud"], file.arrays["origin"], file.cloud_voxel),
+            file.arrays["trajectory"],
+            file.metadata,
+        )
+
+    # --- inside --------------------------------------------------------------------------------
+
+    def _part(
+        self, segments: dict[str, Array], rows: Array, points: Array, trajectory: Float64
+    ) -> SegmentMap:
+        return SegmentMap(
+            self.descriptor,
+            self.fingerprint,
+            {name: array[rows] for name, array in segments.items()},
+            VoxelCloud(self.cloud[points], self.origin, self.cloud_voxel),
+            trajectory,
+            self.metadata,
+        )
+
+    def _arrays(self) -> dict[str, Array]:
+        arrays = self._segments()
+        if not arrays["missed"].any():  # nothing to tell: as in files older than the column
+            del arrays["missed"]
+        arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
+        return arrays

@@ -1,0 +1,166 @@
+"""The segments of a map as columns: checked on the way in, joined when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import MapMismatch, SeglocError
+from ..types import Descriptors, Float32, Float64
+
+Array = NDArray[Any]
+Int32 = NDArray[np.int32]
+
+SEGMENT_DTYPES: dict[str, Any] = {
+    "vectors": np.float32,
+    "quality": np.float32,
+    "centroids": np.float64,
+    "sizes": np.int32,
+    "session": np.int32,
+    "stamps": np.float64,
+    "missed": np.int32,
+}
+
+
+def joined(parts: list[Array]) -> Array:
+    """The parts as one array, which takes their place in the list."""
+    if len(parts) > 1:
+        parts[:] = [np.concatenate(parts)]
+    return parts[0]
+
+
+def row_shape(name: str, count: int, dim: int) -> tuple[int, ...]:
+    """The shape of a column of ``count`` segments."""
+    return {"vectors": (count, dim), "centroids": (count, 3)}.get(name, (count,))
+
+
+def checked(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> Array:
+    """A copy of ``values`` in that dtype.
+
+    Raises
+    ------
+    SeglocError
+        If the shape or the kind of dtype is wrong, or a value is not finite or does not fit.
+    """
+    array = np.asarray(values)
+    if array.shape != shape:
+        raise SeglocError(f"{name} must have shape {shape}, not {array.shape}")
+    whole = np.issubdtype(dtype, np.integer)
+    if array.size and array.dtype.kind not in ("iu" if whole else "iuf"):
+        raise SeglocError(f"{name} cannot have dtype {array.dtype}")
+    if not np.isfinite(array).all() or (whole and (np.abs(array) > np.iinfo(dtype).max).any()):
+        raise SeglocError(f"{name} has values that are out of range")
+    return np.array(array, dtype=dtype)
+
+
+def no_segments(dim: int) -> dict[str, Array]:
+    """The columns of no segment, by a descriptor that may or may not tell quality."""
+    return {
+        name: np.empty(row_shape(name, 0, dim), dtype)
+        for name, dtype in SEGMENT_DTYPES.items()
+        if name != "quality"
+    }
+
+
+class SegmentTable:
+    """Described segments, one row each.
+
+    Parameters
+    ----------
+    columns : dict of str to array
+        Those of ``SEGMENT_DTYPES``, all of one length; "quality" and "missed" can be left out.
+
+    Attributes
+    ----------
+    dim : int
+        Length of a vector.
+    """
+
+    def __init__(self, columns: Mapping[str, Array]) -> None:
+        self.dim = int(columns["vectors"].shape[1])
+        # Rows are gathered in lists and joined when they are asked for. A table without segments
+        # does not know yet whether its descriptor tells quality.
+        self._columns = {
+            name: [array] for name, array in columns.items() if name != "quality" or len(array)
+        }
+        self._columns.setdefault("missed", [np.zeros(len(columns["session"]), np.int32)])
+
+    def __len__(self) -> int:
+        return len(self.centroids)
+
+    @property
+    def vectors(self) -> Float32:
+        """Descriptors, (P, dim) float32."""
+        return self._column("vectors")
+
+    @property
+    def quality(self) -> Float32 | None:
+        """How much each descriptor can be trusted, (P,) float32, or None if it does not say."""
+        return self._column("quality") if "quality" in self._columns else None
+
+    @property
+    def centroids(self) -> Float64:
+        """Means of the segments, (P, 3) float64, map frame."""
+        return self._column("centroids")
+
+    @property
+    def sizes(self) -> Int32:
+        """Points in each segment, (P,) int32."""
+        return self._column("sizes")
+
+    @property
+    def session(self) -> Int32:
+        """The traversal that saw each segment, (P,) int32."""
+        return self._column("session")
+
+    @property
+    def stamps(self) -> Float64:
+        """Stamp of the view that each segment comes from, (P,) float64."""
+        return self._column("stamps")
+
+    @property
+    def missed(self) -> Int32:
+        """How many sessions in a row looked where each segment was and saw nothing, (P,) int32."""
+        return self._column("missed")
+
+    def _column(self, name: str) -> Array:
+        return joined(self._columns[name])
+
+    def _segments(self) -> dict[str, Array]:
+        return {name: self._column(name) for name in self._columns}
+
+    def _rows_of(
+        self,
+        descriptors: Descriptors,
+        centroids: ArrayLike,
+        sizes: ArrayLike,
+        session: int,
+        stamp: float,
+    ) -> dict[str, Array]:
+        """The checked columns of a view; see `SegmentMap.add`."""
+        count = len(descriptors)
+        values: dict[str, ArrayLike | None] = {
+            "vectors": descriptors.vectors,
+            "quality": descriptors.quality,
+            "centroids": centroids,
+            "sizes": sizes,
+            "session": np.full(count, session),
+            "stamps": np.full(count, stamp, dtype=np.float64),
+            "missed": np.zeros(count, np.int32),
+        }
+        columns = {
+            name: checked(value, name, row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
+            for name, value in values.items()
+            if value is not None
+        }
+        if count and len(self) and ("quality" in columns) != ("quality" in self._columns):
+            raise MapMismatch("either all views of a map have descriptor quality or none")
+        return columns
+
+    def _append(self, columns: Mapping[str, Array]) -> None:
+        if len(columns["session"]):
+            for name, array in columns.items():
+                self._columns.setdefault(name, []).append(array)

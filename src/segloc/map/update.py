@@ -1,0 +1,196 @@
+"""A later session of a place -> its map brought up to date."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+
+from ..config import Config
+from ..errors import SeglocError
+from ..types import Float64, Recording
+from .build import build_map
+from .segment_map import SegmentMap
+from .visibility import Visibility, VisibilityConfig, visibility
+
+Bools = NDArray[np.bool_]
+Int32 = NDArray[np.int32]
+
+_POINT_AREA_M2 = 0.04  # that a point of a segment stands for: voxels of 0.2 m
+_RADII_M = (0.5, 2.5)
+_LEAST_POINTS = 4
+
+
+class UpdateConfig(BaseModel):
+    """How long a map remembers what is no longer there, and how large it may grow."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    max_missed: int = Field(
+        2, ge=1, description="sessions in a row that must look through an object to remove it"
+    )
+    gone_share: float = Field(
+        0.6, gt=0, le=1, description="share of an object's points in view that must be gone"
+    )
+    max_gone: float = Field(
+        0.25, gt=0, le=1, description="a larger share of the map in view is not believed to be gone"
+    )
+    max_views: int = Field(0, ge=0, description="newest views kept of an object; 0: all")
+    same_m: float = Field(0.5, gt=0, description="centroids of one object lie this close")
+    max_segments: int = Field(0, ge=0, description="segments the map may hold; 0: any number")
+    visibility: VisibilityConfig = VisibilityConfig()
+
+
+@dataclass(frozen=True)
+class UpdateCounts:
+    """What an update did.
+
+    Attributes
+    ----------
+    added : int
+        Segments of the new session.
+    seen, aged, removed, out_of_view : int
+        Segments of the old map: still there; missing, but not for long enough; removed; not
+        judged.
+    bounded : int
+        Segments dropped to keep the size bounded.
+    points_removed : int
+        Of the cloud.
+    """
+
+    added: int
+    seen: int
+    aged: int
+    removed: int
+    out_of_view: int
+    bounded: int
+    points_removed: int
+
+
+def update_map(
+    prior_map: SegmentMap,
+    recording: Recording,
+    config: Config | None = None,
+    update: UpdateConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[SegmentMap, UpdateCounts]:
+    """Add what a session saw to a map, and let go what it saw through.
+
+    An object that rays of the session passed through, and that nothing was seen of, is missed once
+    more; missed by ``max_missed`` sessions in a row it is removed. What is seen again is missed no
+    longer, and what was not in view stays as it is. Points of the verification cloud that are gone
+    are removed with their object; those that belong to none, at once.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+    recording : Recording
+        Its poses are T_map_sensor.
+    config : Config, optional
+        How the session is described; by default the preset of the map's method.
+    update : UpdateConfig, optional
+    progress : callable, optional
+        Called with (scans done, scans in all) while visibility is judged.
+
+    Returns
+    -------
+    SegmentMap, UpdateCounts
+
+    Raises
+    ------
+    DatasetError
+        If the recording has no poses, or nothing that could be segmented.
+    MapMismatch
+        If the map was described by something else.
+    SeglocError
+        If far more of what should be in view is gone than changes in a place: then the poses are
+        not in the map's frame.
+    """
+    config = config or Config.preset(prior_map.descriptor)
+    update = update or UpdateConfig()
+    judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
+    _check_frame(judged, recording.name, update.max_gone)
+    gone, seen = _judged_segments(prior_map, judged, update.gone_share)
+    missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
+        np.int32
+    )
+    stay = missed < update.max_missed
+    waiting = stay & gone
+    points = ~judged.gone | _within_segments(prior_map, waiting)
+    old = prior_map.kept(stay, points, missed)
+    fresh = build_map(recording, config)
+    merged = old.merge(fresh)
+    keep = _newest_views(merged, update)
+    bounded = merged.kept(keep, np.ones(len(merged.cloud), dtype=bool))
+    return bounded, UpdateCounts(
+        added=len(fresh),
+        seen=int(seen.sum()),
+        aged=int(waiting.sum()),
+        removed=int((~stay).sum()),
+        out_of_view=int((~gone & ~seen).sum()),
+        bounded=int((~keep).sum()),
+        points_removed=int((~points).sum()),
+    )
+
+
+def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:
+    gone, seen = int(judged.gone.sum()), int(judged.seen.sum())
+    if gone > max_gone * (gone + seen):
+        share = 100 * gone / (gone + seen)
+        raise SeglocError(
+            f"{name}: {share:.0f} % of the map in view is not there: "
+            "are its poses in the frame of the map?"
+        )
+
+
+def _radii(prior_map: SegmentMap) -> Float64:
+    """About how far each segment reaches from its centroid: as a sphere with its surface would."""
+    reach = 0.2 + 1.3 * np.sqrt(prior_map.sizes * _POINT_AREA_M2 / (4 * np.pi))
+    radii: Float64 = np.clip(reach, *_RADII_M)
+    return radii
+
+
+def _judged_segments(
+    prior_map: SegmentMap, judged: Visibility, gone_share: float
+) -> tuple[Bools, Bools]:
+    """Which segments are gone and which were seen; neither where too little was in view."""
+    rows = np.flatnonzero(judged.gone | judged.seen)
+    if not len(rows) or not len(prior_map):
+        return np.zeros(len(prior_map), dtype=bool), np.zeros(len(prior_map), dtype=bool)
+    tree = cKDTree(prior_map.cloud[rows] + prior_map.origin)
+    members = tree.query_ball_point(prior_map.centroids, _radii(prior_map))
+    counts = np.array([len(each) for each in members])
+    lost = np.array([np.count_nonzero(judged.gone[rows[each]]) for each in members])
+    in_view = counts >= _LEAST_POINTS
+    gone = in_view & (lost >= gone_share * counts)
+    return gone, in_view & ~gone
+
+
+def _within_segments(prior_map: SegmentMap, chosen: Bools) -> Bools:
+    """Which points of the cloud belong to one of the chosen segments."""
+    inside = np.zeros(len(prior_map.cloud), dtype=bool)
+    if chosen.any():
+        tree = cKDTree(prior_map.cloud + prior_map.origin)
+        for members in tree.query_ball_point(
+            prior_map.centroids[chosen], _radii(prior_map)[chosen]
+        ):
+            inside[members] = True
+    return inside
+
+
+def _newest_views(prior_map: SegmentMap, update: UpdateConfig) -> Bools:
+    """Which segments stay when objects may have so many views, and the map so many segments."""
+    keep = np.ones(len(prior_map), dtype=bool)
+    newest = np.lexsort((prior_map.stamps, prior_map.session, -prior_map.missed))[::-1]
+    if update.max_views:
+        near = cKDTree(prior_map.centroids).query_ball_point(prior_map.centroids, update.same_m)
+        keep[:] = False
+        for i in newest:
+            keep[i] = np.count_nonzero(keep[near[i]]) < update.max_views
+    if update.max_segments:
+        keep[newest[keep[newest]][update.max_segments :]] = False
+    return keep

@@ -1,0 +1,136 @@
+"""Which points of a map a later session looked through, and which it saw again.
+
+A point was looked through where the sensor measured something well behind it, in the point's
+direction and in all directions about it. G. Kim, A. Kim, "Remove, then Revert: Static Point Cloud
+Map Construction using Multiresolution Range Images", IROS 2020, compares range images in the same
+way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
+
+from .. import geometry
+from ..errors import DatasetError
+from ..types import Float32, Float64, Int64, Pose, Recording
+from .voxel_cloud import VoxelCloud
+
+
+class VisibilityConfig(BaseModel):
+    """When a place counts as looked through."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    every_m: float = Field(1.0, gt=0, description="travel between the scans that are looked at")
+    range_m: float = Field(30.0, gt=0, description="rays are judged up to here")
+    bin_deg: float = Field(1.0, gt=0, le=10, description="width of a pixel of the range images")
+    margin_m: float = Field(0.7, gt=0, description="what lies this far behind a point is behind it")
+    near_m: float = Field(0.4, gt=0, description="a point this near is the same place seen again")
+    min_passes: int = Field(3, ge=1, description="scans that must look through a place")
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """What a session says of N points.
+
+    Attributes
+    ----------
+    gone : (N,) bool
+        Looked through several times, and nothing seen there.
+    seen : (N,) bool
+        Something is there still. What is neither was not in view.
+    """
+
+    gone: NDArray[np.bool_]
+    seen: NDArray[np.bool_]
+
+
+def visibility(
+    points: Float32,
+    origin: Float64,
+    recording: Recording,
+    config: VisibilityConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Visibility:
+    """Judge the points of a map by a later session.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Relative to ``origin``.
+    origin : (3,) float64
+        Map frame.
+    recording : Recording
+        Its poses are T_map_sensor.
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses, or a scan cannot be read.
+    """
+    config = config or VisibilityConfig()
+    poses = recording.poses
+    if poses is None or not len(poses):
+        raise DatasetError(f"{recording.name}: needs a pose in the map for every scan")
+    way = geometry.travelled(poses)
+    marks = np.arange(0.0, way[-1] + 1e-9, config.every_m)
+    chosen = np.unique(np.searchsorted(way, marks - 1e-9))
+    passes = np.zeros(len(points), np.int32)
+    cloud = VoxelCloud(np.empty((0, 3), np.float32), origin, config.near_m / 2)
+    for done, i in enumerate(map(int, chosen)):
+        scan = recording.scan(i).points
+        scan = scan[(scan**2).sum(axis=1) < (2 * config.range_m) ** 2]
+        T = geometry.rigid(poses[i, :3, :3], poses[i, :3, 3] - origin)
+        rows = _looked_through(points, T, scan, config)
+        passes[rows] += 1
+        cloud.add_relative(geometry.transform(T, scan).astype(np.float32))
+        if progress:
+            progress(done + 1, len(chosen))
+    seen = _near(points, cloud.points, config.near_m)
+    return Visibility((passes >= config.min_passes) & ~seen, seen)
+
+
+def _near(points: Float32, others: Float32, radius: float) -> NDArray[np.bool_]:
+    if not len(points) or not len(others):
+        return np.zeros(len(points), dtype=bool)
+    distances, _ = cKDTree(others).query(points, distance_upper_bound=radius)
+    return np.isfinite(distances)
+
+
+def _looked_through(
+    points: Float32, T_map_sensor: Pose, scan: Float32, config: VisibilityConfig
+) -> Int64:
+    """Rows of the points that one scan looked through."""
+    offsets = points - T_map_sensor[:3, 3].astype(np.float32)
+    near = np.flatnonzero((offsets**2).sum(axis=1) < config.range_m**2)
+    local = (offsets[near].astype(np.float64)) @ T_map_sensor[:3, :3]
+    pixels, ranges = _pixels(local, config.bin_deg)
+    measured, nearest = _range_images(scan, config.bin_deg)
+    through = np.isfinite(measured[pixels]) & (nearest[pixels] > ranges + config.margin_m)
+    return near[through]
+
+
+def _range_images(scan: Float32, bin_deg: float) -> tuple[Float64, Float64]:
+    """The nearest range in each pixel, infinite where none was measured, and about each pixel."""
+    shape = round(360 / bin_deg) + 1, round(180 / bin_deg) + 1
+    measured = np.full(shape, np.inf)
+    pixels, ranges = _pixels(scan.astype(np.float64), bin_deg)
+    np.minimum.at(measured, pixels, ranges)
+    return measured, minimum_filter(measured, 3, mode=("wrap", "nearest"))
+
+
+def _pixels(points: Float64, bin_deg: float) -> tuple[tuple[Int64, Int64], Float64]:
+    """Column and row of each point in a range image, and its range."""
+    x, y, z = points.T
+    ranges = np.sqrt(x * x + y * y + z * z)
+    azimuth = np.degrees(np.arctan2(y, x)) + 180.0
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y))) + 90.0
+    columns = (azimuth / bin_deg).astype(np.int64)
+    return (columns, (elevation / bin_deg).astype(np.int64)), ranges

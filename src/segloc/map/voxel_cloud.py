@@ -1,0 +1,126 @@
+"""A point cloud that keeps one point a voxel, cheap to add to many times."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SeglocError
+from ..types import Float32, Float64, Int64
+
+_BITS = 21  # a voxel index packs into 63 bits
+_MIN_PENDING = 1 << 18
+
+
+class VoxelCloud:
+    """Points relative to an origin, thinned to the one nearest to the centre of each voxel.
+
+    The choice depends only on the set of points, so the order of adding does not matter, adding
+    the same points again changes nothing, and every point kept is a measured one. The grid is
+    fixed in the map frame, not at the origin, so clouds with different origins can be merged.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Relative to ``origin``; thinned if need be.
+    origin : (3,) float64
+        Map frame.
+    voxel : float
+        Edge length, metres.
+    """
+
+    def __init__(self, points: Float32, origin: Float64, voxel: float) -> None:
+        self.origin = origin
+        self.voxel = voxel
+        self._thinned: Float32 = points
+        self._pending: list[Float32] = []
+        self._pending_count = 0
+
+    def add(self, points: NDArray[np.floating]) -> None:
+        """Add (N, 3) points in the map frame. Amortised: thinning waits until it is worth it.
+
+        Raises
+        ------
+        SeglocError
+            If the shape or dtype is wrong or a point is not finite; the cloud is then unchanged.
+        """
+        if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
+            raise SeglocError(
+                f"cloud must be (N, 3) floating point, not {points.shape} {points.dtype}"
+            )
+        self.add_relative((points - self.origin).astype(np.float32))
+
+    def add_relative(self, points: Float32) -> None:
+        """Add (N, 3) points that are relative to the origin."""
+        if not np.isfinite(points).all():
+            raise SeglocError("the cloud has points that are not finite")
+        self._pending.append(points)
+        self._pending_count += len(points)
+        if self._pending_count > max(_MIN_PENDING, len(self._thinned)):
+            self._consolidate()
+
+    @property
+    def points(self) -> Float32:
+        """The (N, 3) float32 points relative to the origin, in the order of their voxels."""
+        self._consolidate()
+        return self._thinned
+
+    def moved_to(self, origin: Float64, voxel: float) -> VoxelCloud:
+        """The same points relative to another origin, on another grid."""
+        if voxel == self.voxel and np.array_equal(origin, self.origin):
+            return VoxelCloud(self.points, origin, voxel)
+        moved = VoxelCloud(np.empty((0, 3), np.float32), origin, voxel)
+        moved.add(self.points + self.origin)
+        return moved
+
+    def _consolidate(self) -> None:
+        if self._pending:
+            together = np.concatenate([self._thinned, *self._pending])
+            self._thinned = thin(together, self.origin, self.voxel)
+            self._pending, self._pending_count = [], 0
+
+
+def thin(points: Float32, origin: Float64, voxel: float) -> Float32:
+    """The point nearest to each voxel's centre, sorted by voxel.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Relative to ``origin``.
+    origin : (3,) float64
+        The grid's voxels are ``floor((origin + point) / voxel)``.
+    voxel : float
+        Edge length, metres.
+
+    Raises
+    ------
+    SeglocError
+        If the points span more than two million voxels along an axis.
+    """
+    if not len(points):
+        return points
+    scaled = (points.astype(np.float64) + origin) / voxel
+    cells = np.floor(scaled)
+    distances = np.square(scaled - cells - 0.5).sum(axis=1)
+    keys = _packed(cells)
+    order = np.argsort(keys)
+    keys, distances = keys[order], distances[order]
+    starts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
+    groups = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(keys)))
+    nearest = distances == np.minimum.reduceat(distances, starts)[groups]
+    candidates, groups = order[nearest], groups[nearest]
+    if len(candidates) > len(starts):  # equal distances: the smallest coordinates win
+        x, y, z = points[candidates].T
+        ranked = np.lexsort((z, y, x, groups))
+        first = np.diff(groups[ranked], prepend=-1) > 0
+        candidates = candidates[ranked[first]]
+    return np.ascontiguousarray(points[candidates])
+
+
+def _packed(cells: Float64) -> Int64:
+    low = cells.min(axis=0)
+    if (cells.max(axis=0) - low).max() >= 1 << _BITS:
+        raise SeglocError(f"the cloud spans more than {1 << _BITS} voxels along an axis")
+    x, y, z = (cells - low).astype(np.int64).T
+    packed: Int64 = (x << 2 * _BITS) | (y << _BITS) | z
+    return packed

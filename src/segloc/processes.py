@@ -1,0 +1,75 @@
+"""Independent work in several processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import TypeVar
+
+from .errors import SeglocError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"
+
+
+def process_pool(workers: int) -> ProcessPoolExecutor:
+    """A pool of fresh processes: forked ones would inherit the ray caster's stopped threads."""
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+@contextmanager
+def single_threaded_pool(workers: int) -> Iterator[Executor]:
+    """Processes with one thread each for linear algebra: more would wait for each other."""
+    before = os.environ.get(_BLAS_THREADS)
+    os.environ[_BLAS_THREADS] = "1"
+    try:
+        with process_pool(workers) as pool:
+            yield pool
+    finally:
+        if before is None:
+            del os.environ[_BLAS_THREADS]
+        else:
+            os.environ[_BLAS_THREADS] = before
+
+
+def in_parallel(
+    work: Callable[[Task], Result], tasks: Sequence[Task], workers: int
+) -> Iterator[Result]:
+    """Results as they are finished.
+
+    Parameters
+    ----------
+    work : callable
+        Can be pickled, and so can what it takes and returns.
+    tasks : sequence
+    workers : int
+        Processes, with one thread each for linear algebra. With one, or one task, everything runs
+        in this process.
+
+    Raises
+    ------
+    SeglocError
+        If the system ended a process, as it does when memory runs out.
+    """
+    if workers == 1 or len(tasks) < 2:
+        yield from map(work, tasks)
+        return
+    with single_threaded_pool(min(workers, len(tasks))) as pool:
+        futures = [pool.submit(work, task) for task in tasks]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise SeglocError(
+                "a worker process was ended, most likely because memory ran out: try --workers 1; "
+                "what is finished is kept"
+            ) from error
+        finally:
+            for future in futures:
+                future.cancel()  # after a fault the rest would be done in vain

@@ -1,0 +1,21 @@
+"""The kinds of worlds by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .forest import forest
+from .industrial import industrial
+from .meadow import meadow
+from .park import park
+from .town import town
+from .world import World
+
+SCENES: dict[str, Callable[..., World]] = {
+    "forest": forest,
+    "industrial": industrial,
+    "meadow": meadow,
+    "park": park,
+    "town": town,
+}
+"""Each is called with a seed, and ``size_m`` where its own default does not do."""

@@ -1,0 +1,166 @@
+"""A town: curved streets, houses with gardens, street furniture, trees, places to park."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ..objects.buildings import shed
+from ..objects.identity import Objects
+from ..objects.street import FURNITURE, lamp, traffic_light, traffic_sign, utility_pole
+from ..objects.vegetation import bush
+from .character import BUILDINGS, Character, draw_character
+from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
+from .lots import build_along, dress
+from .planting import town_tree
+from .roads import Street, street_network
+from .world import World
+
+_MARGIN = 38.0
+_BLOCK = 68.0
+_OUTER_LANE = 3.85  # from the centre line: clear of whoever maps the street
+
+
+@lru_cache(maxsize=2)
+def town(seed: int, *, size_m: float = 330.0) -> World:
+    """A town of about ``size_m`` metres square; the same for the same seed, whatever the process.
+
+    Raises
+    ------
+    ConfigError
+        If ``size_m`` is not in 130..2000 or the seed is negative.
+    """
+    check_world(seed, size_m, 130.0, 2000.0)
+    rng = np.random.default_rng([seed, 104729])
+    character = draw_character(rng)
+    roads = street_network(
+        rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=character.half_width
+    )
+    terrain, reflectance = paved_ground(rng, roads, size_m, slope=float(rng.uniform(0.015, 0.045)))
+    site = Site(rng, terrain, roads, Occupancy(size_m), green=character.green)
+    fronts = [
+        _frontage(rng, character, street, side) for street in roads.streets for side in (1, -1)
+    ]
+    for front in fronts:
+        lay_kerb(site, front)
+        _pavement(site, front)
+    for node in range(len(roads.nodes)):
+        _junction(site, node)
+    lots = [lot for front in fronts for lot in build_along(site, front)]
+    for lot in lots:
+        dress(site, lot)
+    for front in fronts:
+        _street_parking(site, front, character.parked)
+        _traffic(site, front)
+    _gardens(site, size_m)
+    static = Objects.of(site.items, 1)
+    return World(
+        f"town-{seed}",
+        seed,
+        terrain,
+        reflectance,
+        roads,
+        static,
+        site.spots(),
+        (_remake, (seed, size_m)),
+    )
+
+
+def _remake(seed: int, size_m: float) -> World:
+    return town(seed, size_m=size_m)
+
+
+def _frontage(
+    rng: np.random.Generator, character: Character, street: Street, side: int
+) -> Frontage:
+    built = str(rng.choice(BUILDINGS, p=character.buildings))
+    return Frontage(street, side, float(rng.uniform(*character.pavement)), built, character.setback)
+
+
+def _pavement(site: Site, front: Frontage) -> None:
+    """Lamps, poles, street trees and furniture between kerb and gardens."""
+    rng, length = site.rng, front.street.length
+    if rng.random() < 0.75:
+        for s in np.arange(rng.uniform(6, 20), length - 6, rng.uniform(24, 38)):
+            at, yaw = front.at(s + rng.normal(0, 1.0), rng.uniform(0.3, 0.6))
+            site.stand("lamp", lamp(rng), at, float(yaw) - np.pi / 2, 0.4)
+    else:
+        for s in np.arange(rng.uniform(6, 25), length - 6, rng.uniform(28, 42)):
+            at, yaw = front.at(s + rng.normal(0, 1.5), front.pavement - 0.25)
+            site.stand("pole", utility_pole(rng), at, float(yaw), 0.4)
+    if rng.random() < 0.25 + 0.6 * site.green:
+        pitch = rng.uniform(6, 13)
+        tall = float(rng.uniform(6, 13))
+        for s in np.arange(rng.uniform(8, 14), length - 8, pitch):
+            at, yaw = front.at(s + rng.normal(0, 0.5), rng.uniform(0.6, 0.9))
+            if rng.random() < 0.85:
+                site.stand("tree", town_tree(rng, 0.7 * tall, 1.2 * tall), at, float(yaw), 0.7)
+    shares = np.array([share for _, _, share, _ in FURNITURE])
+    for s in rng.uniform(7, max(8.0, length - 7), int(length / 17)):
+        kind, make, _, out = FURNITURE[int(rng.choice(len(FURNITURE), p=shares / shares.sum()))]
+        at, yaw = front.at(s, min(out, front.pavement - 0.2))
+        turn = 0.0 if kind in ("traffic sign", "name sign") else -np.pi / 2
+        site.stand(kind, make(rng), at, float(yaw) + turn, min(2 * out, 1.6))
+    walkers = rng.uniform(3, max(4.0, length - 3), int(length / 7))
+    site.people.extend(front.at(walkers, rng.uniform(0.4, front.pavement, len(walkers)))[0])
+
+
+def _junction(site: Site, node: int) -> None:
+    """Signs at the corners, sometimes traffic lights."""
+    rng, middle = site.rng, site.roads.nodes[node]
+    lights = rng.random() < 0.25
+    for angle in rng.uniform(0, 2 * np.pi) + np.arange(8) * np.pi / 4:
+        way = np.array([np.cos(angle), np.sin(angle)])
+        for reach in np.arange(4.0, 11.0, 0.5):
+            at = middle + reach * way
+            if site.roads.clearance(at) > 0.5:
+                if rng.random() < 0.45:
+                    make = traffic_light if lights else traffic_sign
+                    kind = "traffic light" if lights else "traffic sign"
+                    site.stand(kind, make(rng), at, float(angle + np.pi + rng.normal(0, 0.4)), 0.4)
+                break
+
+
+def _street_parking(site: Site, front: Frontage, parked: float) -> None:
+    """Cars by the kerb, half on the pavement in narrow streets, in groups with gaps."""
+    rng, street = site.rng, front.street
+    if rng.random() < 0.1:
+        return
+    busy = min(1.0, rng.uniform(0.85, 1.15) * parked)
+    for s in np.arange(8.0, street.length - 8.0, rng.uniform(5.4, 6.4)):
+        at, yaw = front.at(s, -0.55)
+        ends, _ = front.at(np.array([s - 3.5, s + 3.5]), -0.55)
+        if site.roads.clearance(ends).min() > -0.8 and site.ground.free(at, (5.2, 1.9), float(yaw)):
+            site.parking.append((*at, float(yaw), 5.3 if rng.random() < 0.8 else 6.2, busy))
+        if rng.random() < 0.12:
+            rack, _ = front.at(s, front.pavement - 0.4)
+            site.bicycles += [(*(rack + k * 0.6), float(yaw) + 1.2) for k in range(3)]
+
+
+def _traffic(site: Site, front: Frontage) -> None:
+    """Vehicles that drive in the outer lane of wide streets, each session elsewhere."""
+    lane = front.street.half_width - 2.75  # beside those that park
+    if lane < _OUTER_LANE:
+        return
+    for s in np.arange(16.0, front.street.length - 16.0, 14.0):
+        at, yaw = front.at(s, lane - front.street.half_width)
+        site.parking.append((*at, float(yaw), 13.0, 0.12))
+
+
+def _gardens(site: Site, size_m: float) -> None:
+    """Trees, bushes and sheds behind and between the houses."""
+    rng = site.rng
+    for at in rng.uniform(3, size_m - 3, (int(size_m**2 * (0.008 + 0.012 * site.green)), 2)):
+        if site.roads.clearance(at) < 4.5:
+            continue
+        pick, yaw = rng.random(), float(rng.uniform(0, 2 * np.pi))
+        if pick < 0.5:
+            site.stand("tree", town_tree(rng, 4.0, 15.0), at, yaw, 1.2)
+        elif pick < 0.9:
+            site.stand("bush", bush(rng), at, yaw, 1.4)
+        else:
+            small = shed(rng)
+            if site.ground.claim(at, (small.width, small.depth), yaw, 0.3):
+                z = float(site.terrain.height(*at))
+                site.items.append(("shed", small.mesh.moved([*at, z], yaw)))

@@ -1,0 +1,310 @@
+"""Bags of every kind: clouds, topics, poses, times, and what is wrong with them."""
+
+from __future__ import annotations
+
+import pickle
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from samples.bags import KINDS, BagWriter
+from samples.datasets import START, Drive, matrix
+
+from segloc import geometry
+from segloc.datasets import RecordedSequence, open_sequence
+from segloc.datasets.inspection import inspect
+from segloc.datasets.ros import livox
+from segloc.errors import DatasetError
+from segloc.types import Float64
+
+DRIVE = Drive.make(8)
+MOUNT = matrix((0.4, 0.1, 1.2), (0.05, -0.02, 0.3))
+
+
+def opened(path: Path, **options: object) -> RecordedSequence:
+    sequence = open_sequence(path, **options)  # type: ignore[arg-type]
+    assert isinstance(sequence, RecordedSequence)
+    return sequence
+
+
+def clouds(bag: BagWriter, topic: str = "/points", frame: str = "lidar") -> BagWriter:
+    for i, stamp in enumerate(DRIVE.stamps):
+        bag.cloud(topic, stamp, DRIVE.seen(i), frame)
+    return bag
+
+
+def times(step: float = 0.02) -> Float64:
+    return np.arange(START - 0.05, DRIVE.stamps[-1] + 0.05, step)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_clouds_stamps_and_odometry(kind: str, tmp_path: Path) -> None:
+    """Poses are those at the stamps, though messages are recorded 30 ms later."""
+    bag = clouds(BagWriter(kind))
+    for time in times():
+        bag.odometry("/odom", time, DRIVE.pose(time) @ geometry.inverse(MOUNT), "base_link")
+    bag.tf("/tf_static", START - 1, MOUNT, "base_link", "lidar")
+    path = bag.write(tmp_path / "drive", compress=True)
+    sequence = opened(path)
+    assert (sequence.name, sequence.frame, len(sequence)) == ("drive", "lidar", 8)
+    assert {"ros1": "ROS 1", "sqlite3": "SQLite", "mcap": "MCAP"}[kind] in sequence.format
+    np.testing.assert_allclose(sequence.stamps, DRIVE.stamps, atol=1e-6)
+    np.testing.assert_allclose(sequence.poses, DRIVE.poses, atol=1e-4)
+    assert sequence.track is not None
+    assert sequence.track.source == "/odom"
+    for i in (5, 0, 7):  # in any order
+        np.testing.assert_allclose(sequence.scan(i).points, DRIVE.seen(i), atol=1e-5)
+    again = pickle.loads(pickle.dumps(sequence))
+    np.testing.assert_array_equal(again.scan(3).points, sequence.scan(3).points)
+    inside = next(path.glob("*.[dm]*[b3p]")) if path.is_dir() else path
+    np.testing.assert_array_equal(opened(inside).scan(2).points, sequence.scan(2).points)
+    assert opened(path, poses="none").poses is None
+
+
+def test_compression_makes_no_difference(tmp_path: Path) -> None:
+    plain = opened(clouds(BagWriter("ros1")).write(tmp_path / "plain"))
+    packed = opened(clouds(BagWriter("ros1")).write(tmp_path / "packed", compress=True))
+    np.testing.assert_array_equal(plain.stamps, packed.stamps)
+    np.testing.assert_array_equal(plain.scan(5).points, packed.scan(5).points)
+    several = tmp_path / "several"
+    several.mkdir()
+    for part in range(2):
+        bag = BagWriter("ros1")
+        for i in range(4 * part, 4 * part + 4):
+            bag.cloud("/points", DRIVE.stamps[i], DRIVE.seen(i))
+        bag.write(several / f"part_{1 - part}")
+    whole = opened(several)
+    np.testing.assert_array_equal(whole.stamps, plain.stamps)
+    np.testing.assert_array_equal(whole.scan(5).points, plain.scan(5).points)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_poses_from_tf(kind: str, tmp_path: Path) -> None:
+    """map -> odom -> base -> lidar, the second the finest and the last fixed."""
+    bag = clouds(BagWriter(kind))
+    shift = geometry.yaw_transform(0.5, (100.0, 50.0, 0.0))
+    for k, time in enumerate(times()):
+        body = geometry.inverse(shift) @ DRIVE.pose(time) @ geometry.inverse(MOUNT)
+        bag.tf("/tf", time, body, "odom", "base_link")
+        if k % 5 == 0 or time + 0.1 > times()[-1]:
+            bag.tf("/tf", time, shift, "map", "/odom")
+    bag.tf("/tf_static", START - 1, MOUNT, "base_link", "lidar")
+    sequence = opened(bag.write(tmp_path / "drive"))
+    assert sequence.track is not None
+    assert sequence.track.source == "tf, map to lidar"
+    np.testing.assert_allclose(sequence.poses, DRIVE.poses, atol=1e-4)
+
+
+def test_odometry_of_an_unknown_body_is_not_used(tmp_path: Path) -> None:
+    bag = clouds(BagWriter("sqlite3"))
+    for time in times():
+        bag.odometry("/odom", time, DRIVE.pose(time), "base_link")
+    sequence = opened(bag.write(tmp_path / "drive"))
+    assert sequence.poses is None
+    assert sequence.notes == (
+        "/odom has poses of 'base_link', and nothing says where 'lidar' is in it: not used",
+    )
+    bag = clouds(BagWriter("sqlite3"))
+    for time in times():
+        bag.odometry("/odom", time, DRIVE.pose(time), "lidar")
+    np.testing.assert_allclose(opened(bag.write(tmp_path / "2")).poses, DRIVE.poses, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_topics(kind: str, tmp_path: Path) -> None:
+    bag = clouds(clouds(BagWriter(kind), "/front", "front"), "/rear", "rear")
+    bag.odometry("/odom", START, np.eye(4), "base")
+    path = bag.write(tmp_path / "drive")
+    several = r"several topics, choose one by --topic: /front \(8\), /rear \(8\)"
+    with pytest.raises(DatasetError, match=several):
+        opened(path)
+    assert opened(path, topic="/rear").frame == "rear"
+    with pytest.raises(DatasetError, match=r"'/odom' is no topic of scans: /front \(8\)"):
+        opened(path, topic="/odom")
+    other = BagWriter(kind)
+    other.odometry("/odom", START, np.eye(4), "base")
+    path = other.write(tmp_path / "other")
+    with pytest.raises(DatasetError, match=r"no topic of scans, only /odom \(nav_msgs/msg/O"):
+        opened(path)
+
+
+@pytest.mark.parametrize(
+    ("field", "dtype", "unit", "since"),
+    [("t", "u4", 1e9, 0.0), ("time", "f4", 1.0, 0.0), ("timestamp", "f8", 1.0, 1.0)],
+)
+def test_times_of_points(field: str, dtype: str, unit: float, since: float, tmp_path: Path) -> None:
+    """As Ouster, Velodyne and Hesai write them: each point where the sensor was at its time."""
+    bag = BagWriter("mcap")
+    count = len(DRIVE.landmarks)
+    spread = np.linspace(0, 0.09, count)
+    for stamp in DRIVE.stamps:
+        seen = np.array([
+            geometry.transform(geometry.inverse(DRIVE.pose(stamp + t)), point[None])[0]
+            for t, point in zip(spread, DRIVE.landmarks, strict=True)
+        ])  # fmt: skip
+        values = (spread + since * stamp) * unit
+        bag.cloud("/points", stamp, seen, times=(field, dtype, values))
+    for time in np.arange(START - 0.05, DRIVE.stamps[-1] + 0.2, 0.02):
+        bag.odometry("/odom", time, DRIVE.pose(time), "lidar")
+    path = bag.write(tmp_path / "drive")
+    sequence = opened(path)
+    assert field in sequence.fields
+    for i in (0, 7):
+        np.testing.assert_allclose(sequence.scan(i).points, DRIVE.seen(i), atol=2e-4)
+    raw = opened(path, deskew=False).scan(0)
+    assert raw.times is not None
+    np.testing.assert_allclose(raw.times, spread, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
+def test_livox_messages(kind: str, package: str, tmp_path: Path) -> None:
+    """The bytes as rosbags writes them by the message's definition, moved along the poses."""
+    bag = BagWriter(kind)
+    spread = np.linspace(0, 0.09, len(DRIVE.landmarks))
+    for stamp in DRIVE.stamps:
+        seen = np.array([
+            geometry.transform(geometry.inverse(DRIVE.pose(stamp + t)), point[None])[0]
+            for t, point in zip(spread, DRIVE.landmarks, strict=True)
+        ])  # fmt: skip
+        seen[3] = 0.0  # no return
+        bag.livox("/livox/lidar", stamp, seen, spread, package)
+    bag.livox("/livox/lidar", DRIVE.stamps[-1] + 0.1, np.empty((0, 3)), np.empty(0), package)
+    for time in np.arange(START - 0.05, DRIVE.stamps[-1] + 0.3, 0.02):
+        bag.odometry("/odom", time, DRIVE.pose(time), "livox")
+    bag.laser("/scan", START, np.ones(9), 0.5, 0.0)  # passed over
+    sequence = opened(bag.write(tmp_path / "drive"))
+    assert (len(sequence), sequence.frame) == (9, "livox")
+    assert sequence.fields == "x y z reflectivity tag line offset_time"
+    for i in (0, 7):
+        expected = np.delete(DRIVE.seen(i), 3, axis=0)
+        np.testing.assert_allclose(sequence.scan(i).points, expected, atol=2e-4)
+    assert len(sequence.scan(8)) == 0
+    raw = sequence.raw(0)
+    assert raw.times is not None
+    np.testing.assert_allclose(raw.times, np.delete(spread, 3), atol=1e-8)
+
+
+def test_livox_messages_in_other_bytes() -> None:
+    """Big-endian, and cut off anywhere."""
+    packed = [struct.pack(f"{order}iII", 7, 8, 6) + b"livox\0" for order in "<>"]
+    bodies = []
+    for order, body in zip("<>", packed, strict=True):
+        rest = struct.pack(f"{order}6xQIB3xI", 5, 2, 1, 2)
+        point = [struct.pack(f"{order}I3f3B", 1000 * k, 1.0, k, 2.0, 9, 9, 9) for k in (1, 2)]
+        bodies.append(body + rest + point[0] + b"\0" + point[1])
+    little, big = b"\0\1\0\0" + bodies[0], b"\0\0\0\0" + bodies[1]
+    for data in (little, big):
+        scan = livox.to_scan(data, cdr=True)
+        np.testing.assert_array_equal(scan.points, [[1, 1, 2], [1, 2, 2]])
+        np.testing.assert_allclose(scan.times, [1e-6, 2e-6])
+        for length in range(len(data)):
+            with pytest.raises(DatasetError, match="cut off"):
+                livox.to_scan(data[:length], cdr=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sweeps_of_a_planar_scanner(kind: str, tmp_path: Path) -> None:
+    bag = BagWriter(kind)
+    step = 1.5 * np.pi / 270
+    angles = -0.75 * np.pi + step * np.arange(271)
+    ranges = 5 + np.cos(3 * angles)
+    ranges[[0, 7, 9, 20]] = [np.inf, np.nan, 0.01, 31.0]  # what is no return
+    hit = np.delete(np.arange(271), [0, 7, 9, 20])
+    for k, stamp in enumerate(DRIVE.stamps):
+        bag.laser("/scan", stamp, ranges, step, 1e-4 if k else 0.0)
+    sequence = opened(bag.write(tmp_path / "drive"))
+    assert (sequence.frame, sequence.fields) == ("laser", "x y intensity time")
+    assert inspect(sequence).sensor == "2D, one plane"
+    assert sequence.scan(0).times is None
+    scan = sequence.scan(5)
+    expected = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), 0 * angles])
+    np.testing.assert_allclose(scan.points, expected[hit], atol=1e-5)
+    np.testing.assert_allclose(scan.times, 1e-4 * hit, atol=1e-8)
+    clouds(bag)  # clouds are preferred, and sweeps can still be chosen
+    path = bag.write(tmp_path / "both")
+    assert opened(path).frame == "lidar"
+    assert opened(path, topic="/scan").frame == "laser"
+
+
+def test_layouts_of_clouds(tmp_path: Path) -> None:
+    """Big-endian, organised with padded rows, NaN, firings without return, no points."""
+    points = DRIVE.seen(0)
+    broken = points.copy()
+    broken[:7] = np.nan
+    broken[7:10] = 0.0
+    bag = BagWriter("sqlite3")
+    bag.cloud("/points", START, points, big=True)
+    bag.cloud("/points", START + 0.1, points, height=4, padding=12)
+    bag.cloud("/points", START + 0.2, broken)
+    bag.cloud("/points", START + 0.3, points[:0])
+    sequence = opened(bag.write(tmp_path / "drive"))
+    for i in (0, 1):
+        np.testing.assert_allclose(sequence.scan(i).points, points, atol=1e-5)
+    scan = sequence.scan(2)
+    assert (len(scan), scan.dropped) == (len(points) - 10, 7)
+    np.testing.assert_allclose(scan.points, points[10:], atol=1e-5)
+    assert len(sequence.scan(3)) == 0
+
+
+def test_stamps_that_are_missing_or_do_not_rise(tmp_path: Path) -> None:
+    bag = BagWriter("ros1", late_s=0.0)
+    for k, shift in enumerate([0.0, 0.1, -0.3, 0.3, 0.3, 0.5]):
+        bag.cloud("/points", START + shift, DRIVE.seen(0))
+        bag.messages[-1] = (round((START + 0.1 * k) * 1e9), *bag.messages[-1][1:])
+    sequence = opened(bag.write(tmp_path / "back"))
+    assert sequence.stamps is not None
+    np.testing.assert_allclose(sequence.stamps - START, [0.0, 0.1, 0.3, 0.5], atol=1e-6)
+    assert sequence.notes == ("2 of 6 messages left out: stamps do not rise",)
+    bag = BagWriter("ros1", late_s=START)
+    for k in range(3):
+        bag.cloud("/points", 0.0, DRIVE.seen(k))
+    sequence = opened(bag.write(tmp_path / "zero"))
+    assert sequence.notes == ("/points has no stamps: times are those of recording",)
+    np.testing.assert_allclose(sequence.scan(2).points, DRIVE.seen(2), atol=1e-5)  # same time
+
+
+def test_two_sensors_on_one_topic(tmp_path: Path) -> None:
+    bag = clouds(BagWriter("mcap"))
+    bag.cloud("/points", DRIVE.stamps[-1] + 0.1, DRIVE.seen(0), "rear")
+    message = r"message 8 of /points is in frame 'rear', those before it in 'lidar': two sensors"
+    path = bag.write(tmp_path / "drive")
+    with pytest.raises(DatasetError, match=message):
+        opened(path)
+
+
+def test_poses_on_another_clock(tmp_path: Path) -> None:
+    bag = clouds(BagWriter("sqlite3"))
+    for time in times():
+        bag.odometry("/odom", time - START + 5, DRIVE.pose(time), "lidar")
+    path = bag.write(tmp_path / "drive")
+    with pytest.raises(DatasetError, match=r"/odom: no pose for any scan: poses are from 4\.950"):
+        opened(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
+    """One line, or the scans before the cut; never another error, never other points."""
+    path = clouds(BagWriter(kind)).write(tmp_path / "drive")
+    file = next(path.glob("drive*.[dm]*[b3p]")) if path.is_dir() else path
+    data = file.read_bytes()
+    read = refused = 0
+    for share in np.linspace(0, 0.999, 12):
+        file.write_bytes(data[: int(share * len(data))])
+        for place in {path, file}:
+            try:
+                sequence = opened(place)
+                for i in range(len(sequence)):
+                    np.testing.assert_allclose(
+                        sequence.scan(i).points, DRIVE.seen(int(sequence.indices[i])), atol=1e-5
+                    )
+                read += 1
+            except DatasetError as error:
+                assert "\n" not in str(error)
+                assert str(path) in str(error)
+                refused += 1
+    assert refused >= 10

@@ -1,0 +1,282 @@
+"""Bytes that are cut off or wrong: one clear line, or the points that are whole; never more."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from samples.datasets import START, Drive, kitti, mulran
+
+from segloc import geometry
+from segloc.datasets import FolderSequence, RecordedSequence, open_sequence
+from segloc.datasets.binary import parse_float4
+from segloc.datasets.loaders import boreas, helipr, nclt, robotcar
+from segloc.datasets.ros.bag_headers import _parse_cdr, _parse_ros1
+from segloc.datasets.ros.pointcloud2 import to_scan
+from segloc.datasets.tracks import clean_track, euler_poses, read_table, rising
+from segloc.errors import DatasetError
+from segloc.io.kitti_bin import parse_nuscenes
+from segloc.io.scans import write_scan
+from segloc.motion import interpolated
+from segloc.types import Float64, Scan
+
+COUNT = 7
+PARSERS: dict[str, tuple[Callable[[bytes], Scan], int]] = {
+    "float4": (parse_float4, 16),
+    "nuScenes": (parse_nuscenes, 20),
+    "NCLT": (nclt.parse, 8),
+    "Boreas": (boreas.parse, 24),
+    "LMS": (partial(robotcar.parse, sensor="lms_front"), 24),
+} | {
+    name: (partial(helipr.parse, layout=layout), layout.itemsize)
+    for name, layout in helipr.POINTS.items()
+}
+
+
+@pytest.mark.parametrize("name", PARSERS)
+@given(data=st.data())
+def test_binary_scans_of_any_bytes(name: str, data: st.DataObject) -> None:
+    """Whole points or an error: never points made of two."""
+    parse, size = PARSERS[name]
+    content = data.draw(st.binary(max_size=COUNT * size + 3))
+    if len(content) % size:
+        with pytest.raises(DatasetError, match=f"{len(content)} bytes are not") as caught:
+            parse(content)
+        assert "\n" not in str(caught.value)
+    else:
+        scan = parse(content)
+        assert len(scan) + scan.dropped <= len(content) // size
+        assert np.isfinite(scan.points).all()
+
+
+@dataclass
+class PointField:
+    name: str
+    offset: int
+    datatype: int
+    count: int = 1
+
+
+@dataclass
+class Message:
+    """A PointCloud2."""
+
+    height: int
+    width: int
+    point_step: int
+    row_step: int
+    data: np.ndarray
+    is_bigendian: bool = False
+    fields: list[PointField] = field(
+        default_factory=lambda: [PointField(n, 4 * k, 7) for k, n in enumerate("xyz")]
+    )
+
+
+@given(
+    st.integers(0, 5),
+    st.integers(0, 5),
+    st.integers(0, 40),
+    st.integers(0, 200),
+    st.binary(max_size=400),
+    st.booleans(),
+    st.lists(
+        st.builds(
+            PointField,
+            st.sampled_from(["x", "y", "z", "t", "time", "timestamp", "ring"]),
+            st.integers(0, 60),
+            st.integers(0, 10),
+            st.integers(0, 3),
+        ),
+        max_size=8,
+    ),
+)
+def test_point_clouds_of_any_layout(
+    height: int,
+    width: int,
+    step: int,
+    stride: int,
+    data: bytes,
+    big: bool,
+    fields: list[PointField],
+) -> None:
+    """A layout that fits gives at most as many points as it says; any other, one line."""
+    content = np.frombuffer(data, np.uint8) if data else np.empty(0, np.uint8)
+    message = Message(height, width, step, stride, content, big, fields)
+    try:
+        scan = to_scan(message, START)
+    except DatasetError as error:
+        assert "\n" not in str(error)
+    else:
+        assert len(scan) + scan.dropped <= height * width
+
+
+def test_point_clouds_that_do_not_fit() -> None:
+    data = np.zeros(4 * 16, np.uint8)
+    with pytest.raises(DatasetError, match="1 x 5 points need 80 bytes, but there are 64"):
+        to_scan(Message(1, 5, 16, 80, data), 0.0)
+    with pytest.raises(DatasetError, match="no field 'z' among x, y"):
+        to_scan(Message(1, 4, 16, 64, data, fields=Message(0, 0, 0, 0, data).fields[:2]), 0.0)
+    content = np.full((4, 4), np.nan, np.float32)
+    fields = [PointField(name, 4 * k, 7) for k, name in enumerate([*"xyz", "time"])]
+    message = Message(1, 4, 16, 64, content.view(np.uint8).ravel(), fields=fields)
+    assert to_scan(message, 0.0).dropped == 4  # not a number, and so are their times
+    with pytest.raises(DatasetError, match="field z lies outside the 8 bytes of a point"):
+        to_scan(Message(1, 4, 8, 32, data), 0.0)
+
+
+@given(st.binary(max_size=80), st.integers(0, 2**31 - 1), st.integers(0, 10**9 - 1))
+def test_headers_of_messages(tail: bytes, seconds: int, nanoseconds: int) -> None:
+    frame = b"lidar"
+    ros1 = struct.pack("<IIII", 7, seconds, nanoseconds, len(frame)) + frame
+    cdr = b"\0\1\0\0" + struct.pack("<iII", seconds, nanoseconds, len(frame) + 1) + frame + b"\0"
+    expected = (seconds * 10**9 + nanoseconds, "lidar")
+    assert _parse_ros1(ros1 + tail) == _parse_cdr(cdr + tail) == expected
+    for parse, head in ((_parse_ros1, ros1), (_parse_cdr, cdr)):
+        with pytest.raises((struct.error, IndexError)):
+            parse(head[: len(head) // 2])
+
+
+# --- poses ----------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.floats(0.01, 2.0), min_size=1, max_size=8),
+    st.lists(st.floats(-1.0, 12.0), min_size=1, max_size=20),
+    st.integers(0, 2**31),
+)
+def test_interpolation_stays_between_neighbours(
+    steps: list[float], times: list[float], seed: int
+) -> None:
+    """Exact at stamps, on the straight line and the shortest turn between, nothing beyond."""
+    stamps = np.concatenate([[0.0], np.cumsum(steps)])
+    rng = np.random.default_rng(seed)
+    xyz = rng.normal(size=(len(stamps), 3)) * 10
+    poses = euler_poses(xyz, rng.uniform(-1, 1, (len(stamps), 3)))
+    np.testing.assert_allclose(interpolated(stamps, poses, stamps), poses, atol=1e-9)
+    gap = 1.0
+    for time, pose in zip(times, interpolated(stamps, poses, times, gap), strict=True):
+        after = int(np.searchsorted(stamps, time))
+        outside = not stamps[0] <= time <= stamps[-1]
+        if outside or (time not in stamps and stamps[after] - stamps[after - 1] > gap):
+            assert np.isnan(pose).all()
+            continue
+        if time in stamps:
+            continue
+        share = (time - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
+        a, b = poses[after - 1], poses[after]
+        np.testing.assert_allclose(
+            pose[:3, 3], (1 - share) * a[:3, 3] + share * b[:3, 3], atol=1e-6
+        )
+        whole = geometry.rotation_angle(geometry.inverse(a) @ b)
+        part = geometry.rotation_angle(geometry.inverse(a) @ pose)
+        assert part == pytest.approx(share * whole, abs=1e-6)
+
+
+@given(st.lists(st.floats(-5, 5), max_size=12))
+def test_rising_keeps_what_is_later_than_all_before(values: list[float]) -> None:
+    expected = [all(v > w for w in values[:k]) for k, v in enumerate(values)]
+    assert rising(np.array(values)).tolist() == expected
+
+
+def test_tracks_leave_out_what_is_wrong_and_say_so() -> None:
+    stamps = np.array([0.0, 1.0, 1.0, np.nan, 2.0, 3.0])
+    poses = np.tile(np.eye(4), (6, 1, 1))
+    poses[4, 0, 3] = np.inf
+    track = clean_track("odometry", stamps, poses)
+    assert track.keys.tolist() == [0.0, 1.0, 3.0]
+    assert track.note == "odometry: 3 of 6 poses left out: not finite, or not later"
+    assert track.gaps.tolist() == [2.0]
+    with pytest.raises(DatasetError, match="odometry: no poses"):
+        clean_track("odometry", stamps[3:4], poses[3:4])
+
+
+def test_tables_of_numbers(tmp_path: Path) -> None:
+    file = tmp_path / "poses.csv"
+    file.write_text("\ufefft, x ,y\n1,2,3\n\n4,5,6\n")
+    rows = read_table(file, ("y", "t"), header=True)
+    assert rows.tolist() == [[3, 1], [6, 4]]
+    with pytest.raises(DatasetError, match=r"poses\.csv: no column 'z' in its first line"):
+        read_table(file, ("z",), header=True)
+    for text in ("", "t\n", "t\n1\n2,3\nx\n", "t\n1;2\n"):
+        file.write_text(text)
+        with pytest.raises(DatasetError, match=r"poses\.csv: ") as caught:
+            read_table(file, ("t",), header=True)
+        assert "\n" not in str(caught.value)
+
+
+# --- whole recordings -----------------------------------------------------------------------------
+
+
+def test_opening_reads_no_scan(tmp_path: Path) -> None:
+    path = kitti(tmp_path, Drive.make())
+    for file in (path / "velodyne").iterdir():
+        file.write_bytes(b"x")
+    sequence = open_sequence(path)
+    assert len(sequence) == 5
+    assert sequence.poses is not None
+    with pytest.raises(DatasetError, match=r"000003\.bin: cut off: 1 bytes are not whole points"):
+        sequence.scan(3)
+    (path / "velodyne" / "000003.bin").unlink()
+    with pytest.raises(DatasetError, match=r"000003\.bin: no such file"):
+        sequence.scan(3)
+    for position in (-1, 5):
+        with pytest.raises(DatasetError, match=f"00: no scan at position {position} of 5"):
+            sequence.scan(position)
+
+
+def test_folders_of_the_same_names_are_not_mistaken(tmp_path: Path) -> None:
+    for name in ("Ouster", "velodyne_sync", "lms_front", "lidar"):
+        folder = tmp_path / name
+        folder.mkdir()
+        write_scan(folder / "000100.bin", np.ones((5, 3)))
+        sequence = open_sequence(folder)
+        assert isinstance(sequence, FolderSequence)
+        assert sequence.indices.tolist() == [100]
+
+
+def test_a_scan_that_is_missing_shifts_no_pose(tmp_path: Path) -> None:
+    drive = Drive.make(6)
+    path = kitti(tmp_path, drive)
+    (path / "velodyne" / "000002.bin").unlink()
+    sequence = open_sequence(path)
+    assert sequence.indices.tolist() == [0, 1, 3, 4, 5]
+    world: list[Float64] = []
+    for i in range(5):
+        scan = sequence.scan(i)
+        assert scan.T_odom_sensor is not None
+        world.append(geometry.transform(scan.T_odom_sensor, scan.points))
+    np.testing.assert_allclose(world[2], world[0], atol=1e-4)
+
+
+def test_points_on_another_clock_are_left_as_they_are(tmp_path: Path) -> None:
+    from segloc.datasets.inspection import inspect
+
+    drive = Drive.make()
+    path = mulran(tmp_path, drive)
+    sequence = open_sequence(path)
+    assert isinstance(sequence, RecordedSequence)
+
+    class Late:
+        """The same scans with times since 1970."""
+
+        def __len__(self) -> int:
+            return len(sequence)
+
+        def where(self, k: int) -> str:
+            return f"scan {k}"
+
+        def read(self, k: int) -> Scan:
+            return Scan(drive.seen(k), times=np.full(len(drive.landmarks), START))
+
+    from dataclasses import replace
+
+    late = replace(sequence, source=Late())
+    np.testing.assert_allclose(late.scan(2).points, drive.seen(2), atol=1e-5)
+    assert "scan 0: times are not seconds after the stamp: not de-skewed" in inspect(late).problems

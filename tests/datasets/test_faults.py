@@ -1,0 +1,213 @@
+"""The same faults in a folder, a KITTI sequence and a bag: each is named with its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.datasets import START, Drive, float_rows, kitti, ones
+from samples.plaza import Plaza
+from samples.real import SHARED
+
+from segloc import Config, SegmentMap, geometry
+from segloc.cli import main
+from segloc.datasets import open_sequence
+from segloc.datasets.inspection import inspect
+from segloc.errors import DatasetError
+from segloc.io import Trajectory, write_scan, write_tum
+from segloc.map.build import build_map
+from segloc.types import Float64
+
+COUNT = 12
+DRIVE = Drive.make(COUNT)
+HDL32E = np.linspace(-30.67, 10.67, 32)
+VLP16 = np.linspace(-15.0, 15.0, 16)
+Writer = Callable[[Path, list[Float64], Float64], Path]
+
+
+def seen(beams: Float64, step_deg: float = 1.0) -> Float64:
+    """What a sensor 1.8 m above the ground sees of a round yard of 20 m with walls."""
+    elevation, azimuth = np.radians(
+        np.meshgrid(beams, np.arange(0.0, 360.0, step_deg), indexing="ij")
+    )
+    down = np.maximum(-np.sin(elevation), 1e-9)
+    reach = np.minimum(20.0 / np.cos(elevation), 1.8 / down)
+    directions = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                  np.sin(elevation)]  # fmt: skip
+    return (reach * np.array(directions)).reshape(3, -1).T
+
+
+def folder(root: Path, clouds: list[Float64], poses: Float64) -> Path:
+    path = root / "scans"
+    path.mkdir()
+    for i, cloud in enumerate(clouds):
+        np.save(path / f"{i:06d}.npy", cloud.astype(np.float32))
+    write_tum(path / "poses.tum", Trajectory(np.arange(len(clouds), dtype=float), poses))
+    return path
+
+
+def kitti_sequence(root: Path, clouds: list[Float64], poses: Float64) -> Path:
+    path = kitti(root, Drive.make(len(clouds)))
+    for i, cloud in enumerate(clouds):
+        (path / "velodyne" / f"{i:06d}.bin").write_bytes(float_rows(cloud, ones(cloud)))
+    write_tum(path / "poses.tum", Trajectory(np.arange(len(clouds), dtype=float), poses))
+    return path
+
+
+def bag(root: Path, clouds: list[Float64], poses: Float64) -> Path:
+    pytest.importorskip("rosbags")
+    from samples.bags import BagWriter
+
+    writer = BagWriter("sqlite3")
+    for i, (cloud, pose) in enumerate(zip(clouds, poses, strict=True)):
+        writer.cloud("/points", START + 0.1 * i, cloud)
+        writer.odometry("/odom", START + 0.1 * i, pose, "lidar")
+    return writer.write(root / "drive")
+
+
+WRITERS: dict[str, tuple[Writer, str]] = {
+    "folder": (folder, "{:06d}.npy"),
+    "kitti": (kitti_sequence, "{:06d}.bin"),
+    "bag": (bag, "message {} of /points"),
+}
+each_format = pytest.mark.parametrize("name", WRITERS)
+
+
+def problems(path: Path, sample: int = 20) -> str:
+    recording = open_sequence(path, "none")
+    return "\n".join(inspect(recording, sample).problems)  # type: ignore[arg-type]
+
+
+@each_format
+@pytest.mark.parametrize("change", [1, 6, 11])
+def test_a_sensor_that_changes_is_named_with_the_first_scan(
+    name: str, change: int, tmp_path: Path
+) -> None:
+    write, place = WRITERS[name]
+    clouds = [seen(HDL32E)] * change + [seen(VLP16)] * (COUNT - change)
+    found = problems(write(tmp_path, clouds, DRIVE.poses), sample=4)
+    where = place.format(change)
+    assert (
+        f"{where}: another sensor from here on: 3D, 16 beams, -15.0 to 15.0 deg, "
+        "before it 3D, 32 beams, -30.7 to 10.7 deg"
+    ) in found
+
+
+@each_format
+def test_one_scan_of_another_sensor(name: str, tmp_path: Path) -> None:
+    write, place = WRITERS[name]
+    clouds = [seen(HDL32E)] * COUNT
+    clouds[5] = seen(VLP16, 0.5)
+    found = problems(write(tmp_path, clouds, DRIVE.poses)).splitlines()
+    changes = [line for line in found if "another sensor" in line]
+    assert len(changes) == 2
+    assert place.format(5) in changes[0]
+    assert place.format(6) in changes[1]
+    flat = seen(np.zeros(1), 0.1)
+    clouds[5] = flat
+    (tmp_path / "flat").mkdir()
+    found = problems(write(tmp_path / "flat", clouds, DRIVE.poses)).splitlines()
+    assert any(f"{place.format(5)}: another sensor from here on: 2D" in line for line in found)
+
+
+@each_format
+def test_bursts_of_nan_are_counted_and_left_out(name: str, tmp_path: Path, plaza: Plaza) -> None:
+    """Some scans are only partly there, some not at all: named, and a map is made of the rest."""
+    write, place = WRITERS[name]
+    poses = np.stack([geometry.yaw_transform(0.0, (2.0 * k - 12, 0.0, 1.8)) for k in range(COUNT)])
+    clouds = [plaza.scan(pose).points.astype(np.float64) for pose in poses]
+    for i, share in ((4, 1.0), (5, 1.0), (6, 0.5)):
+        clouds[i] = clouds[i].copy()
+        clouds[i][: int(share * len(clouds[i]))] = np.nan
+    path = write(tmp_path, clouds, poses)
+    found = problems(path)
+    for i in (4, 5, 6):
+        assert f"{place.format(i)}: " in found
+    assert found.count("points are not finite") == 3
+    assert "another sensor" not in found
+    config = Config.load(None, "geo").model_copy(update={"threads": 1})
+    prior_map = build_map(open_sequence(path, None if name == "bag" else "poses.tum"), config)
+    assert isinstance(prior_map, SegmentMap)
+    assert len(prior_map) > 20
+    assert np.isfinite(prior_map.centroids).all()
+
+
+@each_format
+def test_poses_on_another_clock(name: str, tmp_path: Path) -> None:
+    write, _ = WRITERS[name]
+    clouds = [seen(VLP16, 4.0)] * COUNT
+    path = write(tmp_path, clouds, DRIVE.poses)
+    file = tmp_path / "clock.tum"
+    times = 5e8 + 0.1 * np.arange(COUNT + 1) + 0.05
+    write_tum(file, Trajectory(times, np.tile(np.eye(4), (COUNT + 1, 1, 1))))
+    with pytest.raises(DatasetError, match=r"clock\.tum: no pose for") as caught:
+        open_sequence(path, file)
+    assert "\n" not in str(caught.value)
+
+
+@each_format
+def test_topics_and_sensors_that_are_not_there(name: str, tmp_path: Path) -> None:
+    write, _ = WRITERS[name]
+    path = write(tmp_path, [seen(VLP16, 4.0)] * 3, DRIVE.poses[:3])
+    fault = {
+        "folder": "a folder of scans has no topics, so no '/odom'",
+        "kitti": "KITTI odometry has no topics, so no '/odom'",
+        "bag": r"'/odom' is no topic of scans: /points \(3\)",
+    }
+    with pytest.raises(DatasetError, match=fault[name]):
+        open_sequence(path, topic="/odom")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("drive.bag", b"", "drive.bag: is empty"),
+        ("drive.bag", b"nothing of the kind", "drive.bag: no bag file, by its first bytes"),
+        ("drive.db3", bytes(300), "drive.db3: no db3 file, by its first bytes"),
+        ("drive.mcap", b"\x89PNG", "drive.mcap: no mcap file, by its first bytes"),
+        ("drive.pcap", b"\n\r\r\n" + bytes(40), "drive.pcap: is pcapng: convert it"),
+        ("drive.txt", b"of another kind", "drive.txt: "),
+        ("drive.doc", b"", "drive.doc: no recording in a known format"),
+        ("drive", None, "drive: no such folder or file"),
+    ],
+)
+def test_what_is_no_recording_is_said_in_a_line(
+    name: str, content: bytes | None, fault: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(DatasetError) as caught:
+        open_sequence(path).scan(0)
+    assert str(caught.value).startswith(f"{tmp_path}/{fault}")
+    assert "\n" not in str(caught.value)
+
+
+def test_info_shows_pose_files_and_scans_without_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = folder(tmp_path, [np.zeros((0, 3))] * 3, DRIVE.poses[:3])
+    (tmp_path / "scans.odometry.tum").write_text("")
+    monkeypatch.setattr("sys.argv", ["segloc", "info", str(path)])
+    with pytest.raises(SystemExit):
+        main()
+    said = capsys.readouterr().out
+    assert "- no point in any of the 3 scans that were read" in said
+    for name in ("poses.tum", "scans.odometry.tum"):
+        assert f"- {name} beside the scans may be their poses: --poses {name}" in said
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")
+def test_real_sensors_are_told_from_each_other_and_from_nobody_else(tmp_path: Path) -> None:
+    pytest.importorskip("laspy")
+    both = tmp_path / "both"
+    both.mkdir()
+    for i, (source, number) in enumerate([("vlp16", 3), ("vlp16", 25), ("hdl32e", 4)]):
+        scan = open_sequence(SHARED / source).scan(number)
+        write_scan(both / f"{i:02d}.npy", scan.points)
+    assert "02.npy: another sensor from here on: 3D, 32 beams" in problems(both)
+    for source in ("vlp16", "hdl32e", "hdl64_drive"):
+        assert "another sensor" not in problems(SHARED / source, sample=4)
+    assert "another sensor" not in problems(SHARED / "kitti00" / "keyframes")

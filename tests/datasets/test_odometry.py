@@ -1,0 +1,332 @@
+"""A simulated drive as a folder and as bags, its odometry, and what `segloc info` says of it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("rosbags")
+pytest.importorskip("kiss_icp")
+
+from samples.bags import KINDS, BagWriter
+from samples.datasets import START, Drive, kitti
+from samples.real import SHARED
+
+from segloc import cli, geometry
+from segloc.batch.run import localize_sequence
+from segloc.config import Config
+from segloc.datasets import FolderSequence, RecordedSequence, open_sequence
+from segloc.datasets import odometry as odometry_module
+from segloc.datasets.inspection import inspect
+from segloc.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
+from segloc.errors import DatasetError
+from segloc.io import read_trajectory, write_tum
+from segloc.localizer import Localizer
+from segloc.map.build import build_map
+from segloc.simulation import Route, SimulatedSequence, car, hdl32e, record, simulate_session, town
+from segloc.simulation.drives import mapped_way
+from segloc.types import Float64, Int64, Scan
+
+
+@dataclass
+class Simulated:
+    """A drive that moves while it scans."""
+
+    folder: Path
+    drive: SimulatedSequence
+
+    @property
+    def truth(self) -> Float64:
+        return self.drive.truth
+
+    @property
+    def stamps(self) -> Float64:
+        assert self.drive.stamps is not None
+        return self.drive.stamps
+
+    def bag(self, kind: str, root: Path, *, posed: bool = True) -> Path:
+        """Its scans in a bag, at the same times since START."""
+        bag = BagWriter(kind)
+        recording = FolderSequence(self.folder, self.folder / "poses.tum", deskew=False)
+        for i, stamp in enumerate(START + self.stamps):
+            scan = recording.scan(i)
+            assert scan.times is not None
+            bag.cloud("/points", stamp, scan.points, times=("time", "f8", scan.times))
+            if posed:
+                bag.odometry("/odom", stamp, self.truth[i], "lidar")
+        return bag.write(root / kind)
+
+
+def driven(session: int, lane: float) -> SimulatedSequence:
+    world = town(3, size_m=150)
+    way = mapped_way(world, np.random.default_rng(0), 60.0)
+    route = Route(tuple(way), lane, length_m=32.0)
+    sensor = hdl32e().thinned(4)
+    return simulate_session(
+        world, session, route, sensor, 7, platform=car(), by_rate=True, skew=True
+    )
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
+    drive = driven(0, lane=1.1)
+    folder = record(drive, tmp_path_factory.mktemp("run") / "drive", workers=1)
+    return Simulated(folder, drive)
+
+
+def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
+    monkeypatch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return int(left.value.code or 0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_gives_the_same_clouds_as_its_folder(
+    kind: str, simulated: Simulated, tmp_path: Path
+) -> None:
+    folder = open_sequence(simulated.folder, "poses.tum")
+    bag = open_sequence(simulated.bag(kind, tmp_path))
+    assert len(bag) == len(folder) == len(simulated.stamps)
+    np.testing.assert_allclose(bag.poses, folder.poses, atol=1e-4)
+    for i in (0, 17, len(bag) - 2):
+        ours, theirs = bag.scan(i), folder.scan(i)
+        assert ours.times is theirs.times is None  # de-skewed
+        np.testing.assert_allclose(ours.points, theirs.points, atol=1e-3)
+
+
+def test_a_bag_localizes_as_its_folder_does(simulated: Simulated, tmp_path: Path) -> None:
+    config = Config.load(None, "geo").model_copy(update={"threads": 1})
+    folder = open_sequence(simulated.folder, "poses.tum")
+    bag = open_sequence(simulated.bag("mcap", tmp_path))
+    localizer = Localizer(build_map(folder, config, every_m=10.0), config)
+    positions = np.array([len(folder) // 2, len(folder) - 1])
+    from_folder = localize_sequence(localizer, folder, positions)
+    from_bag = localize_sequence(localizer, bag, positions)
+    assert all(result.localized for result in from_folder)
+    for ours, theirs, position in zip(from_bag, from_folder, positions, strict=True):
+        assert ours.T_map_sensor is not None
+        assert theirs.T_map_sensor is not None
+        np.testing.assert_allclose(ours.T_map_sensor, theirs.T_map_sensor, atol=0.02)
+        np.testing.assert_allclose(ours.T_map_sensor, simulated.truth[position], atol=0.2)
+
+
+def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> None:
+    """Times of points are used; stamps of poses are where they hold, the scans' ends."""
+    bag = open_sequence(simulated.bag("sqlite3", tmp_path, posed=False))
+    assert isinstance(bag, RecordedSequence)
+    assert bag.poses is None
+    calls: list[tuple[int, int]] = []
+    trajectory = lidar_odometry(bag, progress=lambda done, total: calls.append((done, total)))
+    assert calls[-1] == (len(bag), len(bag))
+    assert bag.stamps is not None
+    late = trajectory.stamps - bag.stamps
+    assert 0.08 < late.min() <= late.max() <= 0.1
+    file = odometry_path(tmp_path / "sqlite3")
+    assert file == (tmp_path / "sqlite3.odometry.tum").resolve()
+    assert not kept_odometry(file, bag)
+    write_tum(file, trajectory)
+    assert kept_odometry(file, bag)
+    posed = open_sequence(tmp_path / "sqlite3", file)
+    assert posed.poses is not None
+    assert posed.indices[0] == 1  # the first scan began before the first pose
+    settled = 8  # scans until it knows the speed
+    truth = simulated.truth[settled:]
+    ours = geometry.inverse(posed.poses[settled - 1]) @ posed.poses[settled - 1 :]
+    error = np.linalg.norm((ours - geometry.inverse(truth[0]) @ truth)[:, :3, 3], axis=1)
+    assert geometry.travelled(truth)[-1] > 20
+    assert error.max() < 0.5
+
+
+def test_verbs_take_a_bag_without_poses(
+    simulated: Simulated,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = simulated.bag("ros1", tmp_path, posed=False)
+    prior_map = tmp_path / "site.segmap"
+    assert segloc(monkeypatch, "map", "build", path, "--out", prior_map) == 1
+    said = capsys.readouterr().err
+    assert "a map needs a pose for every scan: name a file by --poses, or use --odom" in said
+    options = ["--method", "geo", "--every", "10", "--threads", "1"]
+    assert (
+        segloc(monkeypatch, "map", "build", path, "--odometry", "--out", prior_map, *options) == 0
+    )
+    kept = tmp_path / "ros1.bag.odometry.tum"
+    assert f"odometry written to {kept}" in capsys.readouterr().err.replace("\n", "")
+    before = kept.read_bytes()
+    out = tmp_path / "results"
+    verb = ["localize", path, "--map", prior_map, "--out", out, "--odometry", "--every", "15"]
+    assert segloc(monkeypatch, *verb) == 0
+    assert "odometry from" in capsys.readouterr().err
+    assert kept.read_bytes() == before
+    assert len(read_trajectory(out / "poses.tum")) >= 1
+    assert segloc(monkeypatch, "odometry", path, "--out", tmp_path / "other.tum") == 0
+    assert (tmp_path / "other.tum").read_bytes() == before
+    assert segloc(monkeypatch, "info", path, "--poses", kept) == 0
+    shown = capsys.readouterr().out
+    for fact in ("ROS 1 bag", "3D, 32 beams", "10.0 Hz", "x y z intensity time", "lidar"):
+        assert fact in shown
+
+
+def test_two_bags_without_poses_map_and_localize(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One command each; the second drive is another session in another lane."""
+    mapped = simulated.bag("sqlite3", tmp_path, posed=False)
+    prior_map = tmp_path / "site.segmap"
+    one = ["--threads", "1"]
+    assert segloc(monkeypatch, "map", "build", mapped, "--odometry", "--out", prior_map, *one) == 0
+    drive = driven(1, lane=0.2)
+    bag = BagWriter("mcap")
+    assert drive.stamps is not None
+    for i, stamp in enumerate(START + 1000 + drive.stamps):
+        scan = drive.scan(i)
+        assert scan.times is not None
+        bag.cloud("/points", stamp, scan.points, times=("time", "f8", scan.times))
+    asked = bag.write(tmp_path / "asked")
+    # Odometry holds at the end of a scan, when the next one starts: so does the map's first pose.
+    T_map_world = geometry.inverse(simulated.truth[1])
+    gathered = ["--odometry", "--every", "5"]
+    # Single scans are not de-skewed: that is up to a metre at this speed.
+    for more, fewest, tolerance in (([], 28, 1.5), (gathered, 5, 1.0)):
+        out = tmp_path / f"results_{len(more)}"
+        verb = ["localize", asked, "--map", prior_map, "--out", out, *more, *one]
+        assert segloc(monkeypatch, *verb) == 0
+        found = read_trajectory(out / "poses.tum")
+        assert len(found) >= fewest
+        for number, pose in zip(found.stamps, found.poses, strict=True):
+            off = geometry.inverse(T_map_world @ drive.truth[int(number)]) @ pose
+            assert np.linalg.norm(off[:3, 3]) < tolerance
+
+
+class Fake:
+    """Stands in for kiss-icp: gives these poses."""
+
+    def __init__(self, poses: list[Float64]) -> None:
+        self._poses = iter(poses)
+
+    def register_frame(self, points: Float64, times: Float64) -> None:
+        self.last_pose = next(self._poses)
+
+
+@dataclass
+class Run:
+    """A recording of as many scans, all alike."""
+
+    count: int
+    name = "run"
+    stamps = None
+
+    @property
+    def indices(self) -> Int64:
+        return np.arange(self.count)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def raw(self, i: int) -> Scan:
+        return Scan(np.random.default_rng(0).normal(size=(100, 3)))
+
+    def where(self, i: int) -> str:
+        return f"scan {i}"
+
+
+def moved(*ways: float) -> list[Float64]:
+    return [geometry.yaw_transform(0.0, (way, 0.0, 0.0)) for way in ways]
+
+
+@pytest.mark.parametrize(
+    ("poses", "fault"),
+    [
+        (moved(0, 0.5, float("nan")), "not finite"),
+        (moved(0, 0.5, 40), r"a step of 39\.5 m"),
+        ([*moved(0, 0.7), np.eye(4)], "back at the beginning"),
+        (moved(*np.arange(10) * 0.5), "scans do not fit each other"),
+    ],
+)
+def test_odometry_that_was_lost_is_an_error(
+    poses: list[Float64], fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(odometry_module, "_kiss_icp", lambda max_range_m: Fake(poses))
+    recording = Run(len(poses))
+    with pytest.raises(DatasetError, match=rf"scan \d: odometry is lost: .*{fault}"):
+        lidar_odometry(recording)
+
+
+def test_odometry_needs_three_dimensions() -> None:
+    class Flat(Run):
+        def raw(self, i: int) -> Scan:
+            return Scan(super().raw(i).points * [1.0, 1.0, 0.0])
+
+    with pytest.raises(DatasetError, match="scan 0: odometry needs 3D, not one plane"):
+        lidar_odometry(Flat(3))
+
+
+def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
+    drive = Drive.make(60)
+    path = kitti(tmp_path, drive)
+    files = sorted((path / "velodyne").iterdir())
+    files[0].write_bytes(files[0].read_bytes()[:-5])
+    scattered = drive.seen(7)
+    scattered[:100] = np.nan
+    rows = np.column_stack([scattered, np.ones(len(scattered))]).astype("<f4")
+    files[7].write_bytes(rows.tobytes())
+    files[9].write_bytes(rows[200:230].tobytes())
+    times = np.loadtxt(path / "times.txt")
+    times[20:] += 3.0
+    times[41] = times[40]
+    np.savetxt(path / "times.txt", times)
+    truth = tmp_path / "poses" / "00.txt"
+    poses = np.loadtxt(truth)
+    poses[30:, 3] += 50.0
+    np.savetxt(truth, poses)
+    sequence = open_sequence(path)
+    assert isinstance(sequence, RecordedSequence)
+    found = inspect(sequence, sample=60)
+    assert found.sampled == 59
+    assert found.rate_hz == pytest.approx(10.0)
+    text = "\n".join(found.problems)
+    for problem in (
+        "000000.bin: cut off: 4795 bytes",
+        "000007.bin: 100 of 300 points are not finite",
+        "000009.bin: 30 points, where others have 300",
+        "times do not rise behind scan 40",
+        "1 gaps in time, the longest 3.10 s behind scan 19",
+        "poses jump 1 times, by 50",
+    ):
+        assert problem in text
+    assert len(found.problems) == 6
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")
+def test_odometry_of_a_real_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It moves on, never backwards, and neither speed nor heading jump."""
+    pytest.importorskip("laspy")
+    file = tmp_path / "poses.tum"
+    assert segloc(monkeypatch, "odometry", SHARED / "hdl64_drive", "--out", file) == 0
+    trajectory = read_trajectory(file)
+    assert len(trajectory) == 40
+    steps = np.linalg.inv(trajectory.poses[:-1]) @ trajectory.poses[1:]
+    ahead, turns = steps[:, 0, 3], np.arctan2(steps[:, 1, 0], steps[:, 0, 0])
+    assert 0.25 < ahead.min() <= ahead.max() < 0.45  # 10 km/h at 10 Hz
+    assert np.abs(np.diff(ahead[1:])).max() < 0.06  # the first step is a guess
+    assert np.abs(steps[:, 1:3, 3]).max() < 0.06
+    assert 0 < turns.min() <= turns.max() < np.radians(1.0)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")
+@pytest.mark.parametrize(
+    ("name", "sensor"),
+    [("vlp16", "3D, 16 beams"), ("hdl32e", "3D, 32 beams"), ("hdl64_drive", "3D, 64 or more")],
+)
+def test_beams_of_real_sensors(name: str, sensor: str) -> None:
+    sequence = open_sequence(SHARED / name)
+    assert isinstance(sequence, FolderSequence)
+    assert inspect(sequence, sample=2).sensor.startswith(sensor)

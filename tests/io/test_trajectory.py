@@ -1,0 +1,186 @@
+"""Trajectories: what is written comes back, and faults are named by line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from samples.real import SHARED
+from scipy.spatial.transform import Rotation
+
+from segloc.errors import DatasetError, SeglocError
+from segloc.io import Trajectory, read_trajectory, write_kitti, write_tum
+
+GOOD = "0 1 2 3 0 0 0 1\n"
+
+
+def path_of(count: int, seed: int = 0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    if count:
+        poses[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    poses[:, :3, 3] = rng.normal(size=(count, 3)) * 500
+    return Trajectory(np.cumsum(rng.uniform(0.01, 2, count)) + 1.6e9, poses)
+
+
+@settings(max_examples=40, deadline=None)
+@given(count=st.integers(0, 30), seed=st.integers(0, 99))
+def test_both_files_come_back(
+    count: int, seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder, trajectory = tmp_path_factory.mktemp("path"), path_of(count, seed)
+    write_tum(folder / "a.tum", trajectory)
+    again = read_trajectory(folder / "a.tum")
+    np.testing.assert_allclose(again.stamps, trajectory.stamps, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(again.poses, trajectory.poses, rtol=0, atol=5e-9)
+    if count:
+        write_kitti(folder / "a.txt", trajectory)
+        again = read_trajectory(folder / "a.txt")
+        np.testing.assert_array_equal(again.stamps, np.arange(count))
+        np.testing.assert_allclose(again.poses, trajectory.poses, rtol=0, atol=1e-9)
+    assert not list(folder.glob(".*"))
+
+
+def test_written_tum_is_plain_and_of_unit_quaternions(tmp_path: Path) -> None:
+    write_tum(tmp_path / "a.tum", path_of(50))
+    lines = (tmp_path / "a.tum").read_text().splitlines()
+    assert lines[0].startswith("#")
+    for line in lines[1:]:
+        assert all(len(word.partition(".")[2]) == 9 for word in line.split())
+        quaternion = np.array(line.split()[4:], dtype=float)
+        assert abs(np.linalg.norm(quaternion) - 1) < 3e-9
+        assert quaternion[3] >= 0
+    with pytest.raises(SeglocError, match="no folder"):
+        write_tum(tmp_path / "missing" / "a.tum", path_of(1))
+    twice = Trajectory(np.array([1.0, 1.0 + 1e-12]), np.tile(np.eye(4), (2, 1, 1)))
+    with pytest.raises(DatasetError, match="same to 9 decimals"):
+        write_tum(tmp_path / "a.tum", twice)
+    assert (tmp_path / "a.tum").read_text().splitlines() == lines
+
+
+def test_comments_blank_lines_and_loose_quaternions(tmp_path: Path) -> None:
+    text = "\ufeff# a comment\r\n\r\n0 1 2 3 0 0 0.71 0.71  # here\r\n\t0.5 1 2 3 0 0 0 -1\r\n"
+    (tmp_path / "a.tum").write_text(text, newline="")
+    trajectory = read_trajectory(tmp_path / "a.tum")
+    assert trajectory.stamps.tolist() == [0, 0.5]
+    quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    np.testing.assert_allclose(trajectory.poses[0, :3, :3], quarter, atol=1e-12)
+    (tmp_path / "b.tum").write_text("# nothing found\n")
+    assert len(read_trajectory(tmp_path / "b.tum")) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "empty file"),
+        (" \n", "empty file"),
+        ("1 2 3\n", r"line 1: 3 columns, not 8 \(TUM\) or 12 \(KITTI\)"),
+        (GOOD + "1 1 2 3 0 0 0\n", "line 2: 7 columns, not 8"),
+        (GOOD + "1 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: 12 columns, not 8"),
+        ("# c\n\n" + GOOD + "1 1 2 3 0 0 0 one\n", "line 4: could not convert"),
+        (GOOD + "1 1 nan 3 0 0 0 1\n", "line 2: a value that is not finite"),
+        (GOOD + "1 1 inf 3 0 0 0 1\n", "line 2: a value that is not finite"),
+        (GOOD + "nan 1 2 3 0 0 0 1\n", "line 2: a stamp that is not finite"),
+        (GOOD + "1 1 2 3 0 0 0 nan\n", "line 2: a quaternion of length nan"),
+        (GOOD + "1 1 2 3 0 0 0 0\n", "line 2: a quaternion of length 0, not 1"),
+        (GOOD + "1 1 2 3 1e200 0 0 1e200\n", "line 2: a quaternion of length inf"),
+        (GOOD + "0 1 2 3 0 0 0 1\n", "line 2: stamps that do not rise"),
+        (GOOD + "-1 1 2 3 0 0 0 1\n", "line 2: stamps that do not rise"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: not a rigid"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 1: not a rigid"),
+        ("1 0 0 0 0 1 0 nan 0 0 1 0\n", "line 1: a value that is not finite"),
+    ],
+)
+def test_faults_are_named_by_file_and_line(text: str, fault: str, tmp_path: Path) -> None:
+    path = tmp_path / "path.tum"
+    path.write_text(text)
+    with pytest.raises(DatasetError, match=fault) as caught:
+        read_trajectory(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=100, deadline=None)
+@given(noise=st.binary(max_size=200), cut=st.integers(0, 200))
+def test_damaged_files_never_crash(
+    noise: bytes, cut: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("path")
+    write_tum(folder / "a", path_of(4))
+    data = (folder / "a").read_bytes()
+    (folder / "a").write_bytes(data[:cut] + noise + data[cut + len(noise) // 2 :])
+    try:
+        assert len(read_trajectory(folder / "a")) <= 5
+    except DatasetError as error:
+        assert "\n" not in str(error)
+
+
+@given(
+    hnp.arrays(np.float64, (3,), elements=st.floats(-3, 3)),
+    hnp.arrays(np.float64, (3,), elements=st.floats(-100, 100)),
+    st.floats(0, 1),
+)
+def test_interpolation_is_linear_and_of_constant_turn(
+    turn: np.ndarray, step: np.ndarray, share: float
+) -> None:
+    start, end = np.eye(4), np.eye(4)
+    start[:3, :3] = Rotation.from_rotvec([0.3, -2.0, 1.0]).as_matrix()
+    turn = turn * min(1.0, 3.0 / max(np.linalg.norm(turn), 1e-9))  # the short way round
+    end[:3, :3] = start[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    end[:3, 3] = step
+    trajectory = Trajectory(np.array([10.0, 14.0]), np.array([start, end]))
+    T = trajectory.interpolate(10 + 4 * share)
+    np.testing.assert_allclose(T[:3, 3], share * step, atol=1e-9)
+    expected = start[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+    np.testing.assert_allclose(T[:3, :3], expected, atol=1e-7)
+    np.testing.assert_array_equal(T[3], [0, 0, 0, 1])
+
+
+def test_lookup() -> None:
+    trajectory = path_of(5)
+    for i, stamp in enumerate(trajectory.stamps):
+        found = trajectory.at(float(stamp))
+        assert found is not None
+        np.testing.assert_array_equal(found, trajectory.poses[i])
+        found[:] = 0  # a copy
+        np.testing.assert_array_equal(trajectory.interpolate(float(stamp)), trajectory.poses[i])
+    first, last = float(trajectory.stamps[0]), float(trajectory.stamps[-1])
+    assert trajectory.at(first + 1e-6) is None
+    for stamp in (first - 1, last + 1, float("nan"), float("inf")):
+        assert trajectory.at(stamp) is None
+        with pytest.raises(DatasetError, match="no poses around"):
+            trajectory.interpolate(stamp)
+    with pytest.raises(DatasetError, match="no poses around"):
+        path_of(0).interpolate(0.0)
+
+
+def test_a_trajectory_is_checked_and_keeps_its_own_data() -> None:
+    stamps, poses = np.arange(3.0), np.tile(np.eye(4), (3, 1, 1))
+    trajectory = Trajectory(stamps, poses)
+    poses[:] = 0
+    assert trajectory.poses[2, 2, 2] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        trajectory.poses[0] = 0
+    with pytest.raises(DatasetError, match="do not fit"):
+        Trajectory(stamps, trajectory.poses[:2])
+    with pytest.raises(DatasetError, match="pose 1: stamps that do not rise"):
+        Trajectory(np.zeros(3), trajectory.poses)
+    with pytest.raises(DatasetError, match="pose 0: not a rigid transform"):
+        Trajectory(stamps, poses)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="no recorded data beside the project")
+def test_recorded_trajectories() -> None:
+    for name, count in (("keyframes", 1754), ("scans", 400)):
+        path = SHARED / "kitti00" / f"{name}.tum"
+        trajectory = read_trajectory(path)
+        table = np.loadtxt(path)
+        assert len(trajectory) == count
+        np.testing.assert_array_equal(trajectory.stamps, table[:, 0])
+        np.testing.assert_array_equal(trajectory.poses[:, :3, 3], table[:, 1:4])
+        again = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
+        np.testing.assert_allclose(np.abs((again * table[:, 4:]).sum(axis=1)), 1, atol=1e-8)

@@ -1,0 +1,1 @@
+"""What tests are made of: small scenes, recordings in every format, the real scans."""

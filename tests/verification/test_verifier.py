@@ -1,0 +1,232 @@
+"""Nearest map points against a k-d tree, and the gates of verification one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from samples.plaza import Plaza, PlazaSequence
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
+
+from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc._native import PointIndex, Sight
+from segloc.matching import MatchingConfig
+from segloc.types import Descriptors, Float32, Float64, Hypothesis, Int64, Pose
+from segloc.verification.confidence import confidence
+from segloc.verification.verifier import VerificationConfig
+
+
+def within_reach(points: Float64, cloud: Float32) -> NDArray[np.bool_]:
+    """Whether each point is as low as the cloud reaches around it, or there is no cloud."""
+    cells, own = np.floor(points[:, None, :2] / 4), np.floor(cloud[:, :2] / 4)
+    around = (np.abs(cells - own) <= 1).all(axis=2)
+    low = np.where(around, cloud[:, 2], np.inf).min(axis=1)
+    high = np.where(around, cloud[:, 2], -np.inf).max(axis=1)
+    return ~around.any(axis=1) | (points[:, 2] <= np.maximum(high, low + 3) + 0.5)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 500), st.floats(0.05, 1.0), st.floats(0.1, 1.0))
+def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-4, 4, (count, 3)).astype(np.float32)
+    query = rng.uniform([-9, -9, -5], [9, 9, 9], (200, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    asked = radius * share
+    distance = cKDTree(cloud).query(geometry.transform(T, query))[0]
+    if np.abs(distance - asked).min() < 1e-5:  # decided by rounding
+        return
+    moved = geometry.transform(T, query)
+    judged = within_reach(moved, cloud)
+    near = (distance < asked) & judged
+    overlap, rmse = PointIndex(cloud, radius).overlap(query, T[None], asked)
+    assert overlap[0] == near.sum() / max(judged.sum(), 1)
+    if near.any():
+        assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.1, 80.0))
+def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-60, 60, (count, 3)).astype(np.float32)
+    x, y = rng.uniform(-70, 70, 2)
+    expected = np.flatnonzero(np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius)
+    index = PointIndex(cloud, 0.5)
+    every = index.sample(x, y, radius, count + 1)
+    assert sorted(map(tuple, every)) == sorted(map(tuple, cloud[expected]))
+    some = index.sample(x, y, radius, 50)
+    assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
+    assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
+
+
+def reference_sight(
+    structure: Float32, ground: Float32, prior_map: Float32, T: Pose, reach: float, bin_deg: float
+) -> tuple[int, int]:
+    """What ``Sight.look`` counts, with 0.4 m to be near and 0.7 m to be behind."""
+    shape = round(360 / bin_deg), round(180 / bin_deg) + 1
+
+    def pixels(points: Float32) -> tuple[tuple[Int64, Int64], Float64]:
+        x, y, z = points.T.astype(np.float64)
+        azimuth = np.degrees(np.arctan2(y, x)) + 180
+        elevation = np.degrees(np.arctan2(z, np.hypot(x, y))) + 90
+        columns = (azimuth / bin_deg).astype(int) % shape[0]
+        return (columns, (elevation / bin_deg).astype(int)), np.sqrt(x * x + y * y + z * z)
+
+    image = np.full(shape, np.inf)
+    at, ranges = pixels(np.concatenate([structure, ground]))
+    np.minimum.at(image, at, ranges)
+    nearest = minimum_filter(image, 3, mode=("wrap", "nearest"))
+
+    moved = geometry.transform(T, prior_map).astype(np.float32)
+    moved = moved[(moved.astype(np.float64) ** 2).sum(axis=1) < reach**2]
+    cells = np.floor(ground[:, :2] / 3)
+    about = (np.abs(np.floor(moved[:, None, :2] / 3) - cells) <= 1).all(axis=2)
+    floor = np.where(about, ground[:, 2], -np.inf).max(axis=1, initial=-np.inf)
+    judged = moved[(floor > -np.inf) & (moved[:, 2] > floor + 0.5)]
+    seen = cKDTree(structure).query(judged)[0] <= 0.4
+    at, ranges = pixels(judged)
+    behind = nearest[at] > ranges + np.maximum(0.7, 0.05 * ranges)
+    return int(seen.sum()), int((~seen & np.isfinite(image[at]) & behind).sum())
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(1.0, 8.0), st.floats(5.0, 30.0))
+def test_what_of_a_map_is_seen_and_what_is_looked_through(
+    seed: int, count: int, bin_deg: float, reach: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    structure = rng.uniform([-25, -25, 0], [25, 25, 4], (count, 3)).astype(np.float32)
+    ground = rng.uniform([-25, -25, -2], [25, 25, -1.5], (40, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    mapped = structure + rng.normal(0, 0.3, structure.shape)
+    others = rng.uniform([-25, -25, -2], [25, 25, 4], (200, 3))
+    prior_map = geometry.transform(geometry.inverse(T), np.concatenate([mapped, others]))
+    prior_map = prior_map.astype(np.float32)
+    counts = Sight(structure, ground, reach, bin_deg, 0.5).look(prior_map, T, 0.4, 0.7)
+    expected = reference_sight(structure, ground, prior_map, T, reach, bin_deg)
+    assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
+
+
+def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_judged() -> None:
+    y, z = (v.ravel().astype(np.float32) for v in np.mgrid[-6:6:0.2, -1:2:0.2])
+
+    def wall(x: float) -> Float32:
+        return np.column_stack([np.full_like(y, x), y, z]).astype(np.float32)
+
+    floor = np.stack(np.meshgrid(np.arange(-12, 12, 0.5), np.arange(-12, 12, 0.5), [-1.7]), -1)
+    ground = floor.reshape(-1, 3).astype(np.float32)
+
+    def shares(live: Float32, prior_map: Float32) -> tuple[int, int]:
+        return Sight(live, ground, 30.0, 2.0, 0.4).look(prior_map, np.eye(4), 0.4, 0.7)
+
+    assert shares(wall(8), wall(8)) == (len(y), 0)
+    assert shares(wall(8), wall(11)) == (0, 0)  # hidden
+    seen, through = shares(wall(8), wall(5))
+    assert seen == 0 and through > 0.5 * len(y)
+
+
+def test_confidence_rises_with_every_witness() -> None:
+    good = Hypothesis(
+        np.eye(4), 15, overlap=0.85, seen=0.95, margin=3.0, rival_overlap=0.3, rival_seen=0.5
+    )
+    assert 0.95 < confidence(good) < 1
+    for name, worse in [
+        ("overlap", 0.3),
+        ("seen", 0.4),
+        ("margin", 1.1),
+        ("rival_overlap", 0.85),
+        ("rival_seen", 0.95),
+    ]:
+        assert confidence(replace(good, **{name: worse})) < confidence(good)
+    poor = Hypothesis(np.eye(4), 5, overlap=0.4, seen=0.6, margin=1.2)
+    assert confidence(poor) < 0.05
+    # However many segments agree, clouds that agree no better than elsewhere outweigh them.
+    many = replace(poor, inliers=500, margin=100.0, rival_overlap=0.4, rival_seen=0.6)
+    assert confidence(many) < 0.5
+
+
+def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
+    good = Hypothesis(
+        np.eye(4), 15, overlap=0.85, seen=0.95, margin=3.0, rival_overlap=0.1, rival_seen=0.1
+    )
+    for name in ("margin", "rival_overlap", "rival_seen"):
+        assert confidence(replace(good, **{name: np.nan})) < confidence(good)
+    # Overlap stands in for what is seen.
+    assert confidence(replace(good, seen=np.nan)) == confidence(replace(good, seen=good.overlap))
+    assert confidence(Hypothesis(np.eye(4), 0)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("gate", "reason"),
+    [
+        ({"min_inliers": 10_000}, "too few inliers"),
+        ({"min_overlap": 1.0, "overlap_radius": 0.05}, "too little overlap"),
+        ({"min_confidence": 1.0}, "too uncertain"),
+    ],
+)
+def test_each_gate_refuses_and_says_so(plaza: Plaza, gate: dict[str, float], reason: str) -> None:
+    config = Config.preset("geo")
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    assert Localizer(prior_map, config).localize(scan).localized
+    gates = VerificationConfig(**gate)  # type: ignore[arg-type]
+    result = Localizer(prior_map, config.model_copy(update={"verification": gates})).localize(scan)
+    assert not result.localized and result.reason.startswith(reason)
+    assert result.T_map_sensor is None
+
+
+def twice(prior_map: SegmentMap, by: float) -> SegmentMap:
+    """A map that holds its place a second time, so many metres farther."""
+    both = prior_map.crop((0.0, 0.0), np.inf)
+    move = np.array([by, 0.0, 0.0])
+    both.add(
+        Descriptors(prior_map.vectors, prior_map.quality),
+        prior_map.centroids + move,
+        prior_map.sizes,
+        session=1,
+        stamp=0.0,
+        cloud=prior_map.cloud + prior_map.origin + move,
+    )
+    return both
+
+
+@pytest.mark.parametrize("method", ["geo", "profile"])
+def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str) -> None:
+    config = Config.preset(method)
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
+    scans = [plaza.scan(geometry.yaw_transform(yaw, (-8.0, 1.0, 1.7))) for yaw in (0.3, 2.0)]
+    for scan in scans:
+        assert Localizer(prior_map, config).localize(scan).localized
+        result = Localizer(twice(prior_map, 500.0), config).localize(scan)
+        assert not result.localized and result.reason == "ambiguous"
+        assert result.runner_up is not None
+
+
+def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) -> None:
+    prior_map = build_map(PlazaSequence(plaza, steps=6), Config.preset("geo"))
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    rng = np.random.default_rng(0)
+    prior_map.vectors[:] += rng.normal(
+        0, 1.5, prior_map.vectors.shape
+    )  # the nearest is hardly ever right
+    answers = []
+    for escalation in (1, 80):
+        matching = MatchingConfig(neighbours=1, escalation=escalation)
+        config = Config.preset("geo").model_copy(update={"matching": matching})
+        answers.append(Localizer(prior_map, config).localize(scan))
+    lost, found = answers
+    assert not lost.localized and lost.reason.startswith("too few inliers")
+    assert found.localized and found.counts["candidates"] == 80 * found.counts["segments"]
+
+
+def test_neighbours_grow_with_the_map_up_to_a_limit() -> None:
+    config = MatchingConfig()
+    first = [config.attempts(n)[0] for n in (10, 50_000, 200_000, 1_000_000, 10**8)]
+    assert first[:2] == [25, 25] and first == sorted(first) and first[-1] == config.max_neighbours
+    assert Config.preset("nsm").matching.attempts(10**7) == (200,)
+    assert Config.preset("dsm").matching.attempts(10**7) == (25,)
