@@ -23,7 +23,7 @@ from segloc import (
 )
 from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
-from segloc.types import Localization
+from segloc.localization import Localization, Reason
 
 GEO = Config.preset("geo")
 
@@ -52,7 +52,7 @@ def test_a_single_scan_is_localized(
     T = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7))
     result = localizer.localize(plaza.scan(T, posed=posed, seed=77))
     metres, degrees = pose_error(result, T)
-    assert result.localized and result.reason == "" and metres < 0.1 and degrees < 0.5
+    assert result.localized and result.reason is None and metres < 0.1 and degrees < 0.5
     assert result.inliers >= 6 and result.overlap > 0.8 and result.confidence > 0.9
     assert result.covariance is not None
     assert (np.linalg.eigvalsh(result.covariance) > 0).all()
@@ -112,7 +112,7 @@ def test_a_place_that_fits_twice_is_ambiguous(plaza: Plaza) -> None:
     twice = twice.merge(build_map(copy, GEO))
     T = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
     result = Localizer(twice).localize(plaza.scan(T))
-    assert not result.localized and result.reason == "ambiguous"
+    assert not result.localized and result.reason is Reason.AMBIGUOUS
     assert result.T_map_sensor is None and result.runner_up is not None
 
 
@@ -136,7 +136,7 @@ POOR: dict[str, Callable[[], np.ndarray]] = {
 def test_poor_scans_are_not_localized_and_say_why(localizer: Localizer, name: str) -> None:
     result = localizer.localize(Scan({**EMPTY, **POOR}[name]()))
     assert not result.localized and result.T_map_sensor is None
-    assert result.reason == "no points" if name in EMPTY else result.reason
+    assert result.reason is Reason.NO_POINTS if name in EMPTY else result.message
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 3])
@@ -171,10 +171,11 @@ def test_a_map_of_another_descriptor_is_refused(prior_map: SegmentMap) -> None:
     other = SegmentMap.empty(prior_map.descriptor, "another-fingerprint", prior_map.dim)
     with pytest.raises(MapMismatch, match="another-fingerprint"):
         Localizer(other)
+    nonesuch = SegmentMap.empty("nonesuch", prior_map.fingerprint, prior_map.dim)
     with pytest.raises(ConfigError, match="no descriptor"):
-        Localizer(
-            SegmentMap.empty("nonesuch", prior_map.fingerprint, prior_map.dim), Config.preset("geo")
-        )
+        Localizer(nonesuch)
+    with pytest.raises(MapMismatch, match="'nonesuch', but the configuration is of method 'geo'"):
+        Localizer(nonesuch, Config.preset("geo"))
 
 
 def test_a_configuration_of_another_method_is_refused(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_matches_come_by_score_then_query_then_segment(n: int, levels: int, seed
     np.testing.assert_array_equal(order, np.lexsort((prior_map, query, -score)))
 
 
-def test_proposals_are_the_matches_of_each_attempt() -> None:
+def test_a_longer_search_begins_with_the_shorter_one() -> None:
     rng = np.random.default_rng(5)
     prior_map = SegmentMap.empty("geo", "geo", 7)
     prior_map.add(
@@ -143,10 +143,10 @@ def test_proposals_are_the_matches_of_each_attempt() -> None:
     for indexed_from in (1000, 10_000):  # with an index and without
         config = MatchingConfig(indexed_from=indexed_from, list_size=100, probes=6)
         matcher = Matcher(prior_map, config, threads=1)
-        proposals = list(matcher.proposals(query))
-        assert len(proposals) == len(matcher.attempts) == 2
-        for proposed, neighbours in zip(proposals, matcher.attempts, strict=True):
-            expected = matcher.match(query, neighbours)
+        search = matcher.neighbours(query)
+        assert len(matcher.schedule) == 2
+        for neighbours in (*matcher.schedule, 3):
+            proposed, expected = search.matches(neighbours), matcher.match(query, neighbours)
             assert len(proposed) == 40 * neighbours
             for name in ("query", "map", "distance", "score"):
                 np.testing.assert_array_equal(getattr(proposed, name), getattr(expected, name))

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from segloc import _native, geometry
 from segloc.pose import PoseConfig, PoseEstimator
-from segloc.types import Hypothesis, Matches
+from segloc.types import Candidate, Matches
 
 
 def scene(
@@ -48,7 +48,7 @@ def scene(
     return query, prior_map, matches, T
 
 
-def error(found: Hypothesis, T: np.ndarray, query: np.ndarray) -> float:
+def error(found: Candidate, T: np.ndarray, query: np.ndarray) -> float:
     """Largest displacement of any query centroid, metres."""
     gap = geometry.transform(found.T_map_local, query) - geometry.transform(T, query)
     return float(np.linalg.norm(gap, axis=1).max())

@@ -12,6 +12,7 @@ Out<float> voxel_grid_(const In2<float>& points, double size) {
   std::vector<float> means;
   {
     nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
     means = voxel_grid(points.data(), points.shape(0), size);
   }
   const std::size_t count = means.size() / 3;
@@ -24,6 +25,7 @@ Out<float> heights_above_ground_(const In2<float>& points, double cell, double m
   std::vector<float> heights;
   {
     nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
     heights = heights_above_ground(points.data(), points.shape(0), {cell, max_slope, outlier});
   }
   return to_numpy(std::move(heights));
@@ -35,6 +37,7 @@ auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t mi
   Clusters clusters;
   {
     nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
     clusters = euclidean_clusters(points.data(), points.shape(0), radius, min_points, max_points);
   }
   return std::make_tuple(to_numpy(std::move(clusters.points)),

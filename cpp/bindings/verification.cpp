@@ -48,6 +48,8 @@ void bind_verification(nb::module_& m) {
              double range, double bin_deg, double radius) {
             require_points(structure);
             require_points(ground);
+            require_usable(structure.data(), structure.size(), "structure");
+            require_usable(ground.data(), ground.size(), "ground");
             require(range > 0 && range <= 1000 && radius > 0, "range and radius must be positive");
             require(bin_deg >= 0.1 && bin_deg <= 10, "bin_deg must be between 0.1 and 10");
             new (self) VisibilityCheck(structure.data(), structure.shape(0), ground.data(),
@@ -63,6 +65,7 @@ void bind_verification(nb::module_& m) {
           "__init__",
           [](PointIndex* self, const In2<float>& points, double radius) {
             require_points(points);
+            require_usable(points.data(), points.size(), "points");
             new (self) PointIndex(points.data(), points.shape(0), radius);
           },
           nb::arg("points").noconvert(), nb::arg("radius"))

@@ -17,7 +17,7 @@ constexpr std::size_t kEsfSize = 10 * kEsfBins;
 //
 // Points are put in the order of their coordinates and triangles drawn by a counter: the result
 // does not depend on the order of the points, nor on the number of threads. Triangles that are
-// (nearly) flat are drawn again, but at most as many as are asked for: a segment without others
+// (nearly) flat are drawn again, but at most as many as are wanted: a segment without others
 // gives zeros.
 void esf(const float* points, const int64_t* offsets, std::size_t segments, std::size_t triples,
          uint64_t seed, int threads, float* output);

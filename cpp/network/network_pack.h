@@ -16,14 +16,14 @@ class WeightPacker {
       : tensors_(tensors), kernels_(kernels) {}
 
   XConvWeights xconv(const std::string& name, const LayerSpec& spec, std::size_t inputs);
-  // act(input * weight + bias), and scale and shift after it where they are asked for.
+  // act(input * weight + bias), and scale and shift after it where they are wanted.
   DenseWeights dense(const std::string& name, std::size_t inputs, std::size_t outputs,
                      bool activate, bool biased, bool scaled);
 
   const float* get(const std::string& name, const std::vector<std::size_t>& shape);
   std::size_t extent(const std::string& name, std::size_t axis) const;
 
-  // The packed memory; throws if there is a tensor that nobody asked for.
+  // The packed memory; throws if there is a tensor that is not used.
   std::vector<AlignedFloats> finish();
 
  private:

@@ -32,7 +32,7 @@ std::size_t voters_inside(const std::uint32_t* own, std::size_t count, const std
   return found;
 }
 
-// The window of a corner, around the voter that made it count.
+// The window of a corner, at the place where the voter that made it count has voted.
 Peak peak_of(const Voters& v, const VoteLattice& l, std::uint32_t k, std::uint32_t slot,
              std::uint32_t corner) {
   const float x = v.mx[k] - (l.cosine * v.qx[k] - l.sine * v.qy[k]) - l.low_x;

@@ -48,7 +48,8 @@ struct Lattice {
   }
 };
 
-// A window of two by two cells with many votes, named by its last cell.
+// A window of two by two cells with many votes, named by its last cell. Places that are folded into
+// one window share its votes, and x and y are those of the place where `voter` voted.
 struct Peak {
   std::uint32_t votes, slot, voter;
   std::int32_t x, y;  // on the lattice, not folded

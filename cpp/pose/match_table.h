@@ -42,7 +42,7 @@ struct MatchInput {
 MatchTable make_match_table(const MatchInput& input, const double* origin, double distinct,
                             double cell);
 
-// The matches in the three by three cells around a key: three ranges of the sorted field.
+// The matches in the three by three cells around a key: three ranges of the sorted table.
 void ranges_around(const MatchTable& f, std::uint64_t key, MatchRange ranges[3]);
 
 }  // namespace segloc

@@ -17,6 +17,7 @@ constexpr int kMinSteps = 36, kMaxSteps = 240;
 constexpr int kMinBits = 16, kMaxBits = 18;  // cells of a table; larger maps are folded into it
 constexpr int kMinBitsX = 5;                 // a row of the table fills vectors
 constexpr std::size_t kCellsPerVoter = 16;
+constexpr float kFarthest = 1e8f;  // metres; cells of what is farther away could not be numbered
 
 // The first `most` matches, by object; those of one object keep their order.
 std::vector<std::uint32_t> by_object(const MatchTable& f, std::size_t most) {
@@ -49,8 +50,8 @@ Voters voters_of(const MatchTable& f, std::size_t most) {
     squares += x * x + y * y;
     v.qx[k] = static_cast<float>(x);
     v.qy[k] = static_cast<float>(y);
-    v.mx[k] = f.mx[i];
-    v.my[k] = f.my[i];
+    v.mx[k] = std::clamp(f.mx[i], -kFarthest, kFarthest);
+    v.my[k] = std::clamp(f.my[i], -kFarthest, kFarthest);
     v.group[k] = group;
     v.mark[k] = static_cast<std::uint16_t>((group % kMarks + 1) << 8);
     if (k == 0 || group / kMarks != v.group[k - 1] / kMarks) v.spans.push_back(k);

@@ -11,14 +11,14 @@ namespace segloc {
 
 struct PoseCell {
   std::uint32_t votes = 0;             // distinct objects of the query
-  std::uint32_t index = 0;             // of one match of the cell, in the field
+  std::uint32_t index = 0;             // of one match of the cell, in the table
   double yaw = 0.0, x = 0.0, y = 0.0;  // p_map = Rz(yaw) p_query + (x, y): the middle of the cell
 };
 
 struct VoteOptions {
   double tolerance = 0.6;         // how far a match may be from where its pose puts it, metres
   std::size_t max_votes = 32768;  // the best matches vote
-  std::size_t max_cells = 512;    // fullest cells that are returned
+  std::size_t max_cells = 512;    // those with the most votes are returned
 };
 
 struct PoseVotes {

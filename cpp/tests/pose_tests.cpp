@@ -33,7 +33,27 @@ void poses() {
   }
 }
 
+// Segments that are absurdly far away change nothing for the others.
+void far_segments() {
+  const std::size_t n = 40;
+  const auto points = random_floats(3 * n, -40.0f, 40.0f, 3);
+  std::vector<double> query(points.begin(), points.end()), map(query);
+  std::vector<std::int64_t> index(n);
+  for (std::size_t i = 0; i < n; ++i) index[i] = std::int64_t(i);
+  map[3 * n - 3] = 1e10;
+  map[3 * n - 5] = -1e10;
+  for (const int threads : {1, 3}) {
+    const auto found = consensus(query.data(), n, map.data(), index.data(), index.data(), n,
+                                 ConsensusOptions{}, threads);
+    CHECK(!found.empty() && found[0].inliers + 6 >= n);
+    CHECK(std::hypot(found[0].t[0], found[0].t[1]) < 0.1);
+  }
+}
+
 }  // namespace
 }  // namespace segloc
 
-void pose_tests() { segloc::poses(); }
+void pose_tests() {
+  segloc::poses();
+  segloc::far_segments();
+}

@@ -10,7 +10,7 @@
 
 namespace segloc {
 
-// A sensor that looks up less steeply than another one sees less of trees and houses. What lies
+// A sensor whose field of view ends lower than another one's sees less of trees and houses. What is
 // higher than anything the cloud has nearby was not in view, and says nothing of a pose.
 class ObservedHeight {
  public:

@@ -5,18 +5,68 @@
 >>> result = localizer.localize(Scan(points))  # doctest: +SKIP
 """
 
-from ._native import __version__ as __version__
-from .config import Config as Config
-from .errors import ConfigError as ConfigError
-from .errors import DatasetError as DatasetError
-from .errors import InvalidScan as InvalidScan
-from .errors import MapFormatError as MapFormatError
-from .errors import MapMismatch as MapMismatch
-from .errors import MissingDependency as MissingDependency
-from .errors import SeglocError as SeglocError
-from .errors import WeightsError as WeightsError
-from .localizer import Localizer as Localizer
-from .map.build import build_map as build_map
-from .map.segment_map import SegmentMap as SegmentMap
-from .types import Localization as Localization
-from .types import Scan as Scan
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+from ._native import __version__
+from .config import Config
+from .errors import (
+    ConfigError,
+    DatasetError,
+    InvalidScan,
+    MapFormatError,
+    MapMismatch,
+    MissingDependency,
+    SeglocError,
+    WeightsError,
+)
+from .geometry import ros_covariance
+from .localization import Localization, Localized, NotLocalized, Reason
+from .localizer import Localizer
+from .map.build import build_map
+from .map.segment_map import SegmentMap
+from .tracker import Tracker
+from .types import LocalCloud, Scan
+
+if TYPE_CHECKING:
+    from .alignment import align_sessions
+    from .datasets import open_sequence
+    from .map.update import update_map
+
+__all__ = [
+    "Config",
+    "ConfigError",
+    "DatasetError",
+    "InvalidScan",
+    "LocalCloud",
+    "Localization",
+    "Localized",
+    "Localizer",
+    "MapFormatError",
+    "MapMismatch",
+    "MissingDependency",
+    "NotLocalized",
+    "Reason",
+    "Scan",
+    "SeglocError",
+    "SegmentMap",
+    "Tracker",
+    "WeightsError",
+    "__version__",
+    "align_sessions",
+    "build_map",
+    "open_sequence",
+    "ros_covariance",
+    "update_map",
+]
+
+_LATER = {"align_sessions": "alignment", "open_sequence": "datasets", "update_map": "map.update"}
+"""What robots seldom need is imported when it is first used."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f".{_LATER[name]}", __name__), name)

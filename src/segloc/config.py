@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,17 +10,38 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from . import descriptors
-from .errors import ConfigError
+from .errors import ConfigError, MapMismatch
 from .local_cloud import LocalCloudConfig
-from .map.build import MappingConfig
+from .map.config import MappingConfig
+from .map.merge import TEXT_SEPARATOR
+from .map.segment_map import SegmentMap
 from .matching import MatchingConfig
 from .pose import PoseConfig
 from .segmentation import SegmentationConfig
-from .verification.verifier import VerificationConfig
+from .verification import VerificationConfig, shipped_confidence
 
 DEFAULT_METHOD = "profile"
 
 Model = TypeVar("Model", bound=BaseModel)
+
+FOR_USERS = (
+    "method",
+    "weights",
+    "threads",
+    "seed",
+    "local_cloud.radius_m",
+    "local_cloud.window_m",
+    "local_cloud.max_gap_m",
+    "mapping.views",
+    "matching.neighbours",
+    "matching.escalation",
+    "pose.estimator",
+    "verification.min_confidence",
+    "verification.min_inliers",
+    "verification.min_overlap",
+    "verification.refine",
+)
+"""What users may want to set. The confidence was fitted under the others."""
 
 
 class Config(BaseModel):
@@ -28,7 +49,8 @@ class Config(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: str = Field(DEFAULT_METHOD, description="how segments are described; see descriptors/")
+    method: str = Field(DEFAULT_METHOD, description="how segments are described")
+    weights: Path | None = Field(None, description="trained weights in place of the shipped ones")
     threads: int = Field(0, ge=0, description="0: all cores; results do not depend on it")
     seed: int = Field(0, ge=0, description="of the estimators that draw samples")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
@@ -74,6 +96,96 @@ class Config(BaseModel):
         """The whole configuration as YAML, with every default written out."""
         text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
         return text
+
+    def explained(self, every: bool = False) -> str:
+        """YAML with what each key means beside it: those of :data:`FOR_USERS`, or every one."""
+        return "\n".join(_explained(self, "", "", every)) + "\n"
+
+
+def map_config(prior_map: SegmentMap) -> Config:
+    """The configuration that a map was built with, but for its number of threads.
+
+    A map that keeps none, or one of another version, is taken to be built with the preset of its
+    method. One that was merged of maps built differently keeps several: the first counts.
+    """
+    text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
+    try:
+        values = yaml.safe_load(text) or {}
+        stored = Config.model_validate({**values, "threads": 0})
+    except (yaml.YAMLError, ValidationError, TypeError):
+        return Config.preset(prior_map.descriptor)
+    if stored.method != prior_map.descriptor:
+        return Config.preset(prior_map.descriptor)
+    return stored
+
+
+def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, tuple[str, ...]]:
+    """What queries in a map are configured by, and what is worth saying of it.
+
+    Returns
+    -------
+    Config
+        The given one; by default the one that the map was built with.
+    tuple of str
+        Settings that differ from those that the map was built with, and from those that the
+        confidence was fitted under.
+
+    Raises
+    ------
+    MapMismatch
+        If the configuration is of another method than the map.
+    """
+    built = map_config(prior_map)
+    if config is None:
+        config = built
+    if config.method != prior_map.descriptor:
+        raise MapMismatch(
+            f"the map was described by {prior_map.descriptor!r}, "
+            f"but the configuration is of method {config.method!r}"
+        )
+    notes = []
+    if changed := differences(_shared(config), _shared(built)):
+        notes.append(f"not as the map was built: {', '.join(changed)}")
+    fitted = _merged(dict(shipped_confidence().settings), dict(descriptors.preset(config.method)))
+    if changed := differences(config.model_dump(mode="json"), fitted):
+        notes.append(f"confidence was fitted under other values of {', '.join(changed)}")
+    return config, tuple(notes)
+
+
+def differences(values: Mapping[str, Any], others: Mapping[str, Any]) -> list[str]:
+    """Keys of nested mappings, joined by dots, that both have and that differ."""
+    found = []
+    for key in sorted(values.keys() & others.keys()):
+        mine, theirs = values[key], others[key]
+        if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
+            found += [f"{key}.{inner}" for inner in differences(mine, theirs)]
+        elif _plain(mine) != _plain(theirs):
+            found.append(key)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
+def _shared(config: Config) -> dict[str, Any]:
+    """What maps and queries should agree on."""
+    return config.model_dump(mode="json", include={"local_cloud", "segmentation"})
+
+
+def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Iterator[str]:
+    for name, info in type(model).model_fields.items():
+        value, key = getattr(model, name), f"{prefix}{name}"
+        if isinstance(value, BaseModel):
+            lines = list(_explained(value, f"{key}.", f"{indent}  ", every))
+            if lines:
+                yield f"{indent}{name}:"
+                yield from lines
+        elif every or key in FOR_USERS:
+            plain = model.model_dump(mode="json")[name]
+            text = yaml.safe_dump(plain, default_flow_style=True, width=1000).split("\n...")[0]
+            comment = f"  # {info.description}" if info.description else ""
+            yield f"{indent}{name}: {text.strip()}{comment}"
 
 
 def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Model:

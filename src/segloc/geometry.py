@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from .types import Pose
 
@@ -90,3 +91,40 @@ def rotated_covariance(
     turn = np.kron(np.eye(2), T_a_b[:3, :3].T)
     rotated: NDArray[np.float64] = turn @ covariance @ turn.T
     return rotated
+
+
+class Separation(BaseModel):
+    """Poses closer than this are one place."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    metres: float = Field(3.0, gt=0, description="horizontal distance")
+    degrees: float = Field(15.0, gt=0, le=180, description="difference of the headings")
+
+    def apart(self, T_a: Pose, T_b: Pose) -> bool:
+        """Whether two (4, 4) poses in one frame are at different places."""
+        delta = inverse(T_b) @ T_a
+        turned = abs(heading(delta)) > math.radians(self.degrees)
+        return bool(turned or np.linalg.norm(delta[:2, 3]) > self.metres)
+
+
+def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArray[np.float64]:
+    """A pose's covariance as ROS has it (``geometry_msgs/PoseWithCovariance``).
+
+    Parameters
+    ----------
+    covariance : (6, 6) float64
+        As in :class:`segloc.Localized`: rotation then translation, sensor frame.
+    T_map_sensor : (4, 4) float64
+
+    Returns
+    -------
+    (6, 6) float64
+        Of x, y, z (m) and rotations about the fixed X, Y, Z axes (rad), all in the map's frame.
+    """
+    R = T_map_sensor[:3, :3]
+    turn = np.zeros((6, 6))
+    turn[:3, 3:] = R
+    turn[3:, :3] = R
+    turned: NDArray[np.float64] = turn @ covariance @ turn.T
+    return turned

@@ -3,75 +3,106 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from . import geometry
-from .config import Config
+from .config import Config, query_config
 from .descriptors import create
 from .errors import MapMismatch
 from .local_cloud import Accumulator
+from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
 from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
-from .types import Descriptors, Hypothesis, LocalCloud, Localization, Matches, Scan
-from .verification.verifier import Verdict, Verifier
+from .stage_times import Clock, StageTimes
+from .types import Candidate, Descriptors, LocalCloud, Matches, Pose, Scan
+from .verification import RefinedScore, Score, Verdict, Verifier
+
+
+@dataclass(frozen=True)
+class Query:
+    """What one or several scans show, cut into segments and described."""
+
+    cloud: LocalCloud
+    scene: Segmentation
+    descriptors: Descriptors
 
 
 @dataclass(frozen=True)
 class Search:
-    """What was found for one local cloud, with all that was considered.
+    """What was found for one query, with all that was considered.
 
     Attributes
     ----------
-    candidates : int
+    proposed : int
         Matches before pruning.
     matches : Matches
-    hypotheses : list of Hypothesis
+    candidates : list of Candidate
         T_map_local, best first, at different places, before verification.
     verdict : Verdict
     """
 
-    candidates: int
+    proposed: int
     matches: Matches
-    hypotheses: list[Hypothesis]
+    candidates: list[Candidate]
     verdict: Verdict
 
 
 class Localizer:
-    """Finds the pose of the sensor in a map, with no initial guess.
+    """Finds the pose of the sensor in a prior map, with no initial guess.
 
     Parameters
     ----------
     prior_map : SegmentMap
     config : Config, optional
-        The preset of the map's own method by default.
+        By default the one that the map was built with.
+    clock : callable
+        What the times of the stages are measured by; returns seconds.
+
+    Attributes
+    ----------
+    notes : tuple of str
+        In what the configuration differs from the one that the map was built with, and from the
+        one that the confidence was fitted under.
 
     Raises
     ------
     MapMismatch
-        If the map was described by other weights or by another version of its descriptor.
+        If the map was described by another method, by other weights or by another version of its
+        descriptor.
     """
 
-    def __init__(self, prior_map: SegmentMap, config: Config | None = None) -> None:
-        config = config or Config.preset(prior_map.descriptor)
-        self.prior_map = prior_map
-        self.config = config
+    def __init__(
+        self,
+        prior_map: SegmentMap,
+        config: Config | None = None,
+        *,
+        clock: Clock = time.perf_counter,
+    ) -> None:
+        config, self.notes = query_config(prior_map, config)
+        threads = config.threads
+        self.prior_map, self.config, self._clock = prior_map, config, clock
         self.accumulator = Accumulator(config.local_cloud)
         self.segmenter = Segmenter(config.segmentation)
-        self.descriptor = create(prior_map.descriptor, config.threads)
+        self.descriptor = create(prior_map.descriptor, threads, config.weights)
         if self.descriptor.fingerprint != prior_map.fingerprint:
             raise MapMismatch(
-                f"the map was described by {prior_map.fingerprint}, not by {self.descriptor.fingerprint}"
+                f"the map was described by {prior_map.fingerprint}, not by "
+                f"{self.descriptor.fingerprint}: give the weights that it was built with, "
+                "or build it anew"
             )
-        self.matcher = Matcher(
-            prior_map, config.matching, pruner=self.descriptor.pruner, threads=config.threads
-        )
-        self.estimator = PoseEstimator(config.pose, threads=config.threads, seed=config.seed)
+        pruner = self.descriptor.pruner
+        self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
+        self.estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.verifier = Verifier(
-            prior_map.cloud, prior_map.origin, config.verification, threads=config.threads
+            prior_map.cloud,
+            prior_map.origin,
+            config.verification,
+            separation=config.pose.separation,
+            threads=threads,
         )
 
     def localize(self, scans: Scan | Sequence[Scan] | LocalCloud) -> Localization:
@@ -80,109 +111,119 @@ class Localizer:
         Parameters
         ----------
         scans : Scan, sequence of Scan, or LocalCloud
-            One scan; or consecutive ones with odometry poses, the last one being asked for.
+            One scan; or consecutive ones with odometry poses, of which the last is the query.
 
         Raises
         ------
         InvalidScan
             If several scans are given without poses. Never raised for "not found".
         """
-        watch = Stopwatch()
-        with watch("preprocessing"):
+        times = StageTimes(self._clock)
+        return self.locate(self.describe(scans, times), times)
+
+    def describe(
+        self, scans: Scan | Sequence[Scan] | LocalCloud, times: StageTimes | None = None
+    ) -> Query:
+        """Scans -> local cloud -> segments -> descriptors."""
+        times = times or StageTimes(self._clock)
+        with times("gathering"):
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
-        with watch("segmentation"):
+        with times("segmentation"):
             scene = self.segmenter.segment(cloud)
-        with watch("preprocessing"):
+        with times("preprocessing"):
             prepared = self.descriptor.prepare(scene.segments)
-        with watch("descriptor"):
+        with times("descriptor"):
             descriptors = self.descriptor.encode(prepared)
-        return self.locate(cloud, scene, descriptors, watch)
+        return Query(cloud, scene, descriptors)
 
-    def locate(
-        self,
-        cloud: LocalCloud,
-        scene: Segmentation,
-        descriptors: Descriptors,
-        watch: Stopwatch | None = None,
-    ) -> Localization:
-        """The second half of :meth:`localize`, for a cloud that is segmented and described."""
-        watch = watch or Stopwatch()
-        found = self.search(scene, descriptors, watch)
-        counts = {
-            "scans": cloud.num_scans,
-            "points": len(cloud.points),
-            "segments": len(scene.segments),
-            "candidates": found.candidates,
-            "matches": len(found.matches),
-            "hypotheses": len(found.hypotheses),
-        }
-        return _localization(cloud, counts, found.verdict, watch)
+    def locate(self, query: Query, times: StageTimes | None = None) -> Localization:
+        """The second half of :meth:`localize`."""
+        times = times or StageTimes(self._clock)
+        return _answer(query, self.search(query, times), times)
 
-    def search(
-        self, scene: Segmentation, descriptors: Descriptors, watch: Stopwatch | None = None
-    ) -> Search:
-        """Match, find poses and verify them, and keep all that was considered.
+    def search(self, query: Query, times: StageTimes | None = None) -> Search:
+        """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where too little speaks for any pose, it is tried once more with more neighbours.
+        Where too little speaks for any pose, it is tried again with more neighbours.
         """
-        watch = watch or Stopwatch()
-        proposals = self.matcher.proposals(descriptors)
-        for _ in self.matcher.attempts:
-            with watch("matching"):
-                candidates = next(proposals)
-            with watch("pruning"):
-                matches = self.matcher.prune(descriptors, candidates)
-            with watch("pose"):
-                hypotheses = self.estimator.estimate(
-                    scene.segments.centroids, self.prior_map.centroids, matches
-                )
-            with watch("verification"):
-                verdict = self.verifier.verify(scene, hypotheses)
-            if not verdict.unsure:
+        times = times or StageTimes(self._clock)
+        centroids, neighbours = query.scene.segments.centroids, None
+        best: Search | None = None
+        for count in self.matcher.schedule:
+            with times("matching"):
+                neighbours = neighbours or self.matcher.neighbours(query.descriptors)
+                proposed = neighbours.matches(count)
+            with times("pruning"):
+                matches = self.matcher.prune(query.descriptors, proposed)
+            with times("pose"):
+                candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
+            with times("verification"):
+                verdict = self.verifier.verify(query.scene, candidates)
+            best = Search(len(proposed), matches, candidates, verdict)
+            if not verdict.undecided:
                 break
-        return Search(len(candidates), matches, hypotheses, verdict)
+        assert best is not None  # no schedule is empty
+        return best
 
 
-class Stopwatch:
-    """Adds up the milliseconds spent in named blocks."""
-
-    def __init__(self) -> None:
-        self.times_ms: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        elapsed = 1e3 * (time.perf_counter() - start)
-        self.times_ms[stage] = self.times_ms.get(stage, 0.0) + elapsed
-
-
-def _localization(
-    cloud: LocalCloud, counts: dict[str, int], verdict: Verdict, watch: Stopwatch
-) -> Localization:
-    reason, best = verdict.reason, verdict.best
-    for what in ("points", "segments", "matches"):
-        if counts[what] == 0:
-            reason = f"no {what}"
-            break
-    times_ms = {**watch.times_ms, "total": sum(watch.times_ms.values())}
-    if best is None:
-        return Localization(False, reason, counts=counts, times_ms=times_ms, stamp=cloud.stamp)
-    return Localization(
-        localized=not reason,
-        reason=reason,
-        T_map_sensor=None if reason else best.T_map_local @ cloud.T_local_sensor,
-        inliers=best.inliers,
-        overlap=best.overlap,
-        seen=best.seen,
-        margin=best.margin,
-        rmse=best.rmse,
-        confidence=verdict.confidence,
-        covariance=(
-            None if reason else geometry.rotated_covariance(best.covariance, cloud.T_local_sensor)
-        ),
-        runner_up=verdict.runner_up,
-        counts=counts,
-        times_ms=times_ms,
-        stamp=cloud.stamp,
+def _answer(query: Query, found: Search, times: StageTimes) -> Localization:
+    verdict, best = found.verdict, found.verdict.best
+    counts = {
+        "scans": query.cloud.num_scans,
+        "points": len(query.cloud.points),
+        "segments": len(query.scene.segments),
+        "proposed": found.proposed,
+        "matches": len(found.matches),
+        "candidates": len(found.candidates),
+    }
+    T_local_sensor = query.cloud.T_local_sensor
+    common: dict[str, Any] = {
+        "counts": counts,
+        "times_ms": times.with_total(),
+        "stamp": query.cloud.stamp,
+        "confidence": verdict.confidence,
+        "runner_up": _runner_up(verdict, T_local_sensor),
+        **_measured(verdict),
+    }
+    if verdict.reason is not None or best is None:
+        return NotLocalized(**_why(verdict, counts), **common)
+    covariance = best.covariance if isinstance(best, RefinedScore) else None
+    return Localized(
+        T_map_sensor=best.T_map_local @ T_local_sensor,
+        covariance=geometry.rotated_covariance(covariance, T_local_sensor),
+        **common,
     )
+
+
+def _measured(verdict: Verdict) -> dict[str, float | None]:
+    """What was measured of the best candidate."""
+    best = verdict.best
+    if best is None:
+        return {}
+    evidence = verdict.evidence
+    return {
+        "inliers": best.inliers,
+        "overlap": best.overlap,
+        "seen": best.seen if isinstance(best, Score) else None,
+        "inlier_ratio": None if evidence is None else evidence.inlier_ratio,
+        "rmse": best.rmse,
+    }
+
+
+def _why(verdict: Verdict, counts: Mapping[str, int]) -> dict[str, Any]:
+    """The first stage that was left with nothing, or else what the verdict says."""
+    for what, reason in (
+        ("points", Reason.NO_POINTS),
+        ("segments", Reason.NO_SEGMENTS),
+        ("matches", Reason.NO_MATCHES),
+    ):
+        if counts[what] == 0:
+            return {"reason": reason, "message": reason.value}
+    return {"reason": verdict.reason, "message": verdict.message}
+
+
+def _runner_up(verdict: Verdict, T_local_sensor: Pose) -> RunnerUp | None:
+    other = verdict.runner_up
+    if other is None:
+        return None
+    return RunnerUp(other.T_map_local @ T_local_sensor, other.inliers, other.overlap)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -45,7 +43,7 @@ class MatchingConfig(BaseModel):
         description="matches that the method's forest finds less likely are dropped",
     )
 
-    def attempts(self, segments: int) -> tuple[int, ...]:
+    def schedule(self, segments: int) -> tuple[int, ...]:
         """Neighbours proposed in a map of so many segments: at first, and where that fails.
 
         The more segments a map holds, the more of them look alike by chance, and the true
@@ -68,7 +66,7 @@ class Matcher:
 
     Attributes
     ----------
-    attempts : tuple of int
+    schedule : tuple of int
         Neighbours of each query segment, at first and where that was too few.
     """
 
@@ -81,9 +79,9 @@ class Matcher:
         threads: int = 0,
     ) -> None:
         self.config = config or MatchingConfig()
-        self._quality = prior_map.quality
+        self.map_quality = prior_map.quality
         self._vectors = np.ascontiguousarray(prior_map.vectors)
-        self.attempts = self.config.attempts(len(prior_map))
+        self.schedule = self.config.schedule(len(prior_map))
         large = len(prior_map) > self.config.indexed_from
         lists = len(prior_map) // self.config.list_size if large else 1
         self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
@@ -93,38 +91,22 @@ class Matcher:
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
         """The nearest map segments of every query segment, best match first.
 
-        So many of them for each; by default as many as in the first of the ``attempts``.
-        A match's score is the likelihood exp(-distance), times the quality of both descriptors
-        where they have one.
+        So many of them for each; by default the first number of the ``schedule``.
         """
-        neighbours = neighbours or self.attempts[0]
-        return self._matches(query, self._nearest(query, neighbours), neighbours)
+        return self.neighbours(query).matches(neighbours or self.schedule[0])
 
-    def proposals(self, query: Descriptors) -> Iterator[Matches]:
-        """The matches of one of the ``attempts`` after another, each found when it is asked for.
+    def neighbours(self, query: Descriptors) -> NeighbourSearch:
+        """The search for the neighbours of a query's segments."""
+        return NeighbourSearch(self, query)
 
-        The lists of an index are read once, for all attempts: the first one takes the nearest of
-        what the last one needs. That costs the first a third more, and spares the second one's
-        search. Smaller maps are searched for each attempt.
-        """
-        indexed = self._index.lists > 1
-        found: Nearest | None = None
-        for neighbours in self.attempts:
-            if found is None or not indexed:
-                found = self._nearest(query, self.attempts[-1] if indexed else neighbours)
-            yield self._matches(query, found, neighbours)
-
-    def _nearest(self, query: Descriptors, neighbours: int) -> Nearest:
+    def nearest(self, query: Descriptors, neighbours: int) -> Nearest:
+        """So many map segments for each query segment, nearest first, with their distances."""
         return self._index.search(query.vectors, neighbours, self.config.probes, self._threads)
 
-    def _matches(self, query: Descriptors, found: Nearest, neighbours: int) -> Matches:
-        indices, distances = found[0][:, :neighbours], found[1][:, :neighbours]
-        rows = np.repeat(np.arange(len(query), dtype=np.int64), indices.shape[1])
-        columns, distance = indices.reshape(-1), distances.reshape(-1)
-        score = np.exp(-distance)
-        if query.quality is not None and self._quality is not None:
-            score *= query.quality[rows] * self._quality[columns]
-        return _ordered(rows, columns, distance, score)
+    @property
+    def indexed(self) -> bool:
+        """Whether the map is searched through an index."""
+        return self._index.lists > 1
 
     def prune(self, query: Descriptors, matches: Matches) -> Matches:
         """The matches that are likely enough, scored by that; all of them without a pruner."""
@@ -135,6 +117,43 @@ class Matcher:
         )
         keep = score >= self.config.min_probability
         return _ordered(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
+
+
+class NeighbourSearch:
+    """The neighbours of one query's segments, more of them when more are asked for.
+
+    The lists of an index are read once, for the longest of the schedule: shorter ones take the
+    nearest of what it found. That costs the first a third more, and spares the second its search.
+    Smaller maps are searched each time.
+    """
+
+    def __init__(self, matcher: Matcher, query: Descriptors) -> None:
+        self._matcher, self._query = matcher, query
+        self._found: Nearest | None = None
+
+    def matches(self, neighbours: int) -> Matches:
+        """So many map segments for each query segment, best match first.
+
+        A match's score is the likelihood exp(-distance), times the quality of both descriptors
+        where they have one.
+        """
+        nearest, distances = self._nearest(neighbours)
+        nearest, distances = nearest[:, :neighbours], distances[:, :neighbours]
+        rows = np.repeat(np.arange(len(self._query), dtype=np.int64), nearest.shape[1])
+        columns, distance = nearest.reshape(-1), distances.reshape(-1)
+        score = np.exp(-distance)
+        map_quality = self._matcher.map_quality
+        if self._query.quality is not None and map_quality is not None:
+            score *= self._query.quality[rows] * map_quality[columns]
+        return _ordered(rows, columns, distance, score)
+
+    def _nearest(self, neighbours: int) -> Nearest:
+        if not self._matcher.indexed:
+            return self._matcher.nearest(self._query, neighbours)
+        if self._found is None or self._found[0].shape[1] < neighbours:
+            most = max(neighbours, self._matcher.schedule[-1])
+            self._found = self._matcher.nearest(self._query, most)
+        return self._found
 
 
 def _ordered(query: Int64, map_rows: Int64, distance: Float32, score: Float32) -> Matches:

@@ -7,7 +7,8 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import _native
-from .types import Float64, Hypothesis, Int64, Matches
+from .geometry import Separation
+from .types import Candidate, Float64, Int64, Matches
 
 
 class PoseConfig(BaseModel):
@@ -29,13 +30,13 @@ class PoseConfig(BaseModel):
     distinct_radius: float = Field(
         1.0, ge=0, description="segments closer than this count as one inlier, metres"
     )
-    separation: float = Field(3.0, gt=0, description="poses closer than this are one, metres")
+    separation: Separation = Separation()
     max_refined: int = Field(128, ge=1, description="candidates refined by consensus")
     max_draws: int = Field(2_000_000, ge=1, description="samples of prosac and ransac at most")
     chance: float = Field(
         0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"
     )
-    max_hypotheses: int = Field(8, ge=1, description="candidates handed to verification")
+    max_candidates: int = Field(8, ge=1, description="candidates handed to verification")
 
 
 class PoseEstimator:
@@ -48,9 +49,7 @@ class PoseEstimator:
         self._threads = threads
         self._seed = seed
 
-    def estimate(
-        self, query: Float64, map_centroids: Float64, matches: Matches
-    ) -> list[Hypothesis]:
+    def estimate(self, query: Float64, map_centroids: Float64, matches: Matches) -> list[Candidate]:
         """Candidate poses T_map_local.
 
         Parameters
@@ -63,7 +62,7 @@ class PoseEstimator:
         """
         find = self._consensus if self.config.estimator == "consensus" else self._sampled
         poses, inliers = find(query, map_centroids, matches)
-        return [Hypothesis(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
+        return [Candidate(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
 
     def _consensus(
         self, query: Float64, map_centroids: Float64, matches: Matches
@@ -77,9 +76,9 @@ class PoseEstimator:
             inlier_tolerance=config.inlier_tolerance,
             height_tolerance=config.height_tolerance,
             distinct_radius=config.distinct_radius,
-            separation=config.separation,
+            separation=config.separation.metres,
             max_refined=config.max_refined,
-            max_hypotheses=config.max_hypotheses,
+            max_hypotheses=config.max_candidates,
             threads=self._threads,
         )
         return poses, inliers
@@ -99,8 +98,8 @@ class PoseEstimator:
             inlier_tolerance=config.inlier_tolerance,
             min_edge=config.min_edge,
             chance=config.chance,
-            separation=config.separation,
+            separation=config.separation.metres,
             max_draws=config.max_draws,
-            max_hypotheses=config.max_hypotheses,
+            max_hypotheses=config.max_candidates,
             seed=self._seed,
         )

@@ -37,19 +37,20 @@ class Aligner:
     ----------
     voxel : float
         Clouds are thinned to this, metres.
-    reach : float
-        Longest correspondence, metres.
+    max_correspondence : float
+        Maximum correspondence distance, metres.
     threads : int
         0: all cores. The result does not depend on it.
     """
 
-    def __init__(self, voxel: float, reach: float, threads: int = 0) -> None:
-        self._voxel, self._reach, self._threads = voxel, reach, threads
+    def __init__(self, voxel: float, max_correspondence: float, threads: int = 0) -> None:
+        self._voxel, self._threads = voxel, threads
+        self._max_correspondence = max_correspondence
 
     def surface(self, points: Float32) -> _native.Surface:
         """A cloud, (N, 3), made ready to be aligned or aligned with, any number of times."""
         thinned = _native.voxel_grid(np.ascontiguousarray(points), self._voxel)
-        return _native.Surface(thinned, self._reach, 2.0 * self._voxel)
+        return _native.Surface(thinned, self._max_correspondence, 2.0 * self._voxel)
 
     def align(
         self, target: _native.Surface, source: _native.Surface, T_target_source: Pose

@@ -18,8 +18,8 @@ class ClusterConfig(BaseModel):
 
     voxel_size: float = Field(gt=0, description="edge of the voxel grid, metres")
     tolerance: float = Field(gt=0, description="points closer than this belong together, metres")
-    min_points: int = Field(ge=1)
-    max_points: int = Field(15_000, ge=1)
+    min_points: int = Field(ge=1, description="points of the smallest segment")
+    max_points: int = Field(15_000, ge=1, description="points of the largest segment")
     height_cuts: tuple[float, ...] = Field(
         (0.6, 1.2),
         description="clusters are formed above each of these heights over ground, metres",

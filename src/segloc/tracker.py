@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from . import geometry
-from .errors import InvalidScan
+from .checks import checked_pose
+from .localization import Reason
 from .localizer import Localizer
-from .types import LocalCloud, Pose, Scan, checked_pose
+from .types import LocalCloud, Pose, Scan
 
 
 class TrackerConfig(BaseModel):
@@ -121,18 +122,16 @@ class Tracker:
         Where several places look alike, it says nothing: such views agree with one another at wrong
         places, too, all along a street.
         """
-        localizer, config = self.localizer, self.config
-        cloud = scans if isinstance(scans, LocalCloud) else localizer.accumulator.gather(scans)
-        if not np.isfinite(cloud.T_local_sensor).all():
-            raise InvalidScan("T_local_sensor has values that are not finite")
-        scene = localizer.segmenter.segment(cloud)
-        verdict = localizer.search(scene, localizer.descriptor.describe(scene.segments)).verdict
-        best, believed = verdict.best, not verdict.reason
-        if best is None or verdict.reason == "ambiguous":
+        config = self.config
+        query = self.localizer.describe(scans)
+        T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
+        verdict = self.localizer.search(query).verdict
+        best, believed = verdict.best, verdict.reason is None
+        if best is None or verdict.reason is Reason.AMBIGUOUS:
             return None
         if not believed and verdict.confidence < config.min_confidence:
             return None
-        T_map_odom = best.T_map_local @ cloud.T_local_sensor @ geometry.inverse(T_odom_sensor)
+        T_map_odom = best.T_map_local @ T_local_sensor @ geometry.inverse(T_odom_sensor)
         return _Kept(T_map_odom, verdict.confidence, 1, believed, self._travelled)
 
     def _merge(self, view: _Kept) -> None:

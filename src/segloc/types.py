@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .errors import InvalidScan
+from .checks import checked_points, checked_pose, checked_times
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -53,8 +52,8 @@ class Scan:
         stamp: float | None = None,
         T_odom_sensor: ArrayLike | None = None,
     ) -> None:
-        xyz = _checked_points(points)
-        stamps = _checked_times(times, len(xyz))
+        xyz = checked_points(points)
+        stamps = checked_times(times, len(xyz))
         finite = np.isfinite(xyz).all(axis=1)
         self.dropped = int(len(xyz) - finite.sum())
         if self.dropped:
@@ -72,53 +71,6 @@ class Scan:
 
     def __repr__(self) -> str:
         return f"Scan({len(self)} points, stamp={self.stamp})"
-
-
-def _as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
-    try:
-        return np.asarray(values, dtype=dtype)
-    except (TypeError, ValueError) as error:
-        raise InvalidScan(f"{name} must be an array of numbers") from error
-
-
-def _checked_points(points: ArrayLike) -> Float32:
-    array = _as_array(points, "points")
-    if array.ndim != 2 or array.shape[1] < 3:
-        raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
-    if not np.issubdtype(array.dtype, np.floating):
-        raise InvalidScan(f"points must be floating point, not {array.dtype}")
-    with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf: dropped
-        return np.ascontiguousarray(array[:, :3], dtype=np.float32)
-
-
-def _checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
-    if times is None:
-        return None
-    array: Float64 = _as_array(times, "times", np.float64)
-    if array.shape != (count,):
-        raise InvalidScan(f"times must have shape ({count},), not {array.shape}")
-    return array
-
-
-def checked_pose(pose: ArrayLike, name: str) -> Pose:
-    """A copy of ``pose`` as a (4, 4) float64 rigid transform.
-
-    Raises
-    ------
-    InvalidScan
-        If the shape is wrong, a value is not finite, or the rotation is not one (to 1e-3).
-    """
-    T: Pose = _as_array(pose, name, np.float64).copy()
-    if T.shape != (4, 4):
-        raise InvalidScan(f"{name} must have shape (4, 4), not {T.shape}")
-    R = T[:3, :3]
-    if not np.isfinite(T).all():
-        raise InvalidScan(f"{name} has values that are not finite")
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-        raise InvalidScan(f"{name} is not a rigid transform")
-    if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
-        raise InvalidScan(f"{name} must end with the row 0 0 0 1")
-    return T
 
 
 class Recording(Protocol):
@@ -249,93 +201,15 @@ class Matches:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """One candidate pose and what speaks for it.
+class Candidate:
+    """A pose on which many matches agree, before it is verified.
 
     Attributes
     ----------
     T_map_local : (4, 4) float64
     inliers : int
         Distinct query segments that agree with the pose (one map segment each).
-    overlap : float
-        Share of the live cloud's points, up to the height that the map reaches there, that have a
-        map point near them, in [0, 1].
-    seen : float
-        The other way round: share of the map's points in view that have a live point near them, in
-        [0, 1]; the others were looked through. NaN where too few are in view.
-    rmse : float
-        Root mean square distance of the pairs that overlap counts, metres.
-    margin : float
-        How many times as many inliers as the best hypothesis at a different place; that is what
-        chance achieves for this query. NaN where none was compared.
-    rival_overlap, rival_seen : float
-        The most that ``overlap`` and ``seen`` reach at any of the best different places. NaN where
-        none was compared.
     """
 
     T_map_local: Pose
     inliers: int
-    overlap: float = 0.0
-    seen: float = float("nan")
-    rmse: float = float("nan")
-    margin: float = float("nan")
-    rival_overlap: float = float("nan")
-    rival_seen: float = float("nan")
-    covariance: Float64 | None = None
-
-    @property
-    def seen_or_overlap(self) -> float:
-        """What is seen, or where too little is in view, what it is expected to be: the overlap."""
-        return self.overlap if math.isnan(self.seen) else self.seen
-
-
-@dataclass(frozen=True)
-class Localization:
-    """The answer to one query: a pose in the map, or the reason why there is none.
-
-    Attributes
-    ----------
-    localized : bool
-    reason : str
-        "" when localized; else for example "no segments", "too few inliers (4 < 6)", "ambiguous".
-    T_map_sensor : (4, 4) float64 or None
-    inliers : int
-        Distinct segments that agree with the best hypothesis.
-    overlap : float
-        Share of the live cloud, up to the height that the map reaches there, that lies on the map
-        at the best hypothesis, in [0, 1].
-    seen : float
-        Share of the map in view that the live cloud confirms there, in [0, 1]; the rest was looked
-        through. NaN where too little of the map is in view to tell.
-    margin : float
-        How many times as many inliers as the best hypothesis at a different place.
-    rmse : float
-        Residual of the refined alignment, metres (NaN where nothing was aligned).
-    confidence : float
-        Calibrated probability, in [0, 1], that the pose is right.
-    covariance : (6, 6) float64 or None
-        Of rotation (rad) then translation (m), in the sensor frame. None where it is not known.
-    runner_up : Hypothesis or None
-        The best hypothesis at a different place.
-    counts : dict
-        How many items each stage produced.
-    times_ms : dict
-        Milliseconds each stage took.
-    stamp : float or None
-        Stamp of the query.
-    """
-
-    localized: bool
-    reason: str
-    T_map_sensor: Pose | None = None
-    inliers: int = 0
-    overlap: float = 0.0
-    seen: float = float("nan")
-    margin: float = float("nan")
-    rmse: float = float("nan")
-    confidence: float = 0.0
-    covariance: Float64 | None = None
-    runner_up: Hypothesis | None = None
-    counts: dict[str, int] = field(default_factory=dict)
-    times_ms: dict[str, float] = field(default_factory=dict)
-    stamp: float | None = None

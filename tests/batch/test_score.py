@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from scipy.spatial.transform import Rotation
 from segloc.batch.picture import draw
 from segloc.batch.run import query_positions
 from segloc.batch.score import Evaluation, Tolerance, distances_to_path, pose_errors
+from segloc.localization import Localization, Localized, NotLocalized, Reason, RunnerUp
 from segloc.map.segment_map import SegmentMap
-from segloc.types import Descriptors, Hypothesis, Localization
+from segloc.types import Descriptors
 
 
 def pose(x: float, y: float = 0.0, z: float = 0.0, yaw_deg: float = 0.0) -> np.ndarray:
@@ -74,14 +76,14 @@ def test_distance_to_the_path_is_horizontal() -> None:
 
 
 def result(T: np.ndarray | None, reason: str = "ambiguous", ms: float = 10.0) -> Localization:
-    return Localization(
-        localized=T is not None,
-        reason="" if T is not None else reason,
-        T_map_sensor=T,
-        inliers=7,
-        runner_up=Hypothesis(pose(5), 3, 0.25),
-        times_ms={"total": ms},
-    )
+    common: dict[str, Any] = {
+        "inliers": 7,
+        "runner_up": RunnerUp(pose(5), 3, 0.25),
+        "times_ms": {"total": ms},
+    }
+    if T is None:
+        return NotLocalized(reason=Reason(reason), message=f"{reason} (so)", **common)
+    return Localized(T_map_sensor=T, **common)
 
 
 @pytest.fixture
@@ -109,6 +111,7 @@ def test_every_query_is_counted_once(evaluation: Evaluation) -> None:
     assert summary["translation_error_m"]["median"] == pytest.approx((0.5 + 2.9) / 2)
     assert summary["rotation_error_deg"]["median"] == pytest.approx(2.45)
     assert list(summary["ms"]) == [
+        "gathering",
         "segmentation",
         "preprocessing",
         "descriptor",
@@ -139,7 +142,7 @@ def test_records_hold_no_nan_and_keep_times_apart(evaluation: Evaluation) -> Non
     assert records[3]["rmse"] is None and records[3]["ms"] == {"total": None}
     assert records[4]["distance_to_map_m"] == pytest.approx(9.0)
     assert records[0]["runner_up"] == {
-        "T_map_local": pose(5).tolist(),
+        "T_map_sensor": pose(5).tolist(),
         "inliers": 3,
         "overlap": 0.25,
     }

@@ -206,5 +206,5 @@ def test_localizes_and_times_the_stage(method: str, plaza: Plaza) -> None:
     result = localizer.localize([walk.scan(i) for i in range(4, 8)])
     assert result.localized, result.reason
     assert np.linalg.norm(result.T_map_sensor[:3, 3] - walk.poses[7][:3, 3]) < 0.5
-    assert 0 < result.counts["matches"] < result.counts["candidates"]
+    assert 0 < result.counts["matches"] < result.counts["proposed"]
     assert result.times_ms["pruning"] > 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +17,14 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc._native import PointIndex, Sight
+from segloc.config import differences
+from segloc.errors import WeightsError
+from segloc.localization import Reason
 from segloc.matching import MatchingConfig
-from segloc.types import Descriptors, Float32, Float64, Hypothesis, Int64, Pose
-from segloc.verification.confidence import confidence
-from segloc.verification.verifier import VerificationConfig
+from segloc.types import Descriptors, Float32, Float64, Int64, Pose
+from segloc.verification import Evidence, Score, VerificationConfig, shipped_confidence
+from segloc.verification.confidence import load_confidence
+from segloc.verification.decision import decide
 
 
 def within_reach(points: Float64, cloud: Float32) -> NDArray[np.bool_]:
@@ -64,7 +70,7 @@ def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
     assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
 
 
-def reference_sight(
+def reference_visibility(
     structure: Float32, ground: Float32, prior_map: Float32, T: Pose, reach: float, bin_deg: float
 ) -> tuple[int, int]:
     """What ``Sight.look`` counts, with 0.4 m to be near and 0.7 m to be behind."""
@@ -96,7 +102,7 @@ def reference_sight(
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(1.0, 8.0), st.floats(5.0, 30.0))
-def test_what_of_a_map_is_seen_and_what_is_looked_through(
+def test_what_of_a_map_is_seen_and_what_violates_free_space(
     seed: int, count: int, bin_deg: float, reach: float
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -108,11 +114,11 @@ def test_what_of_a_map_is_seen_and_what_is_looked_through(
     prior_map = geometry.transform(geometry.inverse(T), np.concatenate([mapped, others]))
     prior_map = prior_map.astype(np.float32)
     counts = Sight(structure, ground, reach, bin_deg, 0.5).look(prior_map, T, 0.4, 0.7)
-    expected = reference_sight(structure, ground, prior_map, T, reach, bin_deg)
+    expected = reference_visibility(structure, ground, prior_map, T, reach, bin_deg)
     assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
 
 
-def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_judged() -> None:
+def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_judged() -> None:
     y, z = (v.ravel().astype(np.float32) for v in np.mgrid[-6:6:0.2, -1:2:0.2])
 
     def wall(x: float) -> Float32:
@@ -130,53 +136,112 @@ def test_a_wall_that_is_gone_is_looked_through_and_one_behind_another_is_not_jud
     assert seen == 0 and through > 0.5 * len(y)
 
 
-def test_confidence_rises_with_every_witness() -> None:
-    good = Hypothesis(
-        np.eye(4), 15, overlap=0.85, seen=0.95, margin=3.0, rival_overlap=0.3, rival_seen=0.5
-    )
-    assert 0.95 < confidence(good) < 1
-    for name, worse in [
-        ("overlap", 0.3),
-        ("seen", 0.4),
-        ("margin", 1.1),
-        ("rival_overlap", 0.85),
-        ("rival_seen", 0.95),
-    ]:
-        assert confidence(replace(good, **{name: worse})) < confidence(good)
-    poor = Hypothesis(np.eye(4), 5, overlap=0.4, seen=0.6, margin=1.2)
-    assert confidence(poor) < 0.05
+MODEL = shipped_confidence()
+
+
+def score(inliers: int, overlap: float, seen: float | None) -> Score:
+    return Score(np.eye(4), inliers, overlap, seen, rmse=0.1)
+
+
+def evidence(
+    inliers: int,
+    overlap: float,
+    seen: float | None,
+    ratio: float,
+    rival: tuple[float, float | None] | None = None,
+) -> Evidence:
+    rivals = () if rival is None else (score(3, *rival),)
+    return Evidence(score(inliers, overlap, seen), ratio, rivals)
+
+
+def test_confidence_rises_with_every_feature() -> None:
+    good = MODEL.probability(evidence(15, 0.85, 0.95, 3.0, (0.3, 0.5)))
+    assert 0.95 < good < 1
+    for worse in (
+        evidence(15, 0.3, 0.95, 3.0, (0.3, 0.5)),
+        evidence(15, 0.85, 0.4, 3.0, (0.3, 0.5)),
+        evidence(15, 0.85, 0.95, 1.1, (0.3, 0.5)),
+        evidence(15, 0.85, 0.95, 3.0, (0.85, 0.5)),
+        evidence(15, 0.85, 0.95, 3.0, (0.3, 0.95)),
+    ):
+        assert MODEL.probability(worse) < good
+    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2)) < 0.05
     # However many segments agree, clouds that agree no better than elsewhere outweigh them.
-    many = replace(poor, inliers=500, margin=100.0, rival_overlap=0.4, rival_seen=0.6)
-    assert confidence(many) < 0.5
+    assert MODEL.probability(evidence(500, 0.4, 0.6, 100.0, (0.4, 0.6))) < 0.5
 
 
 def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
-    good = Hypothesis(
-        np.eye(4), 15, overlap=0.85, seen=0.95, margin=3.0, rival_overlap=0.1, rival_seen=0.1
-    )
-    for name in ("margin", "rival_overlap", "rival_seen"):
-        assert confidence(replace(good, **{name: np.nan})) < confidence(good)
+    good = MODEL.probability(evidence(15, 0.85, 0.95, 3.0, (0.1, 0.1)))
+    assert MODEL.probability(evidence(15, 0.85, 0.95, 3.0)) < good
     # Overlap stands in for what is seen.
-    assert confidence(replace(good, seen=np.nan)) == confidence(replace(good, seen=good.overlap))
-    assert confidence(Hypothesis(np.eye(4), 0)) < 0.01
+    unseen, same = evidence(15, 0.85, None, 3.0), evidence(15, 0.85, 0.85, 3.0)
+    assert MODEL.probability(unseen) == MODEL.probability(same)
+    assert MODEL.standalone(score(0, 0.0, None)) < 0.01
+
+
+def test_the_verdict_is_a_function_of_the_evidence() -> None:
+    config = VerificationConfig()
+    sure = evidence(15, 0.85, 0.95, 3.0, (0.3, 0.5))
+    verdict = decide(sure, None, MODEL, config)
+    assert verdict.reason is None and verdict.message == "" and not verdict.undecided
+    assert verdict.confidence == MODEL.probability(sure) and verdict.best is sure.score
+    verdict = decide(evidence(15, 0.2, 0.95, 3.0), None, MODEL, config)
+    assert verdict.reason is Reason.TOO_LITTLE_OVERLAP and "0.20 < 0.25" in verdict.message
+    verdict = decide(evidence(15, 0.85, 0.95, 3.0, (0.8, 0.95)), None, MODEL, config)
+    assert verdict.reason is Reason.AMBIGUOUS and not verdict.undecided
+    verdict = decide(evidence(5, 0.4, 0.6, 1.2), None, MODEL, config)
+    assert verdict.reason is Reason.TOO_UNCERTAIN and verdict.undecided
+
+
+def test_no_score_makes_an_impossible_confidence() -> None:
+    for inliers, overlap, seen, ratio in product(
+        (0, 3, 10**6), (0.0, 1.0), (None, 0.0, 1.0), (0.0, 1e9)
+    ):
+        for rival in (None, (0.0, None), (1.0, 1.0)):
+            assert 0 <= MODEL.probability(evidence(inliers, overlap, seen, ratio, rival)) <= 1
+
+
+def test_the_confidence_was_fitted_under_the_default_configuration() -> None:
+    assert differences(Config().model_dump(mode="json"), MODEL.settings) == []
+    whole = {"local_cloud", "segmentation", "mapping", "matching", "pose", "verification"}
+    assert set(MODEL.settings) == whole - {"local_cloud"} and MODEL.card["command"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "damaged"),
+        ("{}", "Field required"),
+        (json.dumps({**MODEL.model_dump(mode="json"), "constant": "x"}), "constant"),
+        (json.dumps({**MODEL.model_dump(mode="json"), "weights": {"seen": 1.0}}), "weights must"),
+        (json.dumps({**MODEL.model_dump(mode="json"), "format": 2}), "format"),
+    ],
+)
+def test_a_damaged_model_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "confidence.json"
+    path.write_text(text)
+    with pytest.raises(WeightsError, match=said):
+        load_confidence(path)
 
 
 @pytest.mark.parametrize(
     ("gate", "reason"),
     [
-        ({"min_inliers": 10_000}, "too few inliers"),
-        ({"min_overlap": 1.0, "overlap_radius": 0.05}, "too little overlap"),
-        ({"min_confidence": 1.0}, "too uncertain"),
+        ({"min_inliers": 10_000}, Reason.TOO_FEW_INLIERS),
+        ({"min_overlap": 1.0, "overlap_radius": 0.05}, Reason.TOO_LITTLE_OVERLAP),
+        ({"min_confidence": 1.0}, Reason.TOO_UNCERTAIN),
     ],
 )
-def test_each_gate_refuses_and_says_so(plaza: Plaza, gate: dict[str, float], reason: str) -> None:
+def test_each_gate_refuses_and_says_so(
+    plaza: Plaza, gate: dict[str, float], reason: Reason
+) -> None:
     config = Config.preset("geo")
     prior_map = build_map(PlazaSequence(plaza, steps=6), config)
     scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
     assert Localizer(prior_map, config).localize(scan).localized
     gates = VerificationConfig(**gate)  # type: ignore[arg-type]
     result = Localizer(prior_map, config.model_copy(update={"verification": gates})).localize(scan)
-    assert not result.localized and result.reason.startswith(reason)
+    assert not result.localized and result.reason is reason and reason.value in result.message
     assert result.T_map_sensor is None
 
 
@@ -203,7 +268,7 @@ def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str
     for scan in scans:
         assert Localizer(prior_map, config).localize(scan).localized
         result = Localizer(twice(prior_map, 500.0), config).localize(scan)
-        assert not result.localized and result.reason == "ambiguous"
+        assert not result.localized and result.reason is Reason.AMBIGUOUS
         assert result.runner_up is not None
 
 
@@ -220,13 +285,13 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
         config = Config.preset("geo").model_copy(update={"matching": matching})
         answers.append(Localizer(prior_map, config).localize(scan))
     lost, found = answers
-    assert not lost.localized and lost.reason.startswith("too few inliers")
-    assert found.localized and found.counts["candidates"] == 80 * found.counts["segments"]
+    assert not lost.localized and lost.reason is Reason.TOO_FEW_INLIERS
+    assert found.localized and found.counts["proposed"] == 80 * found.counts["segments"]
 
 
 def test_neighbours_grow_with_the_map_up_to_a_limit() -> None:
     config = MatchingConfig()
-    first = [config.attempts(n)[0] for n in (10, 50_000, 200_000, 1_000_000, 10**8)]
+    first = [config.schedule(n)[0] for n in (10, 50_000, 200_000, 1_000_000, 10**8)]
     assert first[:2] == [25, 25] and first == sorted(first) and first[-1] == config.max_neighbours
-    assert Config.preset("nsm").matching.attempts(10**7) == (200,)
-    assert Config.preset("dsm").matching.attempts(10**7) == (25,)
+    assert Config.preset("nsm").matching.schedule(10**7) == (200,)
+    assert Config.preset("dsm").matching.schedule(10**7) == (25,)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import geometry
 from ..config import Config
-from ..localizer import Localizer
+from ..localizer import Localizer, Query
 from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
@@ -149,7 +149,7 @@ class _Search:
     def loop(self, source: int, register: Register, settings: AlignConfig) -> Loop | None:
         submap = self._chain.submaps[source]
         level = LocalCloud(submap.scene.structure, np.eye(4))
-        answer = self._localizer.locate(level, submap.scene, submap.descriptors)
+        answer = self._localizer.locate(Query(level, submap.scene, submap.descriptors))
         T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
         if T_odom_local is None:
             return None

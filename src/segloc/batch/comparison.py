@@ -14,12 +14,13 @@ from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator
-from ..localizer import Localizer
+from ..localization import Localization, Localized, NotLocalized, Reason
+from ..localizer import Localizer, Query
 from ..map.build import add_view, empty_map, map_views
 from ..map.segment_map import SegmentMap
 from ..pose import PoseEstimator
 from ..segmentation import Segmenter
-from ..types import Descriptors, Float64, Localization, Recording, Segments
+from ..types import Descriptors, Float64, Recording, Segments
 from ..verification.verifier import Verifier
 from .run import query_scans
 from .scenario import OpenedScenario, Scenario
@@ -192,7 +193,7 @@ def _answered(
         for method, described in describe_all(descriptors, scene.segments).items():
             for place, prior_map in places.items():
                 for estimator, localizer in prior_map.localizers[method].items():
-                    answer = localizer.locate(cloud, scene, described)
+                    answer = localizer.locate(Query(cloud, scene, described))
                     found[method, place, estimator] = answer
         yield name, found
 
@@ -200,12 +201,22 @@ def _answered(
 def _record(result: Localization) -> Answer:
     pose = result.T_map_sensor
     return {
-        "reason": result.reason,
+        "reason": None if result.reason is None else result.reason.value,
+        "message": result.message,
         "T_map_sensor": None if pose is None else pose.ravel().tolist(),
         "inliers": result.inliers,
         "overlap": result.overlap,
         "confidence": result.confidence,
     }
+
+
+def _localization(answer: Answer) -> Localization:
+    """What :func:`_record` wrote down."""
+    figures = {name: answer[name] for name in ("inliers", "overlap", "confidence")}
+    if answer["T_map_sensor"] is None:
+        reason = Reason(answer["reason"])
+        return NotLocalized(reason=reason, message=answer["message"], **figures)
+    return Localized(T_map_sensor=np.array(answer["T_map_sensor"]).reshape(4, 4), **figures)
 
 
 def _arrays(opened: OpenedScenario, prior_map: MappedPlace) -> dict[str, Float64]:
@@ -237,19 +248,7 @@ def _standing(cloud: Float64) -> Float64:
 
 def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], query_set: str) -> Evaluation:
     """The answers to one set of queries, scored against the truth where it is known."""
-    results = [
-        Localization(
-            localized=answer["T_map_sensor"] is not None,
-            reason=answer["reason"],
-            T_map_sensor=None
-            if answer["T_map_sensor"] is None
-            else np.array(answer["T_map_sensor"]).reshape(4, 4),
-            inliers=answer["inliers"],
-            overlap=answer["overlap"],
-            confidence=answer["confidence"],
-        )
-        for answer in answers
-    ]
+    results = [_localization(answer) for answer in answers]
     path = np.tile(np.eye(4), (len(arrays["trajectory"]), 1, 1))
     path[:, :2, 3] = arrays["trajectory"]
     indices = arrays[f"indices-{query_set}"].astype(np.int64)

@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..local_cloud import window
-from ..types import Float64, Hypothesis, Int64, LocalCloud, Matches, Pose
-from ..verification.verifier import Verdict
+from ..types import Candidate, Float64, Int64, LocalCloud, Matches, Pose
+from ..verification import Verdict
 from .score import PLACE_RADIUS_M, Tolerance, distances_to_path
 
 if TYPE_CHECKING:
@@ -173,25 +173,26 @@ def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any
 def _examine(
     localizer: Localizer, tree: cKDTree, cloud: LocalCloud, truth: Pose, index: int
 ) -> Case:
-    scene = localizer.segmenter.segment(cloud)
-    centroids = scene.segments.centroids
-    found = localizer.search(scene, localizer.descriptor.describe(scene.segments))
+    query = localizer.describe(cloud)
+    scene, centroids = query.scene, query.scene.segments.centroids
+    found = localizer.search(query)
     T, overlap = _aligned(localizer, scene, truth @ geometry.inverse(cloud.T_local_sensor))
     placed = geometry.transform(T, centroids)
     repeated = tree.query(placed)[0] < REPEAT_RADIUS_M if len(placed) else np.empty(0, bool)
     matched = _matched(localizer.prior_map.centroids, found.matches, placed)
-    nearest = [h for h in found.hypotheses if _same(h.T_map_local, T)]
+    nearest = [h for h in found.candidates if _same(h.T_map_local, T)]
     held = _objects(centroids[repeated], localizer)
     proposed = _objects(centroids[matched & repeated], localizer)
     inliers = max((h.inliers for h in nearest), default=0)
     stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found.verdict, T)
-    detail = found.verdict.reason.split(" (")[0] if stage == STAGES[-1] else ""
+    reason = found.verdict.reason
+    detail = reason.value if reason is not None and stage == STAGES[-1] else ""
     return Case(index, stage, detail, len(centroids), held, proposed, inliers, overlap, T.tolist())
 
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
     """The true pose, moved to where the clouds fit best; as it was where they do not."""
-    refined = localizer.verifier.refined(Hypothesis(T, 0), scene)
+    refined = localizer.verifier.refined(Candidate(T, 0), scene)
     return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
 
 
@@ -229,7 +230,7 @@ def _stage(
 ) -> str:
     needed = localizer.config.verification.min_inliers
     localized, falsely, few, unrepeated, unmatched, unfound, rejected = STAGES
-    if verdict.best is not None and not verdict.reason:
+    if verdict.best is not None and verdict.reason is None:
         return localized if _same(verdict.best.T_map_local, T) else falsely
     if segments < FEWEST_SEGMENTS:
         return few

@@ -10,7 +10,8 @@ import numpy as np
 
 from .. import geometry
 from ..local_cloud import LocalCloudConfig, window
-from ..types import Float64, Int64, Localization, Recording, Scan
+from ..localization import Localization
+from ..types import Float64, Int64, Recording, Scan
 
 if TYPE_CHECKING:
     from ..localizer import Localizer

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .. import geometry
-from ..types import Float64, Int64, Localization, Pose
+from ..localization import Localization
+from ..types import Float64, Int64, Pose
 
 Bools = NDArray[np.bool_]
 
@@ -24,6 +25,7 @@ PATH_BREAK_M = 35.0
 """Poses of a map's trajectory that are farther apart are not joined."""
 
 STAGES = (
+    "gathering",
     "segmentation",
     "preprocessing",
     "descriptor",
@@ -160,7 +162,7 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Counts, errors and times over all queries, in values that JSON can hold."""
         known = self.truths is not None
-        reasons = Counter(r.reason for r in self.results if not r.localized)
+        reasons = Counter(r.reason.value for r in self.results if r.reason is not None)
         summary: dict[str, Any] = {
             "queries": len(self),
             "localized": int(self.localized.sum()),
@@ -187,18 +189,19 @@ def _record(result: Localization) -> dict[str, Any]:
     return {
         "stamp": _finite(result.stamp),
         "localized": result.localized,
-        "reason": result.reason,
+        "reason": None if result.reason is None else result.reason.value,
+        "message": result.message,
         "T_map_sensor": _nested(result.T_map_sensor),
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
         "seen": _finite(result.seen),
-        "margin": _finite(result.margin),
+        "inlier_ratio": _finite(result.inlier_ratio),
         "rmse": _finite(result.rmse),
         "confidence": _finite(result.confidence),
         "runner_up": None
         if other is None
         else {
-            "T_map_local": _nested(other.T_map_local),
+            "T_map_sensor": _nested(other.T_map_sensor),
             "inliers": other.inliers,
             "overlap": _finite(other.overlap),
         },

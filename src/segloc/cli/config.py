@@ -11,8 +11,11 @@ def config(
     method: Annotated[
         str | None, typer.Option(metavar="NAME", help="How segments are described.")
     ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Also what the confidence was fitted under.")
+    ] = False,
 ) -> None:
-    """Print the whole configuration as YAML, every default written out."""
+    """Print the configuration as YAML, with what each key means beside its default."""
     from ..config import Config
 
-    print(Config.load(None, method).to_yaml(), end="")
+    print(Config.load(None, method).explained(every), end="")

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import ConfigFile, Every, Poses, Recording, Select, Threads, check_every, load_config
+from .options import (
+    ConfigFile,
+    Every,
+    Poses,
+    Recording,
+    Select,
+    Threads,
+    Weights,
+    check_every,
+    open_localizer,
+)
 
 if TYPE_CHECKING:
     from ..batch.failures import Funnel
@@ -28,6 +38,7 @@ def failures(
     every: Every = None,
     pictures: Annotated[int, typer.Option(min=0, help="Draw so many of the worst cases.")] = 5,
     config: ConfigFile = None,
+    weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
     """Show at which stage each query that has a place in the map was lost.
@@ -44,14 +55,13 @@ def failures(
     from ..datasets import open_sequence
     from ..errors import DatasetError
     from ..files import replacing
-    from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
     from .results import check_folder
 
     check_every(every)
     check_folder(out)
     prior = SegmentMap.load(prior_map)
-    localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
+    localizer = open_localizer(prior, config, threads, weights)
     recording = open_sequence(sequence, poses, select)
     truths = open_sequence(sequence, truth, select).poses
     if truths is None:

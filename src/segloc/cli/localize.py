@@ -17,8 +17,9 @@ from .options import (
     Select,
     Threads,
     Topic,
+    Weights,
     check_every,
-    load_config,
+    open_localizer,
 )
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def localize(
     deskew: Deskew = True,
     odometry: Odometry = False,
     config: ConfigFile = None,
+    weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
     """Find the scans of a recording in a map, each by itself and without an initial guess.
@@ -51,7 +53,6 @@ def localize(
     from ..batch.run import localize_sequence
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
-    from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
     from .console import progress
     from .recording import open_recording
@@ -60,7 +61,7 @@ def localize(
     check_every(every)
     check_folder(out)
     prior = SegmentMap.load(prior_map)
-    localizer = Localizer(prior, load_config(config, prior.descriptor, threads))
+    localizer = open_localizer(prior, config, threads, weights)
     recording = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
     )

@@ -17,6 +17,7 @@ from .options import (
     Select,
     Threads,
     Topic,
+    Weights,
     check_every,
     load_config,
 )
@@ -35,6 +36,7 @@ def build(
     deskew: Deskew = True,
     odometry: Odometry = False,
     config: ConfigFile = None,
+    weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
     """Build a map from a recording with poses."""
@@ -47,7 +49,7 @@ def build(
 
     check_every(every)
     checked_target(out)
-    settings = load_config(config, method, threads)
+    settings = load_config(config, method, threads, weights)
     recording = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
     )

@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from .options import ConfigFile, Deskew, MapOut, Recording, Select, Threads, Topic, load_config
+from .options import (
+    ConfigFile,
+    Deskew,
+    MapOut,
+    Recording,
+    Select,
+    Threads,
+    Topic,
+    Weights,
+    map_settings,
+)
 
 
 def update(
@@ -26,6 +36,7 @@ def update(
     topic: Topic = None,
     deskew: Deskew = True,
     config: ConfigFile = None,
+    weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
     """Add a session to a map, and remove what is no longer there.
@@ -42,7 +53,7 @@ def update(
     checked_target(out)
     prior = SegmentMap.load(prior_map)
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
-    chosen = load_config(config, prior.descriptor, threads)
+    chosen = map_settings(prior, config, threads, weights)
     recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew)
     with progress("Looking at the map") as bar:
         updated, counts = update_map(prior, recording, chosen, settings, bar)

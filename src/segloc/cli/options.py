@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -11,6 +11,8 @@ from ..errors import ConfigError
 
 if TYPE_CHECKING:
     from ..config import Config
+    from ..localizer import Localizer
+    from ..map.segment_map import SegmentMap
 
 Value = TypeVar("Value")
 
@@ -43,12 +45,52 @@ Threads = Annotated[int, typer.Option(min=0, help="0: all cores. Results do not 
 MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
 
 
-def load_config(path: Path | None, method: str | None, threads: int) -> Config:
-    """The configuration of a verb: file and preset, and the threads where they are given."""
+Weights = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Trained weights, in place of the shipped ones."),
+]
+
+
+def load_config(
+    path: Path | None, method: str | None, threads: int, weights: Path | None = None
+) -> Config:
+    """The configuration of a verb: file and preset, and what is given beside it."""
     from ..config import Config
 
-    config = Config.load(path, method)
-    return config.model_copy(update={"threads": threads}) if threads else config
+    return _with(Config.load(path, method), threads, weights)
+
+
+def map_settings(
+    prior_map: SegmentMap, path: Path | None, threads: int, weights: Path | None = None
+) -> Config:
+    """The configuration in a file, or else the one that a map was built with."""
+    from ..config import Config, map_config
+
+    config = map_config(prior_map) if path is None else Config.load(path, prior_map.descriptor)
+    return _with(config, threads, weights)
+
+
+def open_localizer(
+    prior_map: SegmentMap, path: Path | None, threads: int, weights: Path | None = None
+) -> Localizer:
+    """A localizer in a map, by the configuration in a file or else by the map's own.
+
+    What is worth saying of the configuration is said.
+    """
+    from ..localizer import Localizer
+    from .console import note
+
+    localizer = Localizer(prior_map, map_settings(prior_map, path, threads, weights))
+    for line in localizer.notes:
+        note(line)
+    return localizer
+
+
+def _with(config: Config, threads: int, weights: Path | None) -> Config:
+    update: dict[str, Any] = {"threads": threads} if threads else {}
+    if weights is not None:
+        update["weights"] = weights.absolute()
+    return config.model_copy(update=update)
 
 
 def check_every(every: float | None) -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
@@ -70,7 +74,8 @@ class Descriptor(ABC):
         return self.encode(self.prepare(segments))
 
 
-Factory = Callable[[int], Descriptor]
+Factory = Callable[..., Descriptor]
+"""Called with the number of threads and, for methods that have them, ``weights=PATH``."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +84,17 @@ class _Entry:
     preset: Mapping[str, Any] = field(default_factory=dict)
 
 
+PLUGINS = "segloc.descriptors"
+"""The entry point group by which other packages offer descriptors: ``name = "module:factory"``."""
+
 _entries: dict[str, _Entry] = {}
+_broken: dict[str, str] = {}
 
 
 def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Factory], Factory]:
     """Register a factory ``(threads) -> Descriptor`` under ``name``.
+
+    One whose descriptor has weights also takes ``weights``, a path or None for its own.
 
     ``preset`` holds what the method's configuration sets differently from the defaults, by section.
     A new descriptor is one file in this package: its modules are found by themselves.
@@ -96,10 +107,20 @@ def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Fa
     return decorate
 
 
+@cache
 def _discover() -> None:
+    """Import the modules of this package, and what other packages name by entry points."""
     package = importlib.import_module(__package__ or "segloc.descriptors")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
+    for plugin in entry_points(group=PLUGINS):
+        try:
+            factory = plugin.load()
+        except Exception as error:  # whatever a stranger's package does must not end ours
+            _broken[plugin.name] = f"{plugin.value}: {error}"
+            continue
+        if plugin.name not in _entries:
+            register(plugin.name, getattr(factory, "preset", None))(factory)
 
 
 def available() -> list[str]:
@@ -108,15 +129,30 @@ def available() -> list[str]:
     return sorted(_entries)
 
 
-def create(name: str, threads: int = 0) -> Descriptor:
+def create(name: str, threads: int = 0, weights: Path | None = None) -> Descriptor:
     """The descriptor of that name.
+
+    Parameters
+    ----------
+    name : str
+    threads : int
+        0: all cores.
+    weights : Path, optional
+        Trained ones, in place of those that are shipped.
 
     Raises
     ------
     ConfigError
-        If there is none.
+        If there is none, or it has no weights.
+    WeightsError
+        If the weights are missing or damaged.
     """
-    return _entry(name).factory(threads)
+    factory = _entry(name).factory
+    if weights is None:
+        return factory(threads)
+    if "weights" not in inspect.signature(factory).parameters:
+        raise ConfigError(f"{weights}: {name} has no weights")
+    return factory(threads, weights=weights)
 
 
 def preset(name: str) -> Mapping[str, Any]:
@@ -132,6 +168,8 @@ def preset(name: str) -> Mapping[str, Any]:
 
 def _entry(name: str) -> _Entry:
     _discover()
+    if name in _broken:
+        raise ConfigError(f"descriptor {name!r} cannot be loaded ({_broken[name]})")
     if name not in _entries:
         raise ConfigError(f"no descriptor {name!r}; there are {', '.join(sorted(_entries))}")
     return _entries[name]

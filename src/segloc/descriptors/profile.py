@@ -108,6 +108,6 @@ class ProfileDescriptor(Descriptor):
 
 
 @register("profile")
-def profile(threads: int = 0) -> ProfileDescriptor:
+def profile(threads: int = 0, weights: Path | None = None) -> ProfileDescriptor:
     """The default of segloc."""
-    return ProfileDescriptor(shipped_weights("profile.safetensors"), threads)
+    return ProfileDescriptor(weights or shipped_weights("profile.safetensors"), threads)

@@ -152,9 +152,9 @@ class ForestDescriptor(Descriptor):
 
     layout: Layout
 
-    def __init__(self, threads: int = 0) -> None:
+    def __init__(self, threads: int = 0, weights: Path | None = None) -> None:
         self._threads = threads
-        self.pruner = PairForest.load(shipped_forest(self.name), self)
+        self.pruner = PairForest.load(weights or shipped_forest(self.name), self)
 
 
 def save_forest(

@@ -157,6 +157,6 @@ class SegMapDescriptor(Descriptor):
 
 
 @register("segmap", preset={"matching": {"growth": 0.0, "escalation": 1}})
-def segmap(threads: int = 0) -> SegMapDescriptor:
-    """With the shipped weights."""
-    return SegMapDescriptor(shipped_weights("segmap.safetensors"), threads)
+def segmap(threads: int = 0, weights: Path | None = None) -> SegMapDescriptor:
+    """With the shipped weights, or others."""
+    return SegMapDescriptor(weights or shipped_weights("segmap.safetensors"), threads)

@@ -5,44 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field
 
 from .. import geometry
+from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator, window
 from ..segmentation import Segmentation, Segmenter
-from ..types import Descriptors, Float64, Pose
+from ..types import Descriptors, Float64, Pose, Recording
 from .segment_map import SegmentMap
-
-if TYPE_CHECKING:
-    from ..config import Config
-    from ..types import Recording
-
-
-class ViewConfig(BaseModel):
-    """One length of local cloud that a map is built from."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    length_m: float = Field(ge=0, description="travelled distance a view spans; 0: single scans")
-    every_m: float = Field(gt=0, description="distance between views")
-
-
-class MappingConfig(BaseModel):
-    """What a map keeps: views of several lengths, since short ones match single scans best."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    views: tuple[ViewConfig, ...] = (
-        ViewConfig(length_m=40, every_m=8),
-        ViewConfig(length_m=16, every_m=8),
-    )
-    cloud_voxel: float = Field(0.3, gt=0, description="voxel of the cloud kept for verification")
 
 
 def build_map(
@@ -70,7 +44,7 @@ def build_map(
         If there are no poses, or nothing that could be segmented.
     """
     poses = _poses(sequence)
-    descriptor = create(config.method, config.threads)
+    descriptor = create(config.method, config.threads, config.weights)
     prior_map = empty_map(descriptor, config, poses[0, :3, 3])
     for view in map_views(sequence, config, every_m=every_m, progress=progress):
         add_view(prior_map, view, descriptor.describe(view.scene.segments))

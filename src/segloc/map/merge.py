@@ -15,7 +15,8 @@ from .voxel_cloud import VoxelCloud
 Array = NDArray[Any]
 Key = tuple[bytes, int]
 
-_SEPARATOR = "\n---\n"
+TEXT_SEPARATOR = "\n---\n"
+"""Between the texts of maps that were merged."""
 
 
 def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) -> dict[str, Array]:
@@ -58,8 +59,8 @@ def union_of_texts(mine: Mapping[str, str], theirs: Mapping[str, str]) -> dict[s
     documents: dict[str, set[str]] = defaultdict(set)
     for texts in (mine, theirs):
         for key, text in texts.items():
-            documents[key].update(text.split(_SEPARATOR))
-    return {key: _SEPARATOR.join(sorted(documents[key])) for key in sorted(documents)}
+            documents[key].update(text.split(TEXT_SEPARATOR))
+    return {key: TEXT_SEPARATOR.join(sorted(documents[key])) for key in sorted(documents)}
 
 
 def _rows(columns: list[Array]) -> list[Key]:

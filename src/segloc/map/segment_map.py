@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import checked_pose
 from ..errors import MapMismatch, SeglocError
-from ..types import Descriptors, Float32, Float64, checked_pose
+from ..types import Descriptors, Float32, Float64
 from . import file as mapfile
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .segment_table import SEGMENT_DTYPES, Array, SegmentTable, checked, joined, no_segments

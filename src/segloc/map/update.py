@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
-from ..config import Config
+from ..config import Config, map_config
 from ..errors import SeglocError
 from ..types import Float64, Recording
 from .build import build_map
@@ -91,7 +91,7 @@ def update_map(
     recording : Recording
         Its poses are T_map_sensor.
     config : Config, optional
-        How the session is described; by default the preset of the map's method.
+        How the session is described; by default as the map was built.
     update : UpdateConfig, optional
     progress : callable, optional
         Called with (scans done, scans in all) while visibility is judged.
@@ -110,7 +110,7 @@ def update_map(
         If far more of what should be in view is gone than changes in a place: then the poses are
         not in the map's frame.
     """
-    config = config or Config.preset(prior_map.descriptor)
+    config = config or map_config(prior_map)
     update = update or UpdateConfig()
     judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
     _check_frame(judged, recording.name, update.max_gone)

@@ -1,66 +1,129 @@
-"""How likely a pose is right, by what speaks for it."""
+"""How likely a pose is right, by its evidence: a logistic model, read from a carded file."""
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-from ..types import Hypothesis
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-CHANCE_INLIERS = 3
-"""So many segments agree on some pose of any map."""
-CHANCE_OVERLAP = 0.25
-CHANCE_SEEN = 0.5
-"""So well do clouds agree somewhere in any map."""
-LEAST_SEEN = 0.3
-"""Where everything is looked through, clouds agree less than chance has it: that tells nothing."""
-MOST_FROM_INLIERS = 8.0
-"""However many segments agree, clouds that disagree outweigh them."""
-CONFIDENCE = (-7.8, 0.8, 0.8, 2.4, 2.4)
-"""Of :func:`confidence`: the constant, and the weight of each witness."""
+from ..errors import WeightsError
+from .evidence import Evidence, Score
+
+FEATURES = ("seen", "inliers_over_rival", "overlap_over_rival", "seen_over_rival")
+"""Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 
 
-def confidence(hypothesis: Hypothesis) -> float:
-    """Probability that a refined hypothesis is right, from what speaks for it.
+class Chance(BaseModel):
+    """What wrong poses reach by chance; it stands in for what is not known of rivals."""
 
-    A logistic model, fitted by ``benchmarks/calibrate_confidence.py``.
-    """
-    score = CONFIDENCE[0]
-    for weight, witness in zip(CONFIDENCE[1:], witnesses(hypothesis), strict=True):
-        score += weight * witness
-    return 1.0 / (1.0 + math.exp(-score))
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
-
-def witnesses(hypothesis: Hypothesis) -> tuple[float, float, float, float]:
-    """What the model of :func:`confidence` weighs.
-
-    What is seen; the logarithm of how much likelier so many inliers are where the best different
-    place has as many as it has (Poisson, without the constant); and how much more the clouds
-    overlap, and is seen, than at the best different places. Such comparisons need no thresholds
-    that would depend on the map's size, the scene or the sensor: other places say what chance
-    achieves for this query. A witness that is not known says what chance would.
-    """
-    seen = _logit(hypothesis.seen_or_overlap)
-    margin = 1.0 if math.isnan(hypothesis.margin) else max(hypothesis.margin, 0.1)
-    return (
-        seen,
-        min(hypothesis.inliers * math.log(margin), MOST_FROM_INLIERS),
-        _logit(hypothesis.overlap) - _logit(_known(hypothesis.rival_overlap, CHANCE_OVERLAP)),
-        seen - _logit(max(_known(hypothesis.rival_seen, CHANCE_SEEN), LEAST_SEEN)),
+    inliers: int = Field(ge=1, description="so many segments agree on some pose of any map")
+    overlap: float = Field(ge=0, le=1, description="so well do clouds agree somewhere in any map")
+    seen: float = Field(ge=0, le=1, description="so much of a map is seen somewhere")
+    least_seen: float = Field(
+        ge=0, le=1, description="a rival at which less is seen tells no more than one at this"
     )
 
 
-def _known(share: float, otherwise: float) -> float:
-    return otherwise if math.isnan(share) else share
+class ConfidenceModel(BaseModel):
+    """Probability that a candidate is right.
+
+    The features compare a candidate with the best ones at other places of the same map: they say
+    what chance achieves for this query. So no threshold depends on the map's size, the scene or the
+    sensor.
+
+    Attributes
+    ----------
+    constant : float
+    weights : dict of str to float
+        By the names of :data:`FEATURES`.
+    chance : Chance
+    max_inlier_evidence : float
+        However many segments agree, clouds that disagree outweigh them.
+    settings : dict
+        The configuration under which the model was fitted.
+    card : dict
+        Data, command and figures of the fit.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: int = Field(ge=1, le=1)
+    constant: float
+    weights: Mapping[str, float]
+    chance: Chance
+    max_inlier_evidence: float
+    settings: Mapping[str, Any]
+    card: Mapping[str, Any]
+
+    def probability(self, evidence: Evidence) -> float:
+        """The confidence, in [0, 1]."""
+        score = self.constant
+        for name, feature in zip(FEATURES, self.features(evidence), strict=True):
+            score += self.weights[name] * feature
+        return 1.0 / (1.0 + math.exp(min(-score, 700.0)))  # beyond, it would overflow
+
+    def features(self, evidence: Evidence) -> tuple[float, float, float, float]:
+        """What the model weighs.
+
+        What is seen; the logarithm of how much likelier so many inliers are where the best
+        different place has as many as it has (Poisson, without the constant); and how much more the
+        clouds overlap, and is seen, than at the rivals. What is not known says what chance would.
+        """
+        score, chance = evidence.score, self.chance
+        seen = _logit(score.seen_or_overlap)
+        inliers = score.inliers * math.log(max(evidence.inlier_ratio, 0.1))
+        rival_overlap = evidence.rival_overlap
+        rival_seen = evidence.rival_seen
+        return (
+            seen,
+            min(inliers, self.max_inlier_evidence),
+            _logit(score.overlap)
+            - _logit(chance.overlap if rival_overlap is None else rival_overlap),
+            seen
+            - _logit(max(chance.seen if rival_seen is None else rival_seen, chance.least_seen)),
+        )
+
+    def standalone(self, score: Score) -> float:
+        """The confidence if nothing but chance were at any other place."""
+        return self.probability(Evidence(score, score.inliers / self.chance.inliers, ()))
+
+
+def load_confidence(path: Path) -> ConfidenceModel:
+    """Read a model.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing or damaged.
+    """
+    try:
+        model = ConfidenceModel.model_validate(json.loads(path.read_text("utf-8")))
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise WeightsError(f"{path}: {key}: {first['msg']}") from error
+    except ValueError as error:
+        raise WeightsError(f"{path}: damaged ({error})") from error
+    if set(model.weights) != set(FEATURES):
+        raise WeightsError(f"{path}: weights must be those of {', '.join(FEATURES)}")
+    return model
+
+
+@cache
+def shipped_confidence() -> ConfidenceModel:
+    """The model that comes with the package."""
+    return load_confidence(Path(__file__).resolve().parent.parent / "weights" / "confidence.json")
 
 
 def _logit(share: float) -> float:
     """The odds of a share on a logarithmic scale that ends at 0 and 1."""
     return math.log((share + 0.05) / (1.05 - share))
-
-
-def confidence_alone(hypothesis: Hypothesis) -> float:
-    """The confidence if nothing but chance were at any other place."""
-    nan = math.nan
-    margin = hypothesis.inliers / CHANCE_INLIERS
-    return confidence(replace(hypothesis, margin=margin, rival_overlap=nan, rival_seen=nan))

@@ -16,10 +16,11 @@ from segloc import geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.config import DEFAULT_METHOD, Config
 from segloc.errors import SeglocError
+from segloc.localization import Localization
 from segloc.localizer import Localizer
 from segloc.map.build import build_map
 from segloc.map.segment_map import SegmentMap
-from segloc.types import Descriptors, LocalCloud, Localization, Pose, Scan
+from segloc.types import Descriptors, LocalCloud, Pose, Scan
 
 from . import inputs
 from .harness import OURS, Row, optional, processor_clock, row

@@ -137,7 +137,7 @@ def run(data: Path, protocol: str, cities: list[SegmentMap], config: Config, ste
         query = np.array([r.times_ms["query"] for r in answers])
         ms = [np.median(query[e.within_coverage]), np.median(query[~e.within_coverage])]
         print(
-            f"| {protocol} | {len(city)} | {localizer.matcher.attempts[0]} | "
+            f"| {protocol} | {len(city)} | {localizer.matcher.schedule[0]} | "
             f"{int((e.within_coverage & e.correct).sum())} of {int(e.within_coverage.sum())} | "
             f"{int(e.false.sum())} | {wrong} | " + " | ".join(f"{v:.1f}" for v in ms) + " |",
             flush=True,

@@ -1,0 +1,128 @@
+"""The answer to one query: a pose in the map, or the reason why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from .types import Float64, Pose
+
+
+class Reason(str, Enum):
+    """Why a query is not localized."""
+
+    NO_POINTS = "no points"
+    NO_SEGMENTS = "no segments"
+    NO_MATCHES = "no matches"
+    NO_CONSISTENT_MATCHES = "no consistent matches"
+    TOO_FEW_INLIERS = "too few inliers"
+    TOO_LITTLE_OVERLAP = "too little overlap"
+    AMBIGUOUS = "ambiguous"
+    TOO_UNCERTAIN = "too uncertain"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class RunnerUp:
+    """The best supported candidate at a different place.
+
+    Attributes
+    ----------
+    T_map_sensor : (4, 4) float64
+    inliers : int
+    overlap : float
+        Rough share of the query cloud that lies on the map there, in [0, 1].
+    """
+
+    T_map_sensor: Pose
+    inliers: int
+    overlap: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Answer:
+    """What both answers tell of the best candidate.
+
+    Attributes
+    ----------
+    inliers : int
+        Distinct segments that agree with it.
+    overlap : float
+        Share of the query cloud, up to the height that the map reaches there, that lies on the map
+        at it, in [0, 1].
+    seen : float or None
+        Share of the judged map points that the query sees there, in [0, 1]; the others are
+        free-space violations. None where too little of the map is in view to tell.
+    inlier_ratio : float or None
+        How many times as many inliers as the runner-up, or as chance. None where it was not
+        compared.
+    rmse : float or None
+        Residual of the alignment, metres. None where nothing was aligned.
+    confidence : float
+        Calibrated probability, in [0, 1], that it is right.
+    runner_up : RunnerUp or None
+        The best candidate at a different place.
+    counts : dict
+        How many items each stage produced.
+    times_ms : dict
+        Milliseconds each stage took.
+    stamp : float or None
+        Stamp of the query's scan, seconds; None where it has none.
+    """
+
+    inliers: int = 0
+    overlap: float = 0.0
+    seen: float | None = None
+    inlier_ratio: float | None = None
+    rmse: float | None = None
+    confidence: float = 0.0
+    runner_up: RunnerUp | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    times_ms: Mapping[str, float] = field(default_factory=dict)
+    stamp: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Localized(_Answer):
+    """A believed pose.
+
+    Attributes
+    ----------
+    T_map_sensor : (4, 4) float64
+    covariance : (6, 6) float64 or None
+        Of a small rotation (rad, about x, y, z) and then a translation (m), both in the sensor's
+        frame: the true pose is ``T_map_sensor @ exp(delta)``. None where it is not known.
+        :func:`segloc.ros_covariance` gives ROS's.
+    """
+
+    T_map_sensor: Pose
+    covariance: Float64 | None = None
+    localized: Literal[True] = True
+    reason: None = None
+    message: Literal[""] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NotLocalized(_Answer):
+    """No pose is believed.
+
+    Attributes
+    ----------
+    reason : Reason
+    message : str
+        The reason as a sentence, with its figures.
+    """
+
+    reason: Reason
+    message: str
+    localized: Literal[False] = False
+    T_map_sensor: None = None
+    covariance: None = None
+
+
+Localization: TypeAlias = Localized | NotLocalized
+"""The answer to one query. ``if result.localized:`` tells them apart, for type checkers too."""

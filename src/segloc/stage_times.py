@@ -1,0 +1,34 @@
+"""How long the stages of a query take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Clock = Callable[[], float]
+"""Returns seconds: ``time.perf_counter`` for wall time, ``time.process_time`` for processor time."""
+
+
+class StageTimes:
+    """Adds up the milliseconds spent in named blocks.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns seconds.
+    """
+
+    def __init__(self, clock: Clock = time.perf_counter) -> None:
+        self.ms: dict[str, float] = {}
+        self._clock = clock
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = self._clock()
+        yield
+        self.ms[stage] = self.ms.get(stage, 0.0) + 1e3 * (self._clock() - start)
+
+    def with_total(self) -> dict[str, float]:
+        """The times of all stages, and their sum as "total"."""
+        return {**self.ms, "total": sum(self.ms.values())}

@@ -1,0 +1,68 @@
+"""The verdict: a pure function of the evidence, on one screen."""
+
+from __future__ import annotations
+
+from ..localization import Reason
+from .confidence import ConfidenceModel
+from .config import VerificationConfig
+from .evidence import Evidence, RankedCandidate, Score, Verdict
+
+RIVAL_STANDING = 0.5
+"""A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best
+pose. Set by hand."""
+
+
+def decide(
+    evidence: Evidence,
+    runner_up: RankedCandidate | None,
+    model: ConfidenceModel,
+    config: VerificationConfig,
+) -> Verdict:
+    """Believe a pose, or say why not.
+
+    A pose is believed when enough of the query cloud lies on the map, no different place explains
+    the query about as well, and its calibrated probability is high enough.
+    """
+    best, p = evidence.score, model.probability(evidence)
+    if best.overlap < config.min_overlap:
+        reason = Reason.TOO_LITTLE_OVERLAP
+        message = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
+    elif rival := equal_rival(evidence, model, config):
+        at = f"{rival.T_map_local[0, 3]:.0f}, {rival.T_map_local[1, 3]:.0f}"
+        reason = Reason.AMBIGUOUS
+        message = f"ambiguous (another place, at {at}, explains the query about as well)"
+    elif p < config.min_confidence:
+        reason = Reason.TOO_UNCERTAIN
+        message = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
+    else:
+        return Verdict(None, "", p, best, evidence, runner_up)
+    return Verdict(reason, message, p, best, evidence, runner_up)
+
+
+def too_few_inliers(
+    best: RankedCandidate, runner_up: RankedCandidate | None, config: VerificationConfig
+) -> Verdict:
+    """What is decided without looking at the clouds."""
+    message = f"too few inliers ({best.inliers} < {config.min_inliers})"
+    return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
+
+
+def equal_rival(
+    evidence: Evidence, model: ConfidenceModel, config: VerificationConfig, slack: float = 1.0
+) -> Score | None:
+    """A rival that explains the query about as well, by its segments or by its clouds.
+
+    Where a place repeats itself, it is chance which of its parts a segment is matched to: few
+    matches do not speak against a place at which the clouds fit. With a ``slack`` below 1, rivals
+    count too that might turn out to be equal once they are refined.
+    """
+    best = evidence.score
+    alone = model.standalone(best)
+    if alone < config.min_confidence:
+        return None
+    for rival in evidence.rivals:
+        supported = rival.support > config.rival_support_ratio * best.support
+        fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
+        if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:
+            return rival
+    return None

@@ -1,0 +1,168 @@
+"""What is known of a candidate pose, stage by stage: each type holds what its stage has measured.
+
+``Candidate`` (from the pose estimator) -> ``RankedCandidate`` (rough overlap, all candidates) ->
+``CoarseScore`` (and what is seen, the few that are judged) -> ``RefinedScore`` (after ICP) ->
+``Evidence`` (compared with its rivals) -> ``Verdict``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..localization import Reason
+from ..types import Candidate, Float64, Pose
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """A candidate with the overlap of the clouds where it stands.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    overlap : float
+        Share of the query cloud's points, up to the height that the map reaches there, that have a
+        map point within the coarse radius, in [0, 1].
+    rmse : float
+        Root mean square distance of those pairs, metres.
+    """
+
+    candidate: Candidate
+    overlap: float
+    rmse: float
+
+    @property
+    def T_map_local(self) -> Pose:
+        """(4, 4) float64."""
+        return self.candidate.T_map_local
+
+    @property
+    def inliers(self) -> int:
+        """Distinct query segments that agree with the pose."""
+        return self.candidate.inliers
+
+    @property
+    def support(self) -> float:
+        """What candidates are ranked by."""
+        return self.inliers * self.overlap
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well the clouds agree at a pose.
+
+    Attributes
+    ----------
+    T_map_local : (4, 4) float64
+    inliers : int
+        Distinct query segments that agree with the candidate (one map segment each).
+    overlap : float
+        Share of the query cloud's points, up to the height that the map reaches there, that have a
+        map point near them, in [0, 1].
+    seen : float or None
+        The other way round: share of the judged map points that have a query point near them, in
+        [0, 1]; the others are free-space violations. None where too few are in view to judge.
+    rmse : float
+        Root mean square distance of the pairs that overlap counts, metres.
+    """
+
+    T_map_local: Pose
+    inliers: int
+    overlap: float
+    seen: float | None
+    rmse: float
+
+    @property
+    def support(self) -> float:
+        """What candidates are ranked by."""
+        return self.inliers * self.overlap
+
+    @property
+    def seen_or_overlap(self) -> float:
+        """What is seen, or where too little is in view, what it is expected to be: the overlap."""
+        return self.overlap if self.seen is None else self.seen
+
+
+@dataclass(frozen=True)
+class CoarseScore(Score):
+    """A candidate where it stands, measured within the coarse radius."""
+
+
+@dataclass(frozen=True)
+class RefinedScore(Score):
+    """A candidate after ICP.
+
+    Attributes
+    ----------
+    covariance : (6, 6) float64 or None
+        Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
+    """
+
+    covariance: Float64 | None
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that speaks for a candidate, and for the best candidates at different places.
+
+    Attributes
+    ----------
+    score : CoarseScore or RefinedScore
+        Coarse where refining could not change the verdict.
+    inlier_ratio : float
+        How many times as many inliers as the best candidate at a different place, or as chance.
+    rivals : tuple of Score
+        The best candidates at different places.
+    """
+
+    score: Score
+    inlier_ratio: float
+    rivals: tuple[Score, ...]
+
+    @property
+    def rival_overlap(self) -> float | None:
+        """The most that ``overlap`` reaches at a rival; None without rivals."""
+        return max((rival.overlap for rival in self.rivals), default=None)
+
+    @property
+    def rival_seen(self) -> float | None:
+        """The most that is seen at a rival; None without rivals."""
+        return max((rival.seen_or_overlap for rival in self.rivals), default=None)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is decided of a query.
+
+    Attributes
+    ----------
+    reason : Reason or None
+        Why no pose is believed; None where ``best`` is.
+    message : str
+        The same as a sentence with its figures; "" where a pose is believed.
+    confidence : float
+        Calibrated probability that ``best`` is right, in [0, 1].
+    best : RankedCandidate, Score or None
+        With as much as was measured before the verdict was clear.
+    evidence : Evidence or None
+        What ``best`` was judged by; None where it had too few inliers.
+    runner_up : RankedCandidate or None
+        The best supported candidate at a different place.
+    """
+
+    reason: Reason | None
+    message: str = ""
+    confidence: float = 0.0
+    best: RankedCandidate | Score | None = None
+    evidence: Evidence | None = None
+    runner_up: RankedCandidate | None = None
+
+    @property
+    def undecided(self) -> bool:
+        """Whether too little spoke for any pose, so that more candidates may help."""
+        return self.reason is not None and self.reason is not Reason.AMBIGUOUS
+
+    @property
+    def rank(self) -> tuple[bool, float, int]:
+        """The better of two verdicts on one query has the higher one."""
+        return self.reason is None, self.confidence, self.best.inliers if self.best else 0

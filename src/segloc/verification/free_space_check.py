@@ -1,0 +1,55 @@
+"""How much of the map in view a query sees, and how much its rays pass through.
+
+A map point violates free space where the sensor measured something well behind it, in its direction
+and in all directions about it. G. Kim, A. Kim, "Remove, then Revert: Static Point Cloud Map
+Construction using Multiresolution Range Images", IROS 2020, compares range images in the same way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import _native, geometry
+from ..segmentation import Segmentation
+from ..types import Float32, Pose
+from .config import VerificationConfig
+
+
+class QueryView:
+    """What a sensor saw, as a range image about the local frame's origin."""
+
+    def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
+        radius = max(config.seen_radius, config.coarse_radius)
+        self._margin = config.visibility_margin
+        self._image = _native.Sight(
+            scene.structure, scene.ground, config.visibility_range, config.visibility_bin, radius
+        )
+
+    def judged(self, points: Float32, T_local_map: Pose, radius: float) -> tuple[int, int]:
+        """How many of (N, 3) map points are seen, and how many violate free space."""
+        seen, violations = self._image.look(points, T_local_map, radius, self._margin)
+        return seen, violations
+
+
+def seen_share(
+    index: _native.PointIndex, view: QueryView, T: Pose, radius: float, config: VerificationConfig
+) -> float | None:
+    """Share of the judged map points that the query sees, too; None where too few are judged.
+
+    Parameters
+    ----------
+    index : PointIndex
+        Of the map's cloud.
+    view : QueryView
+    T : (4, 4) float64
+        From the local frame to that of the cloud.
+    radius : float
+        A map point with a query point so near is seen, metres.
+    config : VerificationConfig
+    """
+    x, y = float(T[0, 3]), float(T[1, 3])
+    points = index.sample(x, y, config.visibility_range, config.visibility_sample)
+    T_local_map = np.ascontiguousarray(geometry.inverse(T))
+    seen, violations = view.judged(points, T_local_map, radius)
+    judged = seen + violations
+    return seen / judged if judged >= config.min_judged else None
