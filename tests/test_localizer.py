@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from segloc import (
 from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.localization import Localization, Reason
+from segloc.verification import Verdict
 
 GEO = Config.preset("geo")
 
@@ -172,7 +174,7 @@ def test_a_map_of_another_descriptor_is_refused(prior_map: SegmentMap) -> None:
     with pytest.raises(MapMismatch, match="another-fingerprint"):
         Localizer(other)
     nonesuch = SegmentMap.empty("nonesuch", prior_map.fingerprint, prior_map.dim)
-    with pytest.raises(ConfigError, match="no descriptor"):
+    with pytest.raises(ConfigError, match="no method"):
         Localizer(nonesuch)
     with pytest.raises(MapMismatch, match="'nonesuch', but the configuration is of method 'geo'"):
         Localizer(nonesuch, Config.preset("geo"))
@@ -257,3 +259,60 @@ def test_real_revisits_are_found_and_other_places_are_not(kitti: Path, method: s
     for i in range(25, len(elsewhere), 25):
         result = localizer.localize([elsewhere.scan(k) for k in range(i - 20, i + 1)])
         assert not result.localized, result
+
+
+def test_a_query_is_configured_as_the_map_was_built(plaza: Plaza) -> None:
+    matching = GEO.matching.model_copy(update={"neighbours": 7})
+    segmentation = GEO.segmentation.model_copy(update={"ground_cell": 2.0})
+    config = GEO.model_copy(
+        update={"matching": matching, "segmentation": segmentation, "threads": 3}
+    )
+    built = build_map(PlazaSequence(plaza, steps=3), config)
+    localizer = Localizer(built)
+    assert localizer.config.matching.neighbours == 7 and localizer.config.threads == 0
+    assert localizer.notes == (
+        "confidence was fitted under other values of matching.neighbours, segmentation.ground_cell",
+    )
+    default = Localizer(built, GEO)
+    assert default.notes == ("not as the map was built: segmentation.ground_cell",)
+    assert Localizer(build_map(PlazaSequence(plaza, steps=3), GEO)).notes == ()
+
+
+def test_a_map_without_a_readable_configuration_uses_the_preset(prior_map: SegmentMap) -> None:
+    other = prior_map.crop((0.0, 0.0), np.inf)
+    for text in ("", ": [", "nonsense: 1", "- 1", "method: dsm"):
+        other.metadata["config"] = text
+        assert Localizer(other).config == GEO
+
+
+def test_the_better_of_two_attempts_counts(
+    plaza: Plaza, prior_map: SegmentMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    localizer = Localizer(prior_map)
+    query = localizer.describe(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))))
+
+    def verdict(reason: Reason | None, confidence: float) -> Verdict:
+        return Verdict(reason, "", confidence)
+
+    uncertain, less = (verdict(Reason.TOO_UNCERTAIN, p) for p in (0.7, 0.3))
+    nothing = verdict(Reason.NO_CONSISTENT_MATCHES, 0.0)
+    found, ambiguous = verdict(None, 0.9), verdict(Reason.AMBIGUOUS, 0.95)
+    for given, best in (
+        ((uncertain, nothing), uncertain),
+        ((less, uncertain), uncertain),
+        ((uncertain, found), found),
+        ((uncertain, ambiguous), ambiguous),
+        ((found, uncertain), found),
+    ):
+        verdicts = iter(given)
+        monkeypatch.setattr(localizer.verifier, "verify", lambda *_, v=verdicts: next(v))
+        assert localizer.search(query).verdict is best
+
+
+def test_every_stage_has_its_own_time(plaza: Plaza, prior_map: SegmentMap) -> None:
+    ticks = itertools.count()
+    localizer = Localizer(prior_map, clock=lambda: float(next(ticks)))
+    times = localizer.localize(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7)))).times_ms
+    stages = ["gathering", "segmentation", "preprocessing", "descriptor", "matching", "pruning"]
+    assert list(times) == [*stages, "pose", "verification", "total"]
+    assert times["gathering"] == 1000.0 and times["total"] == 8000.0

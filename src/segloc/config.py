@@ -69,10 +69,6 @@ class Config(BaseModel):
         ConfigError
             If there is no such method.
         """
-        if method not in descriptors.available():
-            raise ConfigError(
-                f"no method {method!r}; there are {', '.join(descriptors.available())}"
-            )
         return cls.model_validate({"method": method, **descriptors.preset(method)})
 
     @classmethod

@@ -144,7 +144,8 @@ class Localizer:
     def search(self, query: Query, times: StageTimes | None = None) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where too little speaks for any pose, it is tried again with more neighbours.
+        Where too little speaks for any pose, it is tried again with more neighbours; the better
+        of the verdicts counts.
         """
         times = times or StageTimes(self._clock)
         centroids, neighbours = query.scene.segments.centroids, None
@@ -159,7 +160,9 @@ class Localizer:
                 candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
             with times("verification"):
                 verdict = self.verifier.verify(query.scene, candidates)
-            best = Search(len(proposed), matches, candidates, verdict)
+            found = Search(len(proposed), matches, candidates, verdict)
+            if best is None or found.verdict.rank > best.verdict.rank:
+                best = found
             if not verdict.undecided:
                 break
         assert best is not None  # no schedule is empty

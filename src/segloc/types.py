@@ -27,7 +27,7 @@ class Scan:
     times : (N,) array, optional
         Time of each point in seconds.
     stamp : float, optional
-        Time of the scan in seconds (or any monotonic index).
+        Time of the scan in seconds.
     T_odom_sensor : (4, 4) array, optional
         Pose of the sensor in an odometry frame whose z axis points up.
 
@@ -81,6 +81,8 @@ class Recording(Protocol):
     name : str
     indices : (N,) int64
         The numbers of the scans: what poses are keyed by and what a selection names.
+    stamps : (N,) float64 or None
+        Times of the scans, seconds, where known.
     poses : (N, 4, 4) float64 or None
         T_odom_sensor of each scan, where known.
     """
@@ -90,13 +92,21 @@ class Recording(Protocol):
     @property
     def indices(self) -> Int64: ...
     @property
+    def stamps(self) -> Float64 | None: ...
+    @property
     def poses(self) -> Float64 | None: ...
 
     def __len__(self) -> int: ...
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i (0 to N - 1), stamped with its index, with its pose if known."""
+        """The scan at position i (0 to N - 1), with its stamp and its pose where they are known."""
         ...
+
+
+def stamp_at(recording: Recording, i: int) -> float | None:
+    """The time of the scan at position i, seconds; None where the recording has no times."""
+    stamps = recording.stamps
+    return None if stamps is None else float(stamps[i])
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class Screen:
     def __init__(self, post: bool, count: int = 6) -> None:
         self.post = post
         self.indices = np.arange(count, dtype=np.int64)
+        self.stamps = None
         self.poses = np.stack([geometry.yaw_transform(0, (0.0, 1.5 * k, 0)) for k in range(count)])
 
     def __len__(self) -> int:

@@ -42,6 +42,7 @@ class PlazaSequence:
     def __init__(self, plaza: Plaza, steps: int = 15, posed: bool = True) -> None:
         self._plaza = plaza
         self.indices = np.arange(steps, dtype=np.int64)
+        self.stamps = self.indices.astype(np.float64)
         way = [(-14.0 + 2 * k, 0.3 * k, 1.8) for k in range(steps)]
         self.poses = np.stack([geometry.yaw_transform(0.1 * k, t) for k, t in enumerate(way)])
         self._posed = posed

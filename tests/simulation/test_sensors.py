@@ -364,6 +364,7 @@ class OnePointScans:
 
     def __init__(self, way: np.ndarray) -> None:
         self.indices = np.arange(len(way))
+        self.stamps = None
         self.poses = np.tile(np.eye(4), (len(way), 1, 1))
         self.poses[:, 0, 3] = way
 

@@ -177,6 +177,7 @@ class Street:
         self.cloud = np.concatenate(objects)
         self.name = f"street {session}"
         self.indices = np.arange(40, dtype=np.int64)
+        self.stamps = None
         self.poses = np.tile(np.eye(4), (40, 1, 1))
         self.poses[:, 0, 3] = 4.0 * np.arange(40)
         self.poses[:, 1, 3] = shift

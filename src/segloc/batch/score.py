@@ -141,6 +141,14 @@ class Evaluation:
     def __len__(self) -> int:
         return len(self.results)
 
+    @property
+    def stamps(self) -> Float64 | None:
+        """Times of the queries, (N,) float64 seconds; None unless all have one, and rising ones."""
+        stamps = [result.stamp for result in self.results]
+        known = np.array([stamp for stamp in stamps if stamp is not None], dtype=np.float64)
+        complete = len(known) == len(stamps) and bool((np.diff(known) > 1e-9).all())
+        return known if complete else None
+
     def positions_found(self) -> Float64:
         """T_map_sensor of the localized queries, (L, 4, 4) float64."""
         poses = [r.T_map_sensor for r in self.results if r.T_map_sensor is not None]
@@ -165,6 +173,7 @@ class Evaluation:
         reasons = Counter(r.reason.value for r in self.results if r.reason is not None)
         summary: dict[str, Any] = {
             "queries": len(self),
+            "stamps": "scan numbers" if self.stamps is None else "seconds",
             "localized": int(self.localized.sum()),
             "not_localized": int((~self.localized).sum()),
             "correct": int(self.correct.sum()) if known else None,

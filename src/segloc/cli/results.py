@@ -60,7 +60,7 @@ def _contents(evaluation: Evaluation) -> dict[str, bytes]:
     summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
     with TemporaryDirectory() as folder:
         poses = Path(folder) / "poses.tum"
-        write_tum(poses, _trajectory(evaluation))
+        write_tum(poses, *_trajectory(evaluation))
         return {
             "poses.tum": poses.read_bytes(),
             "localizations.jsonl": "".join(lines).encode(),
@@ -68,7 +68,12 @@ def _contents(evaluation: Evaluation) -> dict[str, bytes]:
         }
 
 
-def _trajectory(evaluation: Evaluation) -> Trajectory:
-    indices = evaluation.indices[evaluation.localized]
-    order = np.argsort(indices)
-    return Trajectory(indices[order].astype(np.float64), evaluation.positions_found()[order])
+def _trajectory(evaluation: Evaluation) -> tuple[Trajectory, str]:
+    """The localized poses by their times, or else by their numbers, and which of the two."""
+    stamps, timed = evaluation.indices.astype(np.float64), evaluation.stamps
+    if timed is not None:
+        stamps = timed
+    stamps = stamps[evaluation.localized]
+    order = np.argsort(stamps)
+    remark = "" if timed is not None else "no times: the first column holds the scans' numbers"
+    return Trajectory(stamps[order], evaluation.positions_found()[order]), remark

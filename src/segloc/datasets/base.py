@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError
-from ..types import Int64, Recording, Scan
+from ..types import Float64, Int64, Recording, Scan
 
 _RANGE = re.compile(r"(\d{0,18})(:?)(\d{0,18})", re.ASCII)
 
@@ -39,6 +39,10 @@ class Derived(Generic[SourceT]):
     @property
     def indices(self) -> Int64:
         return self.source.indices
+
+    @property
+    def stamps(self) -> Float64 | None:
+        return self.source.stamps
 
     def __len__(self) -> int:
         return len(self.source)

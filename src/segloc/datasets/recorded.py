@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import DatasetError
 from ..io.scans import read_file
 from ..motion import Motion, deskew
-from ..types import Float64, Int64, Scan
+from ..types import Float64, Int64, Scan, stamp_at
 from .base import Selection
 from .tracks import Track, read_track
 
@@ -149,8 +149,9 @@ class RecordedSequence:
             If there is no such position or the scan cannot be read.
         """
         scan = self.raw(i)
-        scan = corrected(scan, self.motion, None if self.stamps is None else float(self.stamps[i]))
-        scan.stamp = float(self.indices[i])
+        stamp = stamp_at(self, i)
+        scan = corrected(scan, self.motion, stamp)
+        scan.stamp = stamp
         scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
         return scan
 

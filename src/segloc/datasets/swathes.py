@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import geometry
 from ..errors import ConfigError, DatasetError
-from ..types import Float64, Int64, Recording, Scan
+from ..types import Float64, Int64, Recording, Scan, stamp_at
 from .base import Selection
 
 
@@ -62,8 +62,14 @@ class Swathes:
             geometry.transform(T_anchor_odom @ poses[k], self.source.scan(k).points)
             for k in range(int(self.first[i]), int(self.last[i]))
         ]
-        stamp = float(self.indices[i])
+        stamp = stamp_at(self, i)
         return Scan(np.concatenate(clouds), stamp=stamp, T_odom_sensor=self.poses[i])
+
+    @property
+    def stamps(self) -> Float64 | None:
+        """Times of the scans in the middle of the swathes, (N,) float64 seconds, where known."""
+        stamps = self.source.stamps
+        return None if stamps is None else stamps[self.anchor]
 
     def select(self, selection: Selection) -> Swathes:
         """The swathes whose indices are in the selection, the same as they were."""

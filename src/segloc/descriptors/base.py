@@ -171,5 +171,5 @@ def _entry(name: str) -> _Entry:
     if name in _broken:
         raise ConfigError(f"descriptor {name!r} cannot be loaded ({_broken[name]})")
     if name not in _entries:
-        raise ConfigError(f"no descriptor {name!r}; there are {', '.join(sorted(_entries))}")
+        raise ConfigError(f"no method {name!r}; there are {', '.join(sorted(_entries))}")
     return _entries[name]

@@ -180,8 +180,10 @@ def _from_kitti(numbers: Float64) -> tuple[Float64, Float64]:
     return np.arange(len(numbers), dtype=np.float64), poses
 
 
-def write_tum(path: str | Path, trajectory: Trajectory) -> None:
+def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> None:
     """Write ``stamp tx ty tz qx qy qz qw`` with 9 decimals and qw >= 0; all of it or nothing.
+
+    A remark becomes a second line of comment.
 
     Raises
     ------
@@ -199,7 +201,8 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     if len(trajectory):
         rows[:, 4:] = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
     rows[:, 4:] *= np.where(rows[:, 7:] < 0, -1.0, 1.0)  # q and -q are the same rotation
-    write_text(path, _format_rows(rows, "%.9f", "# stamp tx ty tz qx qy qz qw\n"))
+    header = "# stamp tx ty tz qx qy qz qw\n" + (f"# {remark}\n" if remark else "")
+    write_text(path, _format_rows(rows, "%.9f", header))
 
 
 def write_kitti(path: str | Path, trajectory: Trajectory) -> None:

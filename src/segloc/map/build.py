@@ -15,7 +15,7 @@ from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator, window
 from ..segmentation import Segmentation, Segmenter
-from ..types import Descriptors, Float64, Pose, Recording
+from ..types import Descriptors, Float64, Pose, Recording, stamp_at
 from .segment_map import SegmentMap
 
 
@@ -123,9 +123,15 @@ def map_views(
     for done, (index, scans) in enumerate(plan):
         cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
         scene = segmenter.segment(cloud)
-        yield View(geometry.levelled(poses[index]), float(sequence.indices[index]), scene)
+        yield View(geometry.levelled(poses[index]), _stamp(sequence, index), scene)
         if progress:
             progress(done + 1, len(plan))
+
+
+def _stamp(sequence: Recording, index: int) -> float:
+    """Seconds, or the scan's number where the recording has no times."""
+    stamp = stamp_at(sequence, index)
+    return float(sequence.indices[index]) if stamp is None else stamp
 
 
 def _poses(sequence: Recording) -> Float64:

@@ -9,7 +9,7 @@ class VerificationConfig(BaseModel):
     """When a pose is believed.
 
     The first four are for users. The confidence was fitted under the others: a localizer whose
-    configuration changes one says so (:attr:`segloc.Localizer.uncalibrated`).
+    configuration changes one says so (:attr:`segloc.Localizer.notes`).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

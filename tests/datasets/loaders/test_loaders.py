@@ -69,7 +69,7 @@ def test_points_poses_and_stamps_are_those_that_were_recorded(name: str, tmp_pat
     for i in range(len(sequence)):
         scan = sequence.scan(i)
         assert len(scan) == len(DRIVE.landmarks)
-        assert scan.stamp == i
+        assert scan.stamp == sequence.stamps[i]
         assert scan.T_odom_sensor is not None
         clouds.append(geometry.transform(scan.T_odom_sensor, scan.points))
         np.testing.assert_allclose(

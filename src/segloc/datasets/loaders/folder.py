@@ -136,7 +136,7 @@ class FolderSequence:
         item = self._items[i]
         pose = None if self._poses_path is None else self._pose(item)
         scan = corrected(scan, self._motion, item.stamp)
-        scan.stamp = float(item.index)
+        scan.stamp = item.stamp
         scan.T_odom_sensor = None if pose is None else pose.copy()
         return scan
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...datasets.base import Selection
 from ...errors import ConfigError, DatasetError
 from ...motion import Motion
-from ...types import Float64, Int64, Scan
+from ...types import Float64, Int64, Scan, stamp_at
 from ..objects.identity import Int32
 from ..sensors.ranging import Lidar, PosesAt, Returns
 from ..worlds.world import Conditions, World
@@ -65,7 +65,7 @@ class SimulatedSequence:
         return len(self.indices)
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i, stamped with its index, with its pose.
+        """The scan at position i, with its stamp and its pose.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class SimulatedSequence:
         return Scan(
             returns.points,
             times=returns.times if self.skew else None,
-            stamp=float(self.indices[i]),
+            stamp=stamp_at(self, i),
             T_odom_sensor=self.poses[i],
         )
 
