@@ -39,6 +39,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "map": (7, "the prior map: table, cloud, file, merge; build and update"),
     "descriptors": (8, "segments to vectors, one file a descriptor"),
     "io": (9, "point-cloud and trajectory files"),
+    "localization.py": (10, "the answer to a query, and why there is none"),
     "motion.py": (10, "where a sensor is at any moment; de-skewing"),
     "processes.py": (10, "work in several processes"),
     "files.py": (10, "files replaced whole or not at all"),

@@ -21,9 +21,11 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
+from segloc.localizer import Query as Described
 from segloc.segmentation import Segmentation
 from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
-from segloc.types import Descriptors, Hypothesis, LocalCloud, Matches
+from segloc.types import Candidate, Matches
+from segloc.verification import RefinedScore
 
 Floats = NDArray[np.float64]
 
@@ -39,19 +41,15 @@ class Query:
     """One query of the second drive, and what each stage made of it."""
 
     localizer: Localizer
-    cloud: LocalCloud
-    scene: Segmentation
-    descriptors: Descriptors
+    described: Described
     matches: Matches
-    right: Hypothesis
-    wrong: Hypothesis
+    right: RefinedScore
+    wrong: RefinedScore
 
     @property
-    def map_points(self) -> Floats:
-        """The prior map's cloud in the query's local frame, at the right pose."""
-        prior_map = self.localizer.prior_map
-        points = prior_map.cloud.astype(np.float64) + prior_map.origin
-        return geometry.transform(geometry.inverse(self.right.T_map_local), points)
+    def scene(self) -> Segmentation:
+        """The query's segments, structure and ground."""
+        return self.described.scene
 
 
 def make_query(seed: int) -> Query:
@@ -63,25 +61,22 @@ def make_query(seed: int) -> Query:
     config = Config.preset("profile").model_copy(update={"threads": 1})
     localizer = Localizer(build_map(first, config), config)
     last = len(second) // 3
-    cloud = localizer.accumulator.gather([second.scan(i) for i in range(max(0, last - 20), last)])
-    scene = localizer.segmenter.segment(cloud)
-    descriptors = localizer.descriptor.describe(scene.segments)
-    found = localizer.search(scene, descriptors)
-    result = localizer.locate(cloud, scene, descriptors)
-    if not result.localized or result.T_map_sensor is None:
-        raise SystemExit(f"seed {seed}: the query is not localized: {result.reason}")
-    truth = result.T_map_sensor @ geometry.inverse(cloud.T_local_sensor)
-    best = found.hypotheses[0]
+    described = localizer.describe([second.scan(i) for i in range(max(0, last - 20), last)])
+    found, result = localizer.search(described), localizer.locate(described)
+    if not result.localized:
+        raise SystemExit(f"seed {seed}: the query is not localized: {result.message}")
+    truth = result.T_map_sensor @ geometry.inverse(described.cloud.T_local_sensor)
+    best, scene = found.candidates[0], described.scene
     if np.linalg.norm((best.T_map_local - truth)[:2, 3]) > 2.0:
         raise SystemExit(f"seed {seed}: the first candidate is not the answer")
     wrong = _elsewhere(localizer, scene, found.matches, truth)
     refined = [localizer.verifier.refined(h, scene) for h in (best, wrong)]
-    return Query(localizer, cloud, scene, descriptors, found.matches, *refined)
+    return Query(localizer, described, found.matches, *refined)
 
 
 def _elsewhere(
     localizer: Localizer, scene: Segmentation, matches: Matches, truth: Floats
-) -> Hypothesis:
+) -> Candidate:
     """The best candidate that the other matches give, far from the right one."""
     places = geometry.transform(truth, scene.segments.centroids)[matches.query]
     mapped = localizer.prior_map.centroids[matches.map]
@@ -130,7 +125,7 @@ def descriptor(query: Query) -> Figure:
         axes.set_title(title, fontsize=9, color=DARK)
         axes.set_xlabel("m", fontsize=8)
         axes.tick_params(labelsize=7)
-    vector = query.descriptors.vectors[k]
+    vector = query.described.descriptors.vectors[k]
     bars.bar(np.arange(len(vector)), vector, color=BLUE, width=0.8)
     bars.axhline(0, color=DARK, linewidth=0.6)
     bars.set_title(f"its descriptor: {len(vector)} numbers", fontsize=9, color=DARK)
@@ -188,7 +183,7 @@ def free_space(query: Query) -> Figure:
     figure, both = _pair()
     for axes, candidate, title in _candidates(query, both):
         site = _at(query, candidate)
-        site = site[np.linalg.norm(site[:, :2], axis=1) < config.sight_range]
+        site = site[np.linalg.norm(site[:, :2], axis=1) < config.visibility_range]
         confirmed, violated = _judged(query, site)
         _dots(axes, site[~confirmed & ~violated], GREY, 0.5)
         _dots(axes, site[confirmed], GREEN, 0.7)
@@ -242,7 +237,7 @@ def _judged(query: Query, site: Floats) -> tuple[NDArray[np.bool_], NDArray[np.b
     config = query.localizer.config.verification
     near, _ = cKDTree(query.scene.structure).query(site, distance_upper_bound=config.seen_radius)
     confirmed = np.isfinite(near)
-    bins = math.radians(config.sight_bin)
+    bins = math.radians(config.visibility_bin)
     shape = (round(2 * math.pi / bins) + 1, round(math.pi / bins) + 1)
 
     def pixels(points: Floats) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
@@ -260,7 +255,7 @@ def _judged(query: Query, site: Floats) -> tuple[NDArray[np.bool_], NDArray[np.b
     about = [np.roll(padded, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     nearest = np.min(about, axis=0)[1:-1, 1:-1]
     ranges, column, row = pixels(site)
-    free = measured[column, row] & (nearest[column, row] > ranges + config.sight_margin)
+    free = measured[column, row] & (nearest[column, row] > ranges + config.visibility_margin)
     above = _above_ground(query, site)
     return confirmed, free & above & ~confirmed
 
@@ -272,7 +267,7 @@ def _above_ground(query: Query, site: Floats) -> NDArray[np.bool_]:
     return above
 
 
-def _at(query: Query, candidate: Hypothesis) -> Floats:
+def _at(query: Query, candidate: RefinedScore) -> Floats:
     """The map's cloud in the local frame, where the candidate puts it."""
     prior_map = query.localizer.prior_map
     points = prior_map.cloud.astype(np.float64) + prior_map.origin
@@ -280,7 +275,7 @@ def _at(query: Query, candidate: Hypothesis) -> Floats:
     return site[(np.abs(site[:, :2]) < 1.3 * HALF_VIEW_M).all(axis=1)]
 
 
-def _candidates(query: Query, both: tuple[Axes, Axes]) -> list[tuple[Axes, Hypothesis, str]]:
+def _candidates(query: Query, both: tuple[Axes, Axes]) -> list[tuple[Axes, RefinedScore, str]]:
     return [(both[0], query.right, "right pose"), (both[1], query.wrong, "wrong pose")]
 
 

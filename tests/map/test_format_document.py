@@ -121,6 +121,14 @@ def test_weights_have_the_fields_and_the_hash_of_the_document(file: str) -> None
     assert texts["sha256"] == digest.hexdigest()
 
 
+def test_the_confidence_model_has_the_keys_of_the_document() -> None:
+    model = json.loads(shipped_weights("confidence.json").read_text("utf-8"))
+    rows = {row[0]: row[1] for row in table("confidence fields")}
+    assert list(model) == list(rows)
+    for key in ("weights", "chance"):
+        assert all(f"`{name}`" in rows[key] for name in model[key])
+
+
 def test_a_forest_is_walked_as_the_document_says() -> None:
     from segloc import _native
 
