@@ -1,0 +1,178 @@
+"""Fill the tables of docs/architecture.md that are read off the source.
+
+python docs/generate.py            # writes the tables between their markers
+python docs/generate.py --check    # exit status 1 where a table is stale
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "architecture.md"
+PACKAGE = ROOT / "src" / "segloc"
+TOLERANCE = 0.10
+"""Lines may differ by this share, and a few, before a table counts as stale."""
+
+# Top to bottom, as tests/test_architecture.py holds them: a room may import what stands below it.
+ROOMS: dict[str, tuple[int, str]] = {
+    "cli": (1, "the command line, one module a verb"),
+    "batch": (2, "many queries at once: run, score, negative maps, reports"),
+    "alignment": (2, "sessions with drifting poses brought into one frame"),
+    "training": (2, "networks and forests trained and exported; the only room with PyTorch"),
+    "simulation": (3, "worlds, objects, sensors, motion"),
+    "datasets": (4, "recordings: loaders, bags, packets, odometry"),
+    "tracker.py": (4, "many queries over time"),
+    "localizer.py": (5, "the method on one page"),
+    "config.py": (6, "all settings, one preset a method"),
+    "local_cloud.py": (7, "scans to local cloud"),
+    "segmentation.py": (7, "local cloud to segments"),
+    "matching.py": (7, "descriptors to matches"),
+    "pose.py": (7, "matches to candidate poses"),
+    "registration.py": (7, "generalised ICP"),
+    "verification": (7, "candidate poses to one verified pose, or a reason"),
+    "map": (7, "the prior map: table, cloud, file, merge; build and update"),
+    "descriptors": (8, "segments to vectors, one file a descriptor"),
+    "io": (9, "point-cloud and trajectory files"),
+    "localization.py": (10, "the answer to a query, and why there is none"),
+    "motion.py": (10, "where a sensor is at any moment; de-skewing"),
+    "processes.py": (10, "work in several processes"),
+    "files.py": (10, "files replaced whole or not at all"),
+    "system.py": (10, "which processor this is"),
+    "stage_times.py": (10, "milliseconds of each stage"),
+    "checks.py": (11, "input refused at the door"),
+    "geometry.py": (11, "rigid transforms"),
+    "types.py": (11, "the data that flows: scans, segments, matches, answers"),
+    "errors.py": (11, "the one family of exceptions"),
+}
+"""Layer and purpose of each room of the package."""
+
+KERNELS = {
+    "bindings": "Python functions: shapes checked, interpreter's lock released",
+    "verification": "visibility of map points, point index for overlap",
+    "registration": "generalised ICP, normals on demand",
+    "pose": "votes, Hough accumulator, refinement, PROSAC",
+    "matching": "nearest descriptors, inverted file, random forests",
+    "network": "X-conv networks, SegMap's network, perceptron",
+    "descriptors": "alignment, farthest-point sampling, profile, Gestalt, shape functions",
+    "segmentation": "voxel grid, ground, Euclidean clusters",
+    "training": "forward and backward passes that PyTorch is slow at",
+    "io": "LZF of PCD files",
+    "simd": "instruction sets chosen at run time",
+    "common": "threads, cells, rigid fits, checks of finite values",
+    "tests": "tests without Python, for sanitizers",
+}
+"""What lies in each room of cpp/."""
+
+Row = tuple[str, ...]
+
+
+def rooms() -> list[Row]:
+    """Room, layer, files, lines, what it imports, what it is for."""
+    rows = []
+    present = {name for name in ROOMS if (PACKAGE / name).exists()}
+    for name, (layer, purpose) in ROOMS.items():
+        if name not in present:
+            continue
+        files = _sources(PACKAGE / name)
+        imported = {room for file in files for room in _imported(file)} - {name}
+        named = [f"`{room}`" for room in ROOMS if room in imported]
+        lines = sum(len(file.read_text("utf-8").splitlines()) for file in files)
+        rows.append(
+            (f"`{name}`", str(layer), str(len(files)), str(lines), " ".join(named) or "-", purpose)
+        )
+    return rows
+
+
+def unplaced() -> list[str]:
+    """Modules and packages that have no layer yet."""
+    found = [p for p in PACKAGE.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()]
+    return sorted({p.name for p in found} - ROOMS.keys() - {"__init__.py", "weights"})
+
+
+def kernels() -> list[Row]:
+    """Room of cpp/, files, lines, what it is for."""
+    rows = []
+    for name, purpose in KERNELS.items():
+        files = [*(ROOT / "cpp" / name).rglob("*.cpp"), *(ROOT / "cpp" / name).rglob("*.h")]
+        lines = sum(len(file.read_text("utf-8").splitlines()) for file in files)
+        rows.append((f"`cpp/{name}`", str(len(files)), str(lines), purpose))
+    return rows
+
+
+TABLES = {
+    "rooms": (("room", "layer", "files", "lines", "imports", "what it is for"), rooms),
+    "kernels": (("room", "files", "lines", "what it is for"), kernels),
+}
+
+
+def written(page: str) -> str:
+    """The page with every table filled in anew."""
+    for name, (columns, rows) in TABLES.items():
+        lines = [columns, tuple("---" for _ in columns), *rows()]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        pattern = rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)"
+        page, count = re.subn(pattern, rf"\g<1>{table}\n\g<2>", page, flags=re.DOTALL)
+        if count != 1:
+            raise SystemExit(f"{PAGE.name}: {count} places for the table {name!r}")
+    return page
+
+
+def stale(page: str) -> list[str]:
+    """What of the page no longer holds: lines and files to within the tolerance."""
+    faults = [f"{name}: has no layer in docs/generate.py" for name in unplaced()]
+    for have, want in zip(_rows(page), _rows(written(page)), strict=False):
+        if len(have) != len(want) or not all(map(_close, have, want)):
+            faults.append(f"{' | '.join(have)}   is now   {' | '.join(want)}")
+    if len(list(_rows(page))) != len(list(_rows(written(page)))):
+        faults.append("rooms were added or removed")
+    return faults
+
+
+def _rows(page: str) -> Iterator[list[str]]:
+    for name in TABLES:
+        found = re.search(rf"<!-- begin {name} -->\n(.*?)<!-- end {name} -->", page, re.DOTALL)
+        for line in (found[1] if found else "").splitlines():
+            yield [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def _close(have: str, want: str) -> bool:
+    if have.isdecimal() and want.isdecimal():
+        return abs(int(have) - int(want)) <= max(3, TOLERANCE * int(want))
+    return have == want
+
+
+def _sources(path: Path) -> list[Path]:
+    return sorted(path.rglob("*.py")) if path.is_dir() else [path]
+
+
+def _imported(file: Path) -> Iterator[str]:
+    """The rooms that a module imports, in functions and for types alone, too."""
+    inside = ("segloc", *file.relative_to(PACKAGE).parts[:-1])
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or not node.level:
+            continue
+        module = (*inside[: len(inside) - node.level + 1], *(node.module or "").split("."))
+        parts = [part for part in module if part]
+        for name in [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]:
+            yield name if name in ROOMS else f"{name}.py"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true")
+    page = PAGE.read_text("utf-8")
+    if parser.parse_args().check:
+        faults = stale(page)
+        print("\n".join(faults) or "current")
+        sys.exit(bool(faults))
+    PAGE.write_text(written(page), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""docs/formats.md is enough to read what segloc writes, with struct, json and NumPy alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, Localization, Localizer, SegmentMap, build_map
+from segloc.batch.run import localize_sequence
+from segloc.batch.score import Evaluation
+from segloc.cli.results import write_results
+from segloc.descriptors.weightfile import shipped_weights
+from segloc.map.file import FORMAT_VERSION
+
+DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text("utf-8")
+DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1"}
+
+
+def table(name: str) -> list[list[str]]:
+    """The rows between two markers of the document, without the backquotes of their first cell."""
+    text = re.search(rf"<!-- begin {name} -->\n(.*?)<!-- end {name} -->", DOCUMENT, re.DOTALL)
+    assert text, f"docs/formats.md has no table {name!r}"
+    rows = [line.strip("|").split("|") for line in text[1].splitlines()[2:]]
+    return [[row[0].strip().strip("`"), *(cell.strip() for cell in row[1:])] for row in rows]
+
+
+def opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str, bytes]]:
+    """Header, tensors and the tensors' bytes of a file, as the section Container has them."""
+    data = path.read_bytes()
+    (length,) = struct.unpack("<Q", data[:8])
+    assert length % 8 == 0
+    header = json.loads(data[8 : 8 + length])
+    body, tensors, raw, reached = data[8 + length :], {}, {}, 0
+    for name, entry in header.items():
+        if name == "__metadata__":
+            continue
+        begin, end = entry["data_offsets"]
+        raw[name] = body[begin:end]
+        tensors[name] = np.frombuffer(raw[name], DTYPES[entry["dtype"]]).reshape(entry["shape"])
+        reached += end - begin
+    assert reached == len(body), "there is a gap"
+    return header, tensors, raw
+
+
+@pytest.fixture(scope="module")
+def site(plaza: Plaza) -> SegmentMap:
+    made = build_map(PlazaSequence(plaza), Config(threads=1))
+    masks = np.ones(len(made), bool), np.ones(len(made.cloud), bool)
+    return made.kept(*masks, missed=np.arange(len(made)) % 2)
+
+
+@pytest.fixture(scope="module")
+def saved(site: SegmentMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("map") / "site.segmap"
+    site.save(path)
+    return path
+
+
+def test_a_map_has_the_tensors_of_the_document(site: SegmentMap, saved: Path) -> None:
+    header, tensors, _ = opened(saved)
+    rows = table("map tensors")
+    assert list(tensors) == [row[0] for row in rows], "names, in the order of the document"
+    lengths: dict[str, int] = {}
+    for name, dtype, shape, *_ in rows:
+        assert header[name]["dtype"] == dtype, name
+        wanted = [part.strip() for part in shape.strip("()").split(",") if part.strip()]
+        assert len(wanted) == tensors[name].ndim, name
+        for letter, length in zip(wanted, tensors[name].shape, strict=True):
+            expected = int(letter) if letter.isdecimal() else lengths.setdefault(letter, length)
+            assert length == expected, (name, letter)
+        held = getattr(site, name)
+        np.testing.assert_array_equal(tensors[name], held)
+    assert set(lengths) == set("PDNV")
+
+
+def test_the_cloud_has_one_point_a_voxel(saved: Path) -> None:
+    header, tensors, _ = opened(saved)
+    voxel = float(header["__metadata__"]["cloud_voxel"])
+    cells = np.floor((tensors["origin"] + tensors["cloud"]) / voxel)
+    assert len(np.unique(cells, axis=0)) == len(cells)
+
+
+def test_a_map_has_the_text_fields_and_checksums_of_the_document(saved: Path) -> None:
+    header, tensors, raw = opened(saved)
+    texts = header["__metadata__"]
+    named = {row[0] for row in table("map fields")} - {"checksum.NAME"}
+    assert set(texts) == named | {f"checksum.{name}" for name in tensors}
+    assert texts["segmap_version"] == str(FORMAT_VERSION)
+    assert f"Format version {FORMAT_VERSION}." in DOCUMENT
+    assert {"config", "sequence"} <= json.loads(texts["metadata"]).keys()
+    for name, data in raw.items():
+        assert texts[f"checksum.{name}"] == hashlib.blake2b(data, digest_size=16).hexdigest()
+    shapes = {name: [header[name]["dtype"], header[name]["shape"]] for name in tensors}
+    covered = {key: text for key, text in texts.items() if key != "checksum"}
+    text = json.dumps([covered, shapes], sort_keys=True).encode()
+    assert texts["checksum"] == hashlib.blake2b(text, digest_size=16).hexdigest()
+
+
+@pytest.mark.parametrize("file", ["profile", "segmap", "segmatch-eigen-forest"])
+def test_weights_have_the_fields_and_the_hash_of_the_document(file: str) -> None:
+    header, tensors, raw = opened(shipped_weights(f"{file}.safetensors"))
+    texts = header["__metadata__"]
+    assert set(texts) == {row[0] for row in table("weights fields")}
+    kind = texts["format"].removeprefix("segloc ")
+    row = re.search(rf"^\| `{kind}` \|.*$", DOCUMENT, re.MULTILINE)
+    assert row, f"no kind {kind!r} in the document"
+    settings = json.loads(texts["settings"])
+    assert all(f"`{key}`" in row[0] for key in settings)
+    assert isinstance(json.loads(texts["card"]), dict)
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
+    for name in sorted(tensors):
+        digest.update(f"{name} {tensors[name].shape} ".encode() + raw[name])
+    assert texts["sha256"] == digest.hexdigest()
+
+
+def test_the_confidence_model_has_the_keys_of_the_document() -> None:
+    model = json.loads(shipped_weights("confidence.json").read_text("utf-8"))
+    rows = {row[0]: row[1] for row in table("confidence fields")}
+    assert list(model) == list(rows)
+    for key in ("weights", "chance"):
+        assert all(f"`{name}`" in rows[key] for name in model[key])
+
+
+def test_a_forest_is_walked_as_the_document_says() -> None:
+    from segloc import _native
+
+    _, nodes, _ = opened(shipped_weights("segmatch-eigen-forest.safetensors"))
+    rng = np.random.default_rng(0)
+    query, mapped = (rng.normal(0, 1, (5, 7)).astype(np.float32) for _ in range(2))
+    pairs = np.arange(5)
+    layout = (7, True, 0)
+    features = _native.pair_features(query, mapped, pairs, pairs, layout, 1)
+    forest = _native.Forest(**{name: nodes[name].copy() for name in nodes}, features=35)
+    expected = forest.predict_pairs(query, mapped, pairs, pairs, layout, 1)
+    for row, answer in zip(features, expected, strict=True):
+        answers = []
+        for node in nodes["roots"]:
+            while nodes["first_child"][node] >= 0:
+                larger = row[nodes["feature"][node]] > nodes["threshold"][node]
+                node = nodes["first_child"][node] + int(larger)
+            answers.append(nodes["threshold"][node])
+        assert np.mean(answers) == pytest.approx(answer, abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def results(
+    site: SegmentMap, plaza: Plaza, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Evaluation]:
+    sequence = PlazaSequence(plaza, steps=6)
+    localizer = Localizer(site, Config(threads=1))
+    positions = np.array([3, 5])
+    answers: list[Localization] = localize_sequence(localizer, sequence, positions)
+    evaluation = Evaluation(positions, answers, site.trajectory, sequence.poses[positions])
+    out = tmp_path_factory.mktemp("results") / "out"
+    write_results(out, site, evaluation, None)
+    return out, evaluation
+
+
+def test_results_have_the_keys_of_the_document(results: tuple[Path, Evaluation]) -> None:
+    out, _ = results
+    lines = (out / "localizations.jsonl").read_text("utf-8").splitlines()
+    keys = [row[0] for row in table("localization fields")]
+    assert [list(json.loads(line)) for line in lines] == [keys] * 2
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    assert list(summary) == [row[0] for row in table("summary fields")]
+    assert {path.name for path in out.iterdir()} == {
+        "poses.tum", "localizations.jsonl", "summary.json",
+    }  # fmt: skip
+
+
+def test_poses_are_those_of_the_localized_queries(results: tuple[Path, Evaluation]) -> None:
+    out, evaluation = results
+    first, *lines = (out / "poses.tum").read_text("ascii").splitlines()
+    assert first == "# stamp tx ty tz qx qy qz qw"
+    rows = np.array([[float(part) for part in line.split()] for line in lines])
+    assert evaluation.localized.all() and rows.shape == (2, 8)
+    np.testing.assert_array_equal(rows[:, 0], evaluation.indices)
+    np.testing.assert_allclose(rows[:, 1:4], evaluation.positions_found()[:, :3, 3], atol=1e-9)
+    assert (rows[:, 7] >= 0).all()
