@@ -131,14 +131,13 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
     MapMismatch
         If the configuration is of another method than the map.
     """
-    built = map_config(prior_map)
-    if config is None:
-        config = built
-    if config.method != prior_map.descriptor:
+    if config is not None and config.method != prior_map.descriptor:
         raise MapMismatch(
             f"the map was described by {prior_map.descriptor!r}, "
             f"but the configuration is of method {config.method!r}"
         )
+    built = map_config(prior_map)
+    config = config or built
     notes = []
     if changed := differences(_shared(config), _shared(built)):
         notes.append(f"not as the map was built: {', '.join(changed)}")
