@@ -1,4 +1,4 @@
-# make demo: simulate, map, localize, report.   make test: every test.
+# make demo: simulate, map, localize, report.   make test: every test.   make quick: in a minute.
 # make evaluate [SCALE=full]: the experiments of the paper.   Each sets itself up.
 PYTHON ?= python3
 VENV := .venv
@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test evaluate lint sanitize wheel-check clean
+.PHONY: demo test quick evaluate lint sanitize wheel-check clean
 
 demo: $(VENV)/.demo
 	$(BIN)/segloc demo --out demo
@@ -14,8 +14,15 @@ demo: $(VENV)/.demo
 evaluate: $(VENV)/.evaluate
 	$(BIN)/segloc evaluate all --suite six --scale $(SCALE) --out evaluation
 
+# One process a core, one thread each. Files stay whole: their fixtures are made once.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(CORES) --dist loadfile
+CORES ?= logical
+
 test: $(VENV)/.test
-	$(BIN)/python -m pytest
+	$(PYTEST)
+
+quick: $(VENV)/.test
+	$(PYTEST) -m "not slow and not data and not torch"
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

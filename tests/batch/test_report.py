@@ -71,8 +71,12 @@ def studies() -> list[Study]:
     ]
 
 
-def test_the_page_is_well_formed_and_stands_alone() -> None:
-    text = report.page(studies())
+@pytest.fixture(scope="module")
+def text() -> str:
+    return report.page(studies())
+
+
+def test_the_page_is_well_formed_and_stands_alone(text: str) -> None:
     page = Page(text)
     assert page.open == []
     for reference in page.references:
@@ -85,8 +89,8 @@ def test_the_page_is_well_formed_and_stands_alone() -> None:
     assert clips <= set(page.ids)
 
 
-def test_the_page_says_everything() -> None:
-    words = Page(report.page(studies())).words
+def test_the_page_says_everything(text: str) -> None:
+    words = Page(text).words
     for part in ("One & only", "Second <p>.", "Note <i>.", "x<y", "segloc evaluate 'a&b' <c>"):
         assert part in words
     assert words.count("published") == 2  # the introduction, and the one table that is
@@ -94,7 +98,7 @@ def test_the_page_says_everything() -> None:
 
 
 def test_drawings_repeat_and_take_the_colour_of_the_page() -> None:
-    for one in studies()[0].figures:
+    for one in studies()[0].figures[:5]:  # one of a kind
         first = drawing.svg(one)
         assert first == drawing.svg(one)
         assert "currentColor" in first and "#010203" not in first
@@ -108,10 +112,10 @@ def test_a_figure_of_nothing_can_be_drawn(kind: Kind) -> None:
     assert drawing.svg(Figure("f", "F", kind, {})).startswith("<svg")
 
 
-def test_tables_lie_beside_the_report(tmp_path: Path) -> None:
+def test_tables_lie_beside_the_report(text: str, tmp_path: Path) -> None:
     report.write(tmp_path / "out", studies())
     names = sorted(path.name for path in (tmp_path / "out" / "tables").iterdir())
     assert names == sorted(
         f"one-{t}.{s}" for t in ("ours", "theirs", "long") for s in ("csv", "tex")
     )
-    assert (tmp_path / "out" / "report.html").read_text("utf-8") == report.page(studies())
+    assert (tmp_path / "out" / "report.html").read_text("utf-8") == text

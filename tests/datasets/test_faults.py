@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from samples.datasets import START, Drive, float_rows, kitti, ones
 from samples.plaza import Plaza
-from samples.real import SHARED
+from samples.real import real
 
 from segloc import Config, SegmentMap, geometry
 from segloc.cli import main
@@ -199,15 +199,14 @@ def test_info_shows_pose_files_and_scans_without_points(
         assert f"- {name} beside the scans may be their poses: --poses {name}" in said
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the real scans (../shared/data) are not here")
 def test_real_sensors_are_told_from_each_other_and_from_nobody_else(tmp_path: Path) -> None:
     pytest.importorskip("laspy")
     both = tmp_path / "both"
     both.mkdir()
     for i, (source, number) in enumerate([("vlp16", 3), ("vlp16", 25), ("hdl32e", 4)]):
-        scan = open_sequence(SHARED / source).scan(number)
+        scan = open_sequence(real(source)).scan(number)
         write_scan(both / f"{i:02d}.npy", scan.points)
     assert "02.npy: another sensor from here on: 3D, 32 beams" in problems(both)
     for source in ("vlp16", "hdl32e", "hdl64_drive"):
-        assert "another sensor" not in problems(SHARED / source, sample=4)
-    assert "another sensor" not in problems(SHARED / "kitti00" / "keyframes")
+        assert "another sensor" not in problems(real(source), sample=4)
+    assert "another sensor" not in problems(real("kitti00", "keyframes"))

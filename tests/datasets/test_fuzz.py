@@ -51,7 +51,7 @@ def bag(kind: str, root: Path, drive: Drive) -> Path:
 
 def velodyne(root: Path, drive: Drive) -> Path:
     pytest.importorskip("velodyne_decoder")
-    from test_datasets_velodyne import capture, packets
+    from samples.velodyne import capture, packets
 
     return capture(root / "drive.pcap", packets(2.0))
 

@@ -206,8 +206,14 @@ def test_poses_of_another_frame_are_refused(later: Remembered, prior_map: Segmen
 def _little_map(missed: list[int]) -> SegmentMap:
     prior_map = SegmentMap.empty("geo", "f", 2)
     for k in range(len(missed)):
-        prior_map.add(Descriptors(np.full((1, 2), k, np.float32)), np.array([[0.1 * k, 0, 0]]), [10],
-                 session=k, stamp=k, cloud=np.array([[float(k), 0, 0]]))  # fmt: skip
+        prior_map.add(
+            Descriptors(np.full((1, 2), k, np.float32)),
+            np.array([[0.1 * k, 0, 0]]),
+            [10],
+            session=k,
+            stamp=k,
+            cloud=np.array([[float(k), 0, 0]]),
+        )
     full = np.ones(len(missed), dtype=bool)
     return prior_map.kept(full, full, np.array(missed))
 

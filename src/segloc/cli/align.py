@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import ConfigFile, Deskew, Odometry, Threads, Topic, load_config
+from .options import (
+    ConfigFile,
+    Deskew,
+    Odometry,
+    PosesOfEach,
+    SelectOfEach,
+    Threads,
+    Topic,
+    load_config,
+)
 
 if TYPE_CHECKING:
     from ..alignment import Alignment, Reposed
@@ -22,14 +31,8 @@ def align(
         list[Path], typer.Argument(metavar="SEQUENCE...", help="Sessions: recordings of one place.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
-    poses: Annotated[
-        list[Path] | None,
-        typer.Option(help="TUM or KITTI, one for all or one a sequence; by default their own."),
-    ] = None,
-    select: Annotated[
-        list[str] | None,
-        typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
-    ] = None,
+    poses: PosesOfEach = None,
+    select: SelectOfEach = None,
     method: Annotated[
         str | None, typer.Option(metavar="NAME", help="How segments are described.")
     ] = None,

@@ -35,6 +35,14 @@ Odometry = Annotated[
 Select = Annotated[
     str | None, typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.")
 ]
+PosesOfEach = Annotated[
+    list[Path] | None,
+    typer.Option(help="TUM or KITTI, one for all or one a sequence; by default their own."),
+]
+SelectOfEach = Annotated[
+    list[str] | None,
+    typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
+]
 Every = Annotated[
     float | None, typer.Option(metavar="METRES", help="One for so many metres of travel.")
 ]

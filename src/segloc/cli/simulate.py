@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
 from ..errors import ConfigError
+from . import simulate_options as of
 
 if TYPE_CHECKING:
     from ..datasets import Sequence
@@ -20,66 +21,33 @@ SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
 """Share of leaves; where none is named, later sessions go through them in turn."""
 
 _OF_SUITES = {"suite", "scale", "out", "seed", "file_format", "workers"}
-_REPLACED, _SCAFFOLDING = 0.15, 0.03
 
 T = TypeVar("T")
 
 
 def simulate(
     context: typer.Context,
-    scene: Annotated[
-        str | None,
-        typer.Argument(metavar="SCENE", help="town, park, meadow, forest or industrial."),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
-    ] = Path("simulated"),
-    suite: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Instead of a scene: six named test sets.")
-    ] = None,
-    scale: Annotated[str, typer.Option(help="Of a suite: small or full.")] = "small",
-    sensor: Annotated[str, typer.Option(metavar="NAME", help="What scans.")] = "hdl64e",
-    thin: Annotated[int, typer.Option(metavar="N", help="Only every N-th firing.")] = 1,
-    platform: Annotated[
-        str | None, typer.Option(metavar="NAME", help="car, wheeled, legged or handheld.")
-    ] = None,
-    skew: Annotated[bool, typer.Option(help="Let the sensor move while it scans.")] = False,
-    sessions: Annotated[
-        int, typer.Option(min=1, max=1001, help="Session 0 is the one to map.")
-    ] = 2,
-    length: Annotated[float, typer.Option(metavar="METRES", help="Of each session.")] = 300.0,
-    spacing: Annotated[
-        float | None,
-        typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
-    ] = None,
-    size: Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another world.")] = 0,
-    season: Annotated[
-        str | None, typer.Option(help="Of later sessions: summer, autumn, winter or spring.")
-    ] = None,
-    foliage: Annotated[
-        float | None, typer.Option(metavar="SHARE", help="Leaves left in later sessions, 0 to 1.")
-    ] = None,
-    replaced: Annotated[
-        float, typer.Option(metavar="SHARE", help="Of bins, benches, bushes and the like.")
-    ] = _REPLACED,
-    scaffolding: Annotated[
-        float, typer.Option(metavar="SHARE", help="Of buildings with scaffolding.")
-    ] = _SCAFFOLDING,
-    swathe: Annotated[
-        float | None,
-        typer.Option(metavar="METRES", help="Gather the sweeps of a push-broom LiDAR."),
-    ] = None,
-    file_format: Annotated[
-        str | None,
-        typer.Option(
-            "--format", metavar="SUFFIX", help="Of scans: npy, npz, laz, bin, pcd or ply."
-        ),
-    ] = None,
-    objects: Annotated[
-        bool, typer.Option("--objects", help="Also write which object each point lies on.")
-    ] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that cast rays.")] = 2,
+    scene: of.Scene = None,
+    out: of.Out = Path("simulated"),
+    suite: of.Suite = None,
+    scale: of.Scale = "small",
+    sensor: of.Sensor = "hdl64e",
+    thin: of.Thin = 1,
+    platform: of.Platform = None,
+    skew: of.Skew = False,
+    sessions: of.Sessions = 2,
+    length: of.Length = 300.0,
+    spacing: of.Spacing = None,
+    size: of.Size = None,
+    seed: of.Seed = 0,
+    season: of.Season = None,
+    foliage: of.Foliage = None,
+    replaced: of.Replaced = 0.15,
+    scaffolding: of.Scaffolding = 0.03,
+    swathe: of.Swathe = None,
+    file_format: of.FileFormat = None,
+    objects: of.Objects = False,
+    workers: of.Workers = 2,
 ) -> None:
     """Record drives through a simulated world: folders of scans with exact poses.
 

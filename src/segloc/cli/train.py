@@ -122,22 +122,16 @@ def _add(network: str, help_text: str) -> None:
 def _train(
     dataset: Path, out: Path, config: Path | None, given: dict[str, Any], licence: str
 ) -> None:
-    from ..errors import MissingDependency
     from ..files import checked_target
-
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingDependency("torch", "train", "training") from error
-    from ..training.options import load_train_config
+    from ..training.options import load_train_config, require_torch
     from ..training.shards import load_dataset
+
+    require_torch()
     from ..training.train import train as run
 
     settings = load_train_config(config, given)
     checked_target(out)
-    data = load_dataset(dataset)
-    card = {**_card(dataset, licence), "torch": torch.__version__}
-    scores = run(data, out, settings, card, say)
+    scores = run(load_dataset(dataset), out, settings, _card(dataset, licence), say)
     typer.echo(f"{out}: auc {scores.auc:.4f}, recall@25 {scores.recall:.4f}")
 
 

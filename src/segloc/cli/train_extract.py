@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .console import say
-from .options import ConfigFile, each
+from .options import ConfigFile, PosesOfEach, SelectOfEach, Topic, each
 
 if TYPE_CHECKING:
     from ..training.extract import ExtractConfig
@@ -29,16 +29,9 @@ def extract(
         list[Path] | None,
         typer.Argument(metavar="[SEQUENCE]...", help="Recordings of one place, one a session."),
     ] = None,
-    poses: Annotated[
-        list[Path] | None, typer.Option(help="TUM or KITTI: one for all, or one a sequence.")
-    ] = None,
-    select: Annotated[
-        list[str] | None,
-        typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
-    ] = None,
-    topic: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Which of several topics or sensors.")
-    ] = None,
+    poses: PosesOfEach = None,
+    select: SelectOfEach = None,
+    topic: Topic = None,
     place: Annotated[str, typer.Option(help="A name for the place.")] = "place",
     sensor: Annotated[str, typer.Option(help="A name for the sensor.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,

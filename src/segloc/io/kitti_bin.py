@@ -12,6 +12,10 @@ _FEWEST_ROWS = 100
 _MANY_ROWS = 30_000
 _STEP = 61  # prime to all widths, so that sampled rows of a wrong width still mix all columns
 _LEAST_RATIO = 1.5
+_FARTHEST_M = 1e8  # farther than any coordinate on Earth
+_MOST_BEYOND = 0.01  # share of rows
+_RECORDS = {19: "Avia", 22: "Velodyne", 25: "early Aeva", 26: "Ouster", 29: "Aeva"}
+"""Bytes of a point in HeLiPR's files, which are called .bin, too."""
 
 
 def parse_kitti(data: bytes) -> Scan:
@@ -22,14 +26,22 @@ def parse_kitti(data: bytes) -> Scan:
     of all: 3 or 5 are taken where rows of 4 look mixed and those do not.
     """
     if len(data) % 4:
-        raise DatasetError(f"{len(data)} bytes are not a whole number of float32")
+        raise DatasetError(
+            f"{len(data)} bytes are not a whole number of float32{_other_records(len(data))}"
+        )
     values = _values(data)
     fitting = [width for width in _WIDTHS if len(values) % width == 0]
     default = fitting[:1] if fitting[:1] == [4] else []
     widths = [width for width in fitting if _columns_differ(values.reshape(-1, width))] + default
     if not widths:
         raise DatasetError(f"{len(data)} bytes are not rows of 4 float32")
-    return Scan(values.reshape(-1, widths[0]))
+    rows = values.reshape(-1, widths[0])
+    if _beyond(rows) > _MOST_BEYOND:
+        raise DatasetError(
+            f"rows of {widths[0]} float32 lie farther than {_FARTHEST_M:.0e} m off: they are "
+            f"something else{_other_records(len(data))}"
+        )
+    return Scan(rows)
 
 
 def parse_nuscenes(data: bytes) -> Scan:
@@ -41,6 +53,23 @@ def parse_nuscenes(data: bytes) -> Scan:
 
 def _values(data: bytes) -> Float32:
     return np.frombuffer(data, dtype="<f4") if data else np.empty(0, dtype=np.float32)
+
+
+def _beyond(rows: Float32) -> float:
+    """Share of the rows with coordinates that no sensor measures; those of no return have none."""
+    points = rows[np.isfinite(rows[:, :3]).all(axis=1), :3]
+    return float((np.abs(points) > _FARTHEST_M).any(axis=1).mean()) if len(points) else 0.0
+
+
+def _other_records(size: int) -> str:
+    """What to do with a file of so many bytes that may be one of HeLiPR's."""
+    names = [name for width, name in _RECORDS.items() if size % width == 0]
+    if not names:
+        return ""
+    return (
+        f"; {size} bytes are whole records of HeLiPR's {' or '.join(names)}: open the sequence's "
+        "folder, the one with LiDAR in it"
+    )
 
 
 def _columns_differ(rows: Float32) -> bool:

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from ..config import read_yaml, validated
+from ..errors import MissingDependency
 from .config import TrainConfig
 
 PUBLISHED: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-4, "hard_share": 0.0}}
 """What a network's own paper sets, where it is not the default here."""
+
+
+def require_torch() -> None:
+    """Say what to install before anything else is done.
+
+    Raises
+    ------
+    MissingDependency
+        If there is no PyTorch.
+    """
+    if find_spec("torch") is None:
+        raise MissingDependency("torch", "train", "training")
 
 
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:

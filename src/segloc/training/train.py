@@ -91,7 +91,8 @@ def train(
                 **{f"validation {k}": round(v, 4) for k, v in asdict(run.best).items()},
             }
             settings = config.model_dump(mode="json", exclude={"max_minutes", "threads"})
-            task.export(model, out, {**(card or {}), "figures": figures, "config": settings})
+            made = {"torch": torch.__version__, "figures": figures, "config": settings}
+            task.export(model, out, {**(card or {}), **made})
     return run.best
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -11,42 +10,10 @@ import pytest
 pytest.importorskip("velodyne_decoder")
 
 from samples.datasets import START
+from samples.velodyne import FIRING_US, LASERS_DEG, REACH_M, capture, packets
 
 from segloc.datasets import RecordedSequence, open_sequence
 from segloc.errors import DatasetError
-
-FIRING_US = 55.296  # of the VLP-16: a sequence of 16 lasers; two in a block, 12 blocks in a packet
-LASERS_DEG = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
-REACH_M = 10.0
-
-
-def packets(turns: float) -> list[tuple[float, bytes]]:
-    """What a VLP-16 in the middle of a sphere sends at 10 Hz; one wall is nearer."""
-    sent = []
-    for number in range(round(turns * 1800 / 24)):
-        data = b""
-        for block in range(12):
-            azimuth = (number * 12 + block) * 40 % 36000
-            reach = REACH_M / 2 if 9000 <= azimuth < 18000 else REACH_M  # behind to the right
-            returns = struct.pack("<HB", round(reach / 0.002), 10) * 32
-            data += b"\xff\xee" + struct.pack("<H", azimuth) + returns
-        time = number * 24 * FIRING_US * 1e-6
-        data += struct.pack("<IBB", round(time * 1e6), 0x37, 0x22)  # strongest return, VLP-16
-        sent.append((START + time, data))
-    return sent
-
-
-def capture(
-    path: Path, sent: list[tuple[float, bytes]], order: str = "<", unit: int = 10**6
-) -> Path:
-    magic = 0xA1B2C3D4 if unit == 10**6 else 0xA1B23C4D
-    content = struct.pack(f"{order}IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
-    for stamp, data in sent:
-        frame = bytes(42) + data  # headers of Ethernet, IP and UDP
-        seconds, rest = divmod(round(stamp * unit), unit)
-        content += struct.pack(f"{order}IIII", seconds, rest, len(frame), len(frame)) + frame
-    path.write_bytes(content)
-    return path
 
 
 def check(points: np.ndarray, times: np.ndarray | None) -> None:
@@ -95,16 +62,19 @@ def test_a_capture_that_was_cut_off_or_is_none(tmp_path: Path) -> None:
     assert [len(open_sequence(path).scan(i)) for i in range(2)] == [28_800, 28_800 - 24 * 16]
 
 
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3"])
 @pytest.mark.parametrize("last", [False, True])
-def test_packets_in_a_bag(last: bool, tmp_path: Path) -> None:
+def test_packets_in_a_bag(kind: str, last: bool, tmp_path: Path) -> None:
     """Drivers stamp a scan by its first packet or by its last."""
     pytest.importorskip("rosbags")
     from rosbags.typesys import get_types_from_msg
     from samples.bags import BagWriter
 
-    bag = BagWriter("ros1")
+    bag = BagWriter(kind)
     packet, scan = "velodyne_msgs/msg/VelodynePacket", "velodyne_msgs/msg/VelodyneScan"
-    bag.store.register(get_types_from_msg("time stamp\nuint8[1206] data\n", packet))
+    time_type = "time" if kind == "ros1" else "builtin_interfaces/Time"
+    text = f"{time_type} stamp\nuint8[1206] data\n"
+    bag.store.register(get_types_from_msg(text, packet))
     text = "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n"
     bag.store.register(get_types_from_msg(text, scan))
     sent = packets(1.0)

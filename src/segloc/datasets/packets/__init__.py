@@ -1,1 +1,1 @@
-"""TODO."""
+"""Packets as sensors send them, in captures; :mod:`..ros` finds them in bags."""

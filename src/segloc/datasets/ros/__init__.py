@@ -1,1 +1,1 @@
-"""TODO."""
+"""Bags of ROS 1 and ROS 2."""

@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 _BEGINNINGS = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
+_DEFINITIONS = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
+    "velodyne_msgs/msg/VelodyneScan": (
+        "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n"
+    ),
+}
+"""Messages of packages beside ROS itself, for bags without definitions."""
 
 
 @contextmanager
@@ -49,11 +56,14 @@ def _check_beginnings(paths: tuple[Path, ...]) -> None:
 def _reader(paths: tuple[Path, ...]) -> AnyReader:
     try:
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise MissingDependency("rosbags", "ros", "reading bags") from error
     # Older ROS 2 bags do not hold the definitions of their messages.
-    return AnyReader(list(paths), default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return AnyReader(list(paths), default_typestore=store)
 
 
 @contextmanager

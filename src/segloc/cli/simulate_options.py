@@ -1,0 +1,56 @@
+"""The options of ``segloc simulate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Scene = Annotated[
+    str | None,
+    typer.Argument(metavar="SCENE", help="town, park, meadow, forest or industrial."),
+]
+Out = Annotated[
+    Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
+]
+Suite = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Instead of a scene: six named test sets.")
+]
+Scale = Annotated[str, typer.Option(help="Of a suite: small or full.")]
+Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
+Thin = Annotated[int, typer.Option(metavar="N", help="Only every N-th firing.")]
+Platform = Annotated[
+    str | None, typer.Option(metavar="NAME", help="car, wheeled, legged or handheld.")
+]
+Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
+Sessions = Annotated[int, typer.Option(min=1, max=1001, help="Session 0 is the one to map.")]
+Length = Annotated[float, typer.Option(metavar="METRES", help="Of each session.")]
+Spacing = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
+]
+Size = Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
+Season = Annotated[
+    str | None, typer.Option(help="Of later sessions: summer, autumn, winter or spring.")
+]
+Foliage = Annotated[
+    float | None, typer.Option(metavar="SHARE", help="Leaves left in later sessions, 0 to 1.")
+]
+Replaced = Annotated[
+    float, typer.Option(metavar="SHARE", help="Of bins, benches, bushes and the like.")
+]
+Scaffolding = Annotated[float, typer.Option(metavar="SHARE", help="Of buildings with scaffolding.")]
+Swathe = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", help="Gather the sweeps of a push-broom LiDAR."),
+]
+FileFormat = Annotated[
+    str | None,
+    typer.Option("--format", metavar="SUFFIX", help="Of scans: npy, npz, laz, bin, pcd or ply."),
+]
+Objects = Annotated[
+    bool, typer.Option("--objects", help="Also write which object each point lies on.")
+]
+Workers = Annotated[int, typer.Option(min=1, help="Processes that cast rays.")]

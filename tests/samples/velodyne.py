@@ -1,0 +1,41 @@
+"""What a VLP-16 sends, and captures of it."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from samples.datasets import START
+
+FIRING_US = 55.296  # of the VLP-16: a sequence of 16 lasers; two in a block, 12 blocks in a packet
+LASERS_DEG = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
+REACH_M = 10.0
+
+
+def packets(turns: float) -> list[tuple[float, bytes]]:
+    """What a VLP-16 in the middle of a sphere sends at 10 Hz; one wall is nearer."""
+    sent = []
+    for number in range(round(turns * 1800 / 24)):
+        data = b""
+        for block in range(12):
+            azimuth = (number * 12 + block) * 40 % 36000
+            reach = REACH_M / 2 if 9000 <= azimuth < 18000 else REACH_M  # behind to the right
+            returns = struct.pack("<HB", round(reach / 0.002), 10) * 32
+            data += b"\xff\xee" + struct.pack("<H", azimuth) + returns
+        time = number * 24 * FIRING_US * 1e-6
+        data += struct.pack("<IBB", round(time * 1e6), 0x37, 0x22)  # strongest return, VLP-16
+        sent.append((START + time, data))
+    return sent
+
+
+def capture(
+    path: Path, sent: list[tuple[float, bytes]], order: str = "<", unit: int = 10**6
+) -> Path:
+    magic = 0xA1B2C3D4 if unit == 10**6 else 0xA1B23C4D
+    content = struct.pack(f"{order}IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
+    for stamp, data in sent:
+        frame = bytes(42) + data  # headers of Ethernet, IP and UDP
+        seconds, rest = divmod(round(stamp * unit), unit)
+        content += struct.pack(f"{order}IIII", seconds, rest, len(frame), len(frame)) + frame
+    path.write_bytes(content)
+    return path
