@@ -22,9 +22,9 @@ class Layer(NamedTuple):
 
 LAYERS = (
     Layer("cli"),
+    Layer(ROOT),
     Layer("batch alignment training"),
     Layer("simulation"),
-    Layer(ROOT),
     Layer("datasets"),
     Layer("tracker"),
     Layer("localizer"),
@@ -33,12 +33,12 @@ LAYERS = (
     Layer("local_cloud segmentation matching pose registration verification map", together=True),
     Layer("descriptors"),
     Layer("io"),
-    Layer("motion processes system files"),
-    Layer("geometry types errors _native", together=True),
+    Layer("motion processes system files stage_times"),
+    Layer("geometry types localization checks errors _native", together=True),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""
 
-ONLY = {"datasets": "io motion files geometry types errors _native"}
+ONLY = {"datasets": "io motion files geometry types checks errors _native"}
 """Rooms that may import no other than these: datasets stand beside the stages."""
 
 PACKAGES = {
