@@ -1,8 +1,9 @@
-"""Two clouds and a first guess -> where they fit best, by generalised ICP."""
+"""Two clouds and a first guess -> where they fit best, and how well they overlap there."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -28,6 +29,63 @@ class Aligned:
 
     T_target_source: Pose
     covariance: Float64
+
+
+@dataclass(frozen=True)
+class Registered(Aligned):
+    """How one cloud lies on another after alignment.
+
+    Attributes
+    ----------
+    overlap : float
+        Share of the source's sample that has a point of the target near it, in [0, 1].
+    rmse : float
+        Root mean square distance of those pairs, metres.
+    shift_m : float
+        How far the alignment moved the source.
+    """
+
+    overlap: float
+    rmse: float
+    shift_m: float
+
+
+class Source(Protocol):
+    """A cloud to be aligned with others.
+
+    Attributes
+    ----------
+    surface : Surface
+        Of :meth:`Aligner.surface`.
+    sample : (N, 3) float32
+        The points that overlap is computed from.
+    """
+
+    @property
+    def surface(self) -> _native.Surface: ...
+    @property
+    def sample(self) -> Float32: ...
+
+
+@dataclass(frozen=True)
+class Target:
+    """A cloud that others are aligned with.
+
+    Attributes
+    ----------
+    surface : Surface
+        Of :meth:`Aligner.surface`.
+    index : PointIndex
+        Of the points that overlap is computed with.
+    """
+
+    surface: _native.Surface
+    index: _native.PointIndex
+
+    def overlap(self, sample: Float32, T_target_source: Pose, radius: float) -> tuple[float, float]:
+        """Overlap of a sample (N, 3) within a radius, and the pairs' RMSE in metres."""
+        overlap, rmse = self.index.overlap(sample, T_target_source[None], radius)
+        return float(overlap[0]), float(rmse[0])
 
 
 class Aligner:
@@ -66,3 +124,22 @@ class Aligner:
             return None
         inverse = np.linalg.inv(H) * (COVARIANCE_SCALE * 2.0 * error / degrees)
         return Aligned(geometry.orthonormal(T), (inverse + inverse.T) / 2)
+
+    def register(
+        self, target: Target, source: Source, T_target_source: Pose, radius: float
+    ) -> Registered | None:
+        """Align from a first guess and score the overlap within a radius; None as for `align`."""
+        aligned = self.align(target.surface, source.surface, T_target_source)
+        if aligned is None:
+            return None
+        T = aligned.T_target_source
+        moved = geometry.inverse(T_target_source) @ T
+        shift = float(np.linalg.norm(moved[:3, 3]))
+        overlap, rmse = target.overlap(source.sample, T, radius)
+        return Registered(T, aligned.covariance, overlap, rmse, shift)
+
+
+def thinned(points: Float32, count: int) -> Float32:
+    """At most ``count`` of the points, evenly spread over their (spatially sorted) order."""
+    step = max(1, -(-len(points) // count))
+    return np.ascontiguousarray(points[::step])

@@ -25,7 +25,7 @@ from .dense import neighbours
 from .graph import Edges, joined_edges, residuals, solve_robustly, squared_errors
 from .loops import Chain, Loop, edges_of, find_loops
 from .spread import spread
-from .submap_registration import Register
+from .submap_registration import SubmapRegistration
 from .submaps import Session, describe_session, posed
 
 Update = Callable[[int, int], None]
@@ -102,7 +102,7 @@ def align_sessions(
         with stage(f"Describing session {k + 1} of {len(recordings)}") as update, _named(k):
             sessions.append(describe_session(recording, config, settings, update))
     chain = Chain.of(sessions)
-    register = Register(chain.submaps, settings, config.threads)
+    register = SubmapRegistration(chain.submaps, settings, config.threads)
     with stage("Looking for loops") as update:
         found = find_loops(chain, register, config, settings, update)
     graph = _Graph(chain, supported(chain, found, settings), settings)

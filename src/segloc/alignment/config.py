@@ -22,7 +22,7 @@ class AlignConfig(BaseModel):
     )
     # Registration of two submaps.
     icp_voxel: float = Field(0.4, gt=0)
-    icp_reach: float = Field(1.5, gt=0, description="longest correspondence, metres")
+    icp_max_correspondence: float = Field(1.5, gt=0, description="longest correspondence, metres")
     icp_radius: float = Field(35.0, gt=0, description="how far around a submap ICP looks, metres")
     near_m: float = Field(0.5, gt=0, description="points meet within this distance")
     min_shared: float = Field(

@@ -9,14 +9,14 @@ from .. import geometry
 from ..types import Float64, Int64
 from .config import AlignConfig
 from .loops import Chain, Loop, Progress, registered
-from .submap_registration import Register
+from .submap_registration import SubmapRegistration
 
 
 def neighbours(
     chain: Chain,
     poses: Float64,
     component: Int64,
-    register: Register,
+    register: SubmapRegistration,
     settings: AlignConfig,
     progress: Progress | None = None,
 ) -> list[Loop]:

@@ -13,7 +13,7 @@ from ..localizer import Localizer, Query
 from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
-from .submap_registration import Register
+from .submap_registration import SubmapRegistration
 from .submaps import Part, Session, Submap
 
 Progress = Callable[[int, int], None]
@@ -102,7 +102,7 @@ class Chain:
 
 def find_loops(
     chain: Chain,
-    register: Register,
+    register: SubmapRegistration,
     config: Config,
     settings: AlignConfig,
     progress: Progress | None = None,
@@ -146,7 +146,7 @@ class _Search:
         self._chain = chain
         self._nodes = part.nodes + chain.first(owner)
 
-    def loop(self, source: int, register: Register, settings: AlignConfig) -> Loop | None:
+    def loop(self, source: int, register: SubmapRegistration, settings: AlignConfig) -> Loop | None:
         submap = self._chain.submaps[source]
         level = LocalCloud(submap.scene.structure, np.eye(4))
         answer = self._localizer.locate(Query(level, submap.scene, submap.descriptors))
@@ -166,7 +166,7 @@ def registered(
     source: int,
     guess: Pose,
     kind: str,
-    register: Register,
+    register: SubmapRegistration,
     settings: AlignConfig,
 ) -> Loop | None:
     """A loop from a guess of its pose; None where the submaps cannot be aligned."""

@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from .. import _native, geometry
-from ..registration import Aligner
-from ..types import Float64, Pose
+from ..registration import Aligner, Target
+from ..types import Float32, Float64, Pose
 from .config import AlignConfig
 from .submaps import Submap
 
@@ -40,43 +40,48 @@ class Fit:
     shift_m: float
 
 
-class Register:
+class SubmapRegistration:
     """Generalised ICP between submaps (A. Segal, D. Haehnel, S. Thrun, RSS 2009)."""
 
     def __init__(self, submaps: list[Submap], config: AlignConfig, threads: int = 0) -> None:
         self._submaps, self._config = submaps, config
-        self._aligner = Aligner(config.icp_voxel, config.icp_reach, threads)
-        self._surface = lru_cache(maxsize=_PREPARED)(self._make_surface)
-        self._index = lru_cache(maxsize=_PREPARED)(self._make_index)
+        self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
+        self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)
 
     def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
         """Align two submaps, by number, from a first guess; None where ICP cannot."""
-        clouds = self._surface(target), self._surface(source)
-        if min(map(len, clouds)) < _LEAST_POINTS:
+        there, back = self._prepared(target), self._prepared(source)
+        if min(len(there.surface), len(back.surface)) < _LEAST_POINTS:
             return None
-        aligned = self._aligner.align(*clouds, T_target_source)
-        if aligned is None:
+        radius = self._config.near_m
+        found = self._aligner.register(there.target, back, T_target_source, radius)
+        if found is None:
             return None
-        T = aligned.T_target_source
-        there, back = (
-            self._shared(target, source, T),
-            self._shared(source, target, geometry.inverse(T)),
-        )
-        shift = float(np.linalg.norm(T[:3, 3] - T_target_source[:3, 3]))
+        T, shared = found.T_target_source, 0.0
+        if min(there.count, back.count) >= _LEAST_POINTS:
+            other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
+            shared = max(found.overlap, other)
         # No loop is believed to be more exact than this.
         least = np.repeat([np.radians(self._config.loop_deg), self._config.loop_m], 3) ** 2
-        return Fit(T, aligned.covariance + np.diag(least), max(there, back), shift)
+        return Fit(T, found.covariance + np.diag(least), shared, found.shift_m)
 
-    def _make_surface(self, k: int) -> _native.Surface:
-        return self._aligner.surface(self._submaps[k].surface)
+    def _prepare(self, k: int) -> _Prepared:
+        submap = self._submaps[k]
+        index = _native.PointIndex(submap.structure, self._config.near_m)
+        step = max(1, len(submap.structure) // _SAMPLE)
+        sample = np.ascontiguousarray(submap.structure[::step])
+        target = Target(self._aligner.surface(submap.surface), index)
+        return _Prepared(target, sample, len(submap.structure))
 
-    def _make_index(self, k: int) -> _native.PointIndex:
-        return _native.PointIndex(self._submaps[k].structure, self._config.near_m)
 
-    def _shared(self, target: int, source: int, T: Pose) -> float:
-        points = self._submaps[source].structure
-        if len(points) < _LEAST_POINTS or len(self._submaps[target].structure) < _LEAST_POINTS:
-            return 0.0
-        sample = np.ascontiguousarray(points[:: max(1, len(points) // _SAMPLE)])
-        overlap, _ = self._index(target).overlap(sample, T[None], self._config.near_m)
-        return float(overlap[0])
+@dataclass(frozen=True)
+class _Prepared:
+    """A submap as target and as source."""
+
+    target: Target
+    sample: Float32
+    count: int
+
+    @property
+    def surface(self) -> _native.Surface:
+        return self.target.surface

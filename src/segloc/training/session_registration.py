@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
-from .. import geometry
-from ..registration import Aligner
+from .. import _native, geometry
+from ..registration import Aligner, Registered, Target, thinned
 from ..types import Float32, Pose
 
 _LEAST_POINTS = 200
+_SAMPLE = 2000
+LEAST_MET = 0.2
+"""Local clouds that meet less of the structure saw a place that no earlier session knows."""
 
 
 class RegisterConfig(BaseModel):
@@ -22,7 +25,7 @@ class RegisterConfig(BaseModel):
 
     radius_m: float = Field(40.0, gt=0, description="points around the sensor that are aligned")
     voxel_m: float = Field(0.5, gt=0)
-    reach_m: float = Field(2.5, gt=0, description="largest distance of corresponding points")
+    max_correspondence_m: float = Field(2.5, gt=0, description="of corresponding points")
     near_m: float = Field(0.6, gt=0, description="points count as met within this distance")
     max_shift_m: float = Field(4.0, gt=0, description="larger corrections are not believed")
     max_turn_deg: float = Field(4.0, gt=0)
@@ -46,9 +49,10 @@ class Registration:
 
     def __init__(self, structure: Float32, config: RegisterConfig | None = None) -> None:
         self.config = config or RegisterConfig()
-        self._aligner = Aligner(self.config.voxel_m, self.config.reach_m, threads=1)
-        self._surface = self._aligner.surface(structure)
-        self._tree = cKDTree(structure) if len(structure) else None
+        self._aligner = Aligner(self.config.voxel_m, self.config.max_correspondence_m, threads=1)
+        index = _native.PointIndex(structure, 2 * self.config.near_m)
+        self._target = Target(self._aligner.surface(structure), index)
+        self._seen = len(structure) > 0
         self._last: Pose | None = None  # the correction that was believed last, world frame
         self.accepted = self.rejected = self.alone = 0
         self.shifts_m: list[float] = []
@@ -57,42 +61,46 @@ class Registration:
         """The pose that aligns a local cloud's surface (N, 3); unchanged where none did before."""
         start = T_world_local if self._last is None else self._last @ T_world_local
         near = surface[(surface[:, :2] ** 2).sum(axis=1) < self.config.radius_m**2]
-        if self._tree is None or self._met(start, near, 2 * self.config.near_m) < 0.2:
+        source = _Source(self._aligner.surface(near), thinned(near, _SAMPLE))
+        if not self._seen or self._met(start, source, 2 * self.config.near_m) < LEAST_MET:
             self.alone += 1
             self._last = None
             return T_world_local
-        found = self._aligned(start, near)
-        if found is None or not self._believed(T_world_local, found, near):
+        found = self._registered(start, source)
+        if found is None or not self._believed(T_world_local, found, source):
             self.rejected += 1
             return start
+        T = found.T_target_source
         self.accepted += 1
-        self._last = found @ geometry.inverse(T_world_local)
-        self.shifts_m.append(float(np.linalg.norm(found[:3, 3] - T_world_local[:3, 3])))
-        return found
+        self._last = T @ geometry.inverse(T_world_local)
+        self.shifts_m.append(float(np.linalg.norm(T[:3, 3] - T_world_local[:3, 3])))
+        return T
 
-    def _met(self, T: Pose, points: Float32, reach: float) -> float:
-        """Share of the points with some of the structure within ``reach``."""
-        if self._tree is None or len(points) < _LEAST_POINTS:
+    def _met(self, T: Pose, source: _Source, radius: float) -> float:
+        """Share of the points with some of the structure within a radius."""
+        if len(source.sample) < _LEAST_POINTS:
             return 0.0
-        moved = geometry.transform(T, points[:: max(1, len(points) // 2000)])
-        distances, _ = self._tree.query(moved, distance_upper_bound=reach)
-        return float(np.isfinite(distances).mean())
+        return self._target.overlap(source.sample, T, radius)[0]
 
-    def _aligned(self, T: Pose, points: Float32) -> Pose | None:
-        surface = self._aligner.surface(points)
-        if min(len(self._surface), len(surface)) < _LEAST_POINTS:
+    def _registered(self, T: Pose, source: _Source) -> Registered | None:
+        if min(len(self._target.surface), len(source.surface)) < _LEAST_POINTS:
             return None
-        aligned = self._aligner.align(self._surface, surface, T)
-        return None if aligned is None else aligned.T_target_source
+        return self._aligner.register(self._target, source, T, self.config.near_m)
 
-    def _believed(self, before: Pose, after: Pose, points: Float32) -> bool:
-        delta = geometry.inverse(before) @ after
+    def _believed(self, before: Pose, found: Registered, source: _Source) -> bool:
+        delta = geometry.inverse(before) @ found.T_target_source
         turn = math.degrees(geometry.rotation_angle(delta))
         if (
             np.linalg.norm(delta[:3, 3]) > self.config.max_shift_m
             or turn > self.config.max_turn_deg
         ):
             return False
-        reach = self.config.near_m
-        met = self._met(after, points, reach)
-        return met >= self.config.min_shared and met >= self._met(before, points, reach) - 0.02
+        met = found.overlap if len(source.sample) >= _LEAST_POINTS else 0.0
+        earlier = self._met(before, source, self.config.near_m)
+        return met >= self.config.min_shared and met >= earlier - 0.02
+
+
+@dataclass(frozen=True)
+class _Source:
+    surface: _native.Surface
+    sample: Float32

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import _native, geometry
 from ..geometry import Separation
-from ..registration import Aligner
+from ..registration import Aligner, Registered, Target, thinned
 from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
@@ -20,7 +20,7 @@ class QueryCloud:
     """A query cloud, made ready to be compared with a map at several poses."""
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
-        self.sample = _thinned(scene.structure, config.overlap_sample)
+        self.sample = thinned(scene.structure, config.overlap_sample)
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
@@ -67,9 +67,9 @@ class MapCloud:
         threads: int,
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
-        self._index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
-        self._surface = self._aligner.surface(cloud)
+        index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
+        self._target = Target(self._aligner.surface(cloud), index)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query cloud to compare with this one."""
@@ -78,8 +78,8 @@ class MapCloud:
     def ranked(self, candidates: Sequence[Candidate], query: QueryCloud) -> list[RankedCandidate]:
         """The candidates with their rough overlap, the best supported first."""
         poses = np.stack([self._relative(c.T_map_local) for c in candidates])
-        few = _thinned(query.sample, self._config.coarse_sample)
-        overlap, rmse = self._index.overlap(few, poses, self._config.coarse_radius)
+        few = thinned(query.sample, self._config.coarse_sample)
+        overlap, rmse = self._target.index.overlap(few, poses, self._config.coarse_radius)
         ranked = [
             RankedCandidate(c, float(o), float(r))
             for c, o, r in zip(candidates, overlap, rmse, strict=True)
@@ -89,40 +89,36 @@ class MapCloud:
     def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
         """A candidate where it stands, with the share of the map that is roughly seen there."""
         T = self._relative(ranked.T_map_local)
-        seen = seen_share(self._index, query.view, T, self._config.coarse_radius, self._config)
+        seen = seen_share(
+            self._target.index, query.view, T, self._config.coarse_radius, self._config
+        )
         return CoarseScore(ranked.T_map_local, ranked.inliers, ranked.overlap, seen, ranked.rmse)
 
     def refined(self, candidate: Candidate, query: QueryCloud) -> RefinedScore:
         """A candidate at the pose where the clouds fit best; at its own where they do not."""
-        config = self._config
-        T, covariance = self._aligned(self._relative(candidate.T_map_local), query)
-        overlap, rmse = self._index.overlap(query.sample, T[None], config.overlap_radius)
+        config, T = self._config, self._relative(candidate.T_map_local)
+        covariance: Float64 | None = None
+        found = self._registered(T, query)
+        if found is None:
+            overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
+        else:
+            T, covariance = found.T_target_source, found.covariance
+            overlap, rmse = found.overlap, found.rmse
         return RefinedScore(
             T_map_local=geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
             inliers=candidate.inliers,
-            overlap=float(overlap[0]),
-            seen=seen_share(self._index, query.view, T, config.seen_radius, config),
-            rmse=float(rmse[0]),
+            overlap=overlap,
+            seen=seen_share(self._target.index, query.view, T, config.seen_radius, config),
+            rmse=rmse,
             covariance=covariance,
         )
 
-    def _aligned(self, T: Pose, query: QueryCloud) -> tuple[Pose, Float64 | None]:
-        """Where the clouds fit best; unchanged, and without covariance, where they do not fit."""
+    def _registered(self, T: Pose, query: QueryCloud) -> Registered | None:
+        """Where the clouds fit best; None where they do not, or ICP has run away."""
         if not self._config.refine:
-            return T, None
-        aligned = self._aligner.align(self._surface, query.surface, T)
-        if aligned is None:
-            return T, None
-        moved = geometry.inverse(T) @ aligned.T_target_source
-        if np.linalg.norm(moved[:3, 3]) > self._separation.metres:
-            return T, None
-        return aligned.T_target_source, aligned.covariance
+            return None
+        found = self._aligner.register(self._target, query, T, self._config.overlap_radius)
+        return None if found is None or found.shift_m > self._separation.metres else found
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
-
-
-def _thinned(points: Float32, count: int) -> Float32:
-    """At most ``count`` of the points, evenly spread over their (spatially sorted) order."""
-    step = max(1, -(-len(points) // count))
-    return np.ascontiguousarray(points[::step])
