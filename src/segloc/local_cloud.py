@@ -1,4 +1,4 @@
-"""Scan(s) -> local cloud: what lies around one pose, seen over a short way."""
+"""Scan(s) -> local cloud: what lies around one pose, seen over a short path."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def window(
     length_m : float
         Travelled distance that the window spans.
     centred : bool
-        Half of the way before and half behind the scan (maps); otherwise all of it before the
+        Half of the path before and half behind the scan (maps); otherwise all of it before the
         scan (a robot that localizes has no future).
     max_gap_m : float
         A longer step between two scans is a break in the recording: the window ends there.
@@ -51,12 +51,12 @@ def window(
 
 
 def _walk(positions: NDArray[Any], index: int, step: int, length: float, max_gap: float) -> int:
-    way = 0.0
+    travelled = 0.0
     while 0 <= index + step < len(positions):
         stride = float(np.linalg.norm(positions[index + step] - positions[index]))
-        if stride > max_gap or way + stride > length:
+        if stride > max_gap or travelled + stride > length:
             break
-        way += stride
+        travelled += stride
         index += step
     return index
 
@@ -76,7 +76,7 @@ class Accumulator:
             With more than one scan, each needs its ``T_odom_sensor``. A single scan without a pose
             is taken as level.
         reference : int
-            The scan whose pose is asked for; the last one by default.
+            The scan whose pose is wanted; the last one by default.
 
         Raises
         ------

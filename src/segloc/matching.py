@@ -1,4 +1,4 @@
-"""Descriptors -> matches: the nearest map descriptors of every query segment, pruned if asked."""
+"""Descriptors -> matches: the nearest map descriptors of every query segment, pruned if the method does so."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class Matcher:
 
 
 class NeighbourSearch:
-    """The neighbours of one query's segments, more of them when more are asked for.
+    """The neighbours of one query's segments, more of them when more are needed.
 
     The lists of an index are read once, for the longest of the schedule: shorter ones take the
     nearest of what it found. That costs the first a third more, and spares the second its search.

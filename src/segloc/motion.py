@@ -24,7 +24,7 @@ class Motion:
         Seconds, strictly rising.
     poses : (K, 4, 4) float64
         T_world_sensor.
-    way : (K,) float64 or None
+    travelled : (K,) float64 or None
         Metres travelled over ground up to each knot; None for the distances between the knots.
 
     Raises
@@ -35,7 +35,7 @@ class Motion:
 
     stamps: Float64
     poses: Float64
-    way: Float64 | None = None
+    travelled: Float64 | None = None
 
     def __post_init__(self) -> None:
         if len(self.stamps) < 2 or self.poses.shape != (len(self.stamps), 4, 4):
@@ -58,10 +58,10 @@ class Motion:
         ConfigError
             If a time is not finite.
         """
-        asked = np.asarray(times, dtype=np.float64).reshape(-1)
-        if not np.isfinite(asked).all():
-            raise ConfigError("a motion is asked for a time that is not finite")
-        inside = np.clip(asked, self.stamps[0], self.stamps[-1])
+        wanted = np.asarray(times, dtype=np.float64).reshape(-1)
+        if not np.isfinite(wanted).all():
+            raise ConfigError("a motion is evaluated at a time that is not finite")
+        inside = np.clip(wanted, self.stamps[0], self.stamps[-1])
         T = np.tile(np.eye(4), (len(inside), 1, 1))
         T[:, :3, :3] = self._slerp(inside).as_matrix()
         for axis in range(3):
@@ -70,8 +70,8 @@ class Motion:
 
     def times_of(self, distances: Float64) -> Float64:
         """When the sensor has travelled given distances (N,), metres."""
-        way = travelled(self.poses) if self.way is None else self.way
-        return np.asarray(np.interp(distances, way, self.stamps), dtype=np.float64)
+        distance = travelled(self.poses) if self.travelled is None else self.travelled
+        return np.asarray(np.interp(distances, distance, self.stamps), dtype=np.float64)
 
 
 def interpolated(
@@ -100,18 +100,18 @@ def interpolated(
     ConfigError
         If shapes do not fit or stamps do not rise.
     """
-    asked = np.asarray(times, dtype=np.float64).reshape(-1)
-    found = np.full((len(asked), 4, 4), np.nan)
+    wanted = np.asarray(times, dtype=np.float64).reshape(-1)
+    found = np.full((len(wanted), 4, 4), np.nan)
     if len(stamps) == 1:
-        found[asked == stamps[0]] = poses[0]
+        found[wanted == stamps[0]] = poses[0]
         return found
     motion = Motion(stamps, poses)
-    after = np.clip(np.searchsorted(stamps, asked), 1, len(stamps) - 1)  # NaN sorts last
-    exact = (asked == stamps[after - 1]) | (asked == stamps[after])
-    inside = (asked >= stamps[0]) & (asked <= stamps[-1])
+    after = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1)  # NaN sorts last
+    exact = (wanted == stamps[after - 1]) | (wanted == stamps[after])
+    inside = (wanted >= stamps[0]) & (wanted <= stamps[-1])
     inside &= exact | (stamps[after] - stamps[after - 1] <= max_gap_s)
     if inside.any():
-        found[inside] = motion.at(asked[inside])
+        found[inside] = motion.at(wanted[inside])
     return found
 
 

@@ -55,7 +55,7 @@ class PoseEstimator:
         Parameters
         ----------
         query : (P, 3) float64
-            Segment centroids of the live cloud, local frame (z up).
+            Segment centroids of the query cloud, local frame (z up).
         map_centroids : (M, 3) float64
             Segment centroids of the map, map frame (z up).
         matches : Matches

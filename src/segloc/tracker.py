@@ -25,7 +25,9 @@ class TrackerConfig(BaseModel):
     min_confidence: float = Field(0.3, ge=0, le=1, description="less likely ones are not kept")
     tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
     tolerance_deg: float = Field(3.0, gt=0, description="the same for their headings, degrees")
-    drift: float = Field(0.02, ge=0, description="odometry errs by this share of the way")
+    drift: float = Field(
+        0.02, ge=0, description="odometry errs by this share of the distance travelled"
+    )
     apart_m: float = Field(
         4.0, ge=0, description="travel between two views that witness independently, metres"
     )

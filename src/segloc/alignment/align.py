@@ -207,7 +207,7 @@ def odometry_edges(chain: Chain, settings: AlignConfig) -> Edges:
     second = np.flatnonzero(np.diff(chain.session, prepend=-1) == 0)
     first = second - 1
     T = np.linalg.inv(chain.odometry[first]) @ chain.odometry[second]
-    length = np.maximum(chain.way[second] - chain.way[first], 1.0)
+    length = np.maximum(chain.travelled[second] - chain.travelled[first], 1.0)
     shift = settings.odometry_m**2 * length + (settings.odometry_scale * length) ** 2
     turn = np.radians(settings.odometry_deg) ** 2 * length
     variances = np.repeat(np.stack([turn, shift], axis=1), 3, axis=1)

@@ -34,12 +34,16 @@ class AlignConfig(BaseModel):
     min_support: int = Field(2, ge=1, description="others that must agree with a loop")
     agree_m: float = Field(1.0, gt=0, description="loops agree to this, plus the drift between")
     agree_deg: float = Field(2.0, gt=0)
-    drift: float = Field(0.03, ge=0, description="largest drift believed, as a share of the way")
+    drift: float = Field(
+        0.03, ge=0, description="largest drift believed, as a share of the distance travelled"
+    )
     drift_deg: float = Field(0.02, ge=0, description="the same in degrees a metre")
     # Weights of the graph.
     odometry_m: float = Field(0.02, gt=0, description="error of odometry after a metre: grows as √")
     odometry_deg: float = Field(0.05, gt=0, description="the same of rotation")
-    odometry_scale: float = Field(0.01, ge=0, description="error that grows with the way itself")
+    odometry_scale: float = Field(
+        0.01, ge=0, description="error that grows with the distance travelled"
+    )
     loop_m: float = Field(0.1, gt=0, description="least error of a loop, beside that of its ICP")
     loop_deg: float = Field(0.2, gt=0)
     # The second pass.

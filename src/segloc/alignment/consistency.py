@@ -52,12 +52,14 @@ def _compared(
     T = chain.odometry[edges.first] @ edges.T @ np.linalg.inv(chain.odometry[edges.second])
     for i in range(count):
         same = (ends == ends[i]).all(axis=1)
-        ways = [np.abs(chain.way[e] - chain.way[e[i]]) for e in (edges.first, edges.second)]
-        near[i] = same & (ways[0] < config.support_m) & (ways[1] < config.support_m)
+        gaps = [
+            np.abs(chain.travelled[e] - chain.travelled[e[i]]) for e in (edges.first, edges.second)
+        ]
+        near[i] = same & (gaps[0] < config.support_m) & (gaps[1] < config.support_m)
         near[i, i] = False
         others = np.flatnonzero(near[i])
         if len(others):
-            between = np.add(*ways)[others]
+            between = np.add(*gaps)[others]
             where = chain.odometry[edges.second[i], :3, 3]
             agree[i, others] = _agree(T[i], T[others], where, between, config)
     return near, agree
@@ -66,7 +68,7 @@ def _compared(
 def _agree(
     T: Float64, others: Float64, where: Float64, between: Float64, config: AlignConfig
 ) -> NDArray[np.bool_]:
-    """Whether frames agree at a point, to what drift may do over the way between the loops."""
+    """Whether frames agree at a point, to what drift may do over the path between the loops."""
     delta = np.linalg.inv(T) @ others
     shift = np.linalg.norm(delta[:, :3, :3] @ where + delta[:, :3, 3] - where, axis=1)
     turn = np.degrees(Rotation.from_matrix(delta[:, :3, :3]).magnitude())

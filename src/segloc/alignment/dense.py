@@ -49,11 +49,11 @@ def _pairs(
     positions = poses[:, :3, 3]
     a, b = cKDTree(positions).query_pairs(settings.dense_m, output_type="ndarray").T
     own = chain.session[a] == chain.session[b]
-    apart = np.abs(chain.way[a] - chain.way[b]) > settings.min_travel_m
+    apart = np.abs(chain.travelled[a] - chain.travelled[b]) > settings.min_travel_m
     keep = (component[a] == component[b]) & (apart | ~own)
     a, b = a[keep], b[keep]
     order = np.argsort(np.linalg.norm(positions[a] - positions[b], axis=1), kind="stable")
-    stretch = (chain.way // max(settings.min_travel_m, 1.0)).astype(np.int64)
+    stretch = (chain.travelled // max(settings.min_travel_m, 1.0)).astype(np.int64)
     seen: set[tuple[int, int, int]] = set()
     pairs: set[tuple[int, int]] = set()
     for i, j in zip(a[order].tolist(), b[order].tolist(), strict=True):

@@ -72,7 +72,7 @@ class Chain:
     submaps : list of N Submap
     session : (N,) int64
         Which session each belongs to.
-    way : (N,) float64
+    travelled : (N,) float64
         Metres travelled in its session.
     odometry : (N, 4, 4) float64
         T_odom_local, each in the frame of its session.
@@ -81,16 +81,16 @@ class Chain:
     sessions: list[Session]
     submaps: list[Submap]
     session: Int64
-    way: Float64
+    travelled: Float64
     odometry: Float64
 
     @classmethod
     def of(cls, sessions: list[Session]) -> Chain:
         submaps = [submap for session in sessions for submap in session.submaps]
         numbers = np.repeat(np.arange(len(sessions)), [len(s.submaps) for s in sessions])
-        way = np.concatenate([session.node_way for session in sessions])
+        travelled = np.concatenate([session.node_travelled for session in sessions])
         odometry = np.concatenate([session.node_poses for session in sessions])
-        return cls(sessions, submaps, numbers.astype(np.int64), way, odometry)
+        return cls(sessions, submaps, numbers.astype(np.int64), travelled, odometry)
 
     def __len__(self) -> int:
         return len(self.submaps)
@@ -120,7 +120,7 @@ def find_loops(
     for done, (owner, part) in enumerate(parts):
         if len(part.prior_map):
             search = _Search(chain, owner, part, config)
-            for source in _worth_asking(chain, owner, part, settings):
+            for source in _worth_searching(chain, owner, part, settings):
                 loop = search.loop(source, register, settings)
                 if loop is not None:
                     loops.append(loop)
@@ -129,13 +129,13 @@ def find_loops(
     return _one_a_pair(loops)
 
 
-def _worth_asking(chain: Chain, owner: int, part: Part, settings: AlignConfig) -> list[int]:
+def _worth_searching(chain: Chain, owner: int, part: Part, settings: AlignConfig) -> list[int]:
     """Submaps of later sessions, and of the same one far behind the part."""
     nodes = part.nodes + chain.first(owner)
-    behind = chain.way > chain.way[nodes[-1]] + settings.min_travel_m
+    behind = chain.travelled > chain.travelled[nodes[-1]] + settings.min_travel_m
     own = chain.session == owner
-    asked: list[int] = np.flatnonzero((own & behind) | (chain.session > owner)).tolist()
-    return asked
+    later: list[int] = np.flatnonzero((own & behind) | (chain.session > owner)).tolist()
+    return later
 
 
 class _Search:

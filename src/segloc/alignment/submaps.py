@@ -71,7 +71,7 @@ class Session:
         The numbers of the scans.
     poses : (N, 4, 4) float64
         T_odom_sensor, as recorded.
-    way : (N,) float64
+    travelled : (N,) float64
         Metres travelled up to each scan.
     anchors : (S,) int64
         Positions of the scans that submaps stand at.
@@ -82,7 +82,7 @@ class Session:
     name: str
     indices: Int64
     poses: Float64
-    way: Float64
+    travelled: Float64
     anchors: Int64
     submaps: list[Submap]
     parts: list[Part]
@@ -93,9 +93,9 @@ class Session:
         return np.stack([submap.T_odom_local for submap in self.submaps])
 
     @property
-    def node_way(self) -> Float64:
+    def node_travelled(self) -> Float64:
         """Metres travelled up to each submap, (S,)."""
-        return self.way[self.anchors]
+        return self.travelled[self.anchors]
 
 
 def posed(recording: Recording) -> Float64:
@@ -127,20 +127,20 @@ def describe_session(
         If it has no poses, or nothing in it could be segmented.
     """
     poses = posed(recording)
-    way = geometry.travelled(poses)
-    marks = np.arange(0.0, way[-1] + 1e-9, settings.every_m)
-    anchors = np.unique(np.searchsorted(way, marks - 1e-9)).astype(np.int64)
+    travelled = geometry.travelled(poses)
+    marks = np.arange(0.0, travelled[-1] + 1e-9, settings.every_m)
+    anchors = np.unique(np.searchsorted(travelled, marks - 1e-9)).astype(np.int64)
     parts = _Parts(config, settings, poses[0, :3, 3])
     reader = _Reader(recording, poses, config)
     submaps = []
     for k, anchor in enumerate(map(int, anchors)):
-        submaps.append(_submap(reader, anchor, settings, parts.of(k, float(way[anchor]))))
+        submaps.append(_submap(reader, anchor, settings, parts.of(k, float(travelled[anchor]))))
         if progress:
             progress(k + 1, len(anchors))
     found = parts.finished()
     if not any(len(part.prior_map) for part in found):
         raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
-    return Session(recording.name, recording.indices, poses, way, anchors, submaps, found)
+    return Session(recording.name, recording.indices, poses, travelled, anchors, submaps, found)
 
 
 class _Reader:
@@ -204,9 +204,9 @@ class _Parts:
         self._nodes: dict[int, list[int]] = {}
         self._sites: dict[int, SegmentMap] = {}
 
-    def of(self, node: int, way: float) -> SegmentMap:
+    def of(self, node: int, travelled: float) -> SegmentMap:
         """The map that a submap belongs into."""
-        part = int(way // self._length)
+        part = int(travelled // self._length)
         if part not in self._sites:
             self._nodes[part] = []
             self._sites[part] = empty_map(self._descriptor, self._config, self._origin)

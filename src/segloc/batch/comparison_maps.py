@@ -37,15 +37,15 @@ def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
 
 
 def _near_way(arrays: Mapping[str, Float64]) -> Curve:
-    cloud, way = arrays["cloud"], arrays["trajectory"]
-    near = cKDTree(way).query(cloud, distance_upper_bound=_CLOUD_REACH_M)[0] < _CLOUD_REACH_M
+    cloud, path = arrays["cloud"], arrays["trajectory"]
+    near = cKDTree(path).query(cloud, distance_upper_bound=_CLOUD_REACH_M)[0] < _CLOUD_REACH_M
     return cloud[near, 0], cloud[near, 1]
 
 
 def _way(arrays: Mapping[str, Float64]) -> Curve:
-    way = arrays["trajectory"]
-    breaks = np.flatnonzero(np.linalg.norm(np.diff(way, axis=0), axis=1) > PATH_BREAK_M) + 1
-    broken = np.insert(way, breaks, np.nan, axis=0)
+    path = arrays["trajectory"]
+    breaks = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
+    broken = np.insert(path, breaks, np.nan, axis=0)
     return broken[:, 0], broken[:, 1]
 
 

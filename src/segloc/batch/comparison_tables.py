@@ -45,7 +45,7 @@ class Result:
         return comparison.evaluation(answers, self.arrays, query_set)
 
     def has_negatives(self) -> bool:
-        """Whether the queries were also asked where nothing may be found."""
+        """Whether the queries were also made where nothing may be found."""
         return any(
             "negative" in query_sets
             for found in self.answers.values()
@@ -78,7 +78,7 @@ def _found(results: list[Result], methods: Methods, estimator: str) -> Table:
             rows.append((*described, *counts))
     note = (
         "Queries that were localized rightly; in brackets, where there are any, those that were "
-        "localized falsely. Places: queries that the map's way passes within 3 m; some that it "
+        "localized falsely. Places: queries that the mapped path passes within 3 m; some that it "
         "passes farther off are found, too. "
     )
     return Table(
@@ -181,10 +181,10 @@ def details(results: list[Result], methods: Methods) -> Table:
         "All counts",
         (
             "set", "method", "estimator", "queries", "places", "localized", "right",
-            "right, at a place", "false", "asked elsewhere", "false elsewhere", "median error m",
+            "right, within coverage", "false", "negative queries", "false on negatives", "median error m",
         ),
         tuple(rows),
-        "Right answers off the places are of queries that pass the map's way at more than 3 m.",
+        "Right answers off the places are of queries that pass the mapped path at more than 3 m.",
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Where queries are lost: the stage at which each one that has a place in the map failed."""
+"""Where queries are lost: the stage at which each one within map coverage failed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .. import geometry
 from ..local_cloud import window
 from ..types import Candidate, Float64, Int64, LocalCloud, Matches, Pose
 from ..verification import Verdict
-from .score import PLACE_RADIUS_M, Tolerance, distances_to_path
+from .score import COVERAGE_RADIUS_M, Tolerance, distances_to_path
 
 if TYPE_CHECKING:
     from ..localizer import Localizer
@@ -45,7 +45,7 @@ _SCANS_IN_MEMORY = 64
 
 @dataclass(frozen=True)
 class Case:
-    """One query that has a place in the map.
+    """One query within map coverage.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Case:
     inliers : int
         Of the hypothesis nearest to the truth; 0 if there is none.
     overlap : float
-        Of the live cloud with the map under the true pose.
+        Of the query cloud with the map under the true pose.
     T_map_local : (4, 4) list
         The true pose, aligned.
     """
@@ -127,13 +127,13 @@ def funnel(
     truths: Float64,
     positions: Iterable[int] | None = None,
 ) -> Funnel:
-    """Follow every query that has a place in the map through the stages.
+    """Follow every query within map coverage through the stages.
 
     Parameters
     ----------
     localizer : Localizer
     sequence : Recording
-        With poses, queries gather the scans of the way behind them, as when localizing.
+        With poses, queries gather the scans of the path behind them, as when localizing.
     truths : (N, 4, 4) float64
         True T_map_sensor of the sequence's scans. Where they are good to a metre or two only, the
         alignment with the map corrects them.
@@ -148,7 +148,7 @@ def funnel(
     chosen: Int64 = np.fromiter(
         range(len(sequence)) if positions is None else positions, dtype=np.int64
     )
-    near = distances_to_path(truths[chosen], localizer.prior_map.trajectory) <= PLACE_RADIUS_M
+    near = distances_to_path(truths[chosen], localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
     read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)
     tree = cKDTree(localizer.prior_map.centroids)
     cases = []
@@ -160,7 +160,7 @@ def funnel(
 
 
 def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:
-    """The local cloud of a query: one scan, or with poses those of the way behind it."""
+    """The local cloud of a query: one scan, or with poses those of the path behind it."""
     scans = range(position, position + 1)
     if sequence.poses is not None:
         config = localizer.config.local_cloud

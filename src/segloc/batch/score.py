@@ -18,7 +18,7 @@ from ..types import Float64, Int64, Pose
 
 Bools = NDArray[np.bool_]
 
-PLACE_RADIUS_M = 3.0
+COVERAGE_RADIUS_M = 3.0
 """A query has a place in a map when the map's trajectory passes this close to it."""
 
 PATH_BREAK_M = 35.0
@@ -106,7 +106,7 @@ class Evaluation:
     ----------
     localized, correct, false, within_coverage : (N,) bool
         ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those whose true
-        position the map's trajectory passes within ``PLACE_RADIUS_M``. Without truths all three
+        position the map's trajectory passes within ``COVERAGE_RADIUS_M``. Without truths all three
         are all False.
     translation_error, rotation_error, distance_to_map : (N,) float64
         Metres, degrees, metres; NaN where not known.
@@ -136,7 +136,7 @@ class Evaluation:
             self.rotation_error <= tolerance.degrees
         )
         self.false: Bools = self.localized & ~self.correct & (truths is not None)
-        self.within_coverage: Bools = self.distance_to_map <= PLACE_RADIUS_M
+        self.within_coverage: Bools = self.distance_to_map <= COVERAGE_RADIUS_M
 
     def __len__(self) -> int:
         return len(self.results)

@@ -125,12 +125,12 @@ def _suffix(component: int) -> str:
 
 
 def _write_maps(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
-    from ..alignment.sitemap import build_site
+    from ..alignment.merged_map import build_merged_map
     from .console import progress
 
     for c, members in enumerate(alignment.components):
         with progress("Building the map") as update:
-            prior_map = build_site([aligned[k] for k in members], config, update)
+            prior_map = build_merged_map([aligned[k] for k in members], config, update)
         prior_map.save(out / f"site{_suffix(c)}.segmap")
 
 

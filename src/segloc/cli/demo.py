@@ -74,7 +74,7 @@ def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
 
     rows = [
         row("queries", lambda s: s["queries"]),
-        row("with a place in the map", lambda s: s["within_coverage"]),
+        row("within map coverage", lambda s: s["within_coverage"]),
         row("  localized correctly", lambda s: s["within_coverage_correct"]),
         row("near the map, correctly too", lambda s: s["correct"] - s["within_coverage_correct"]),
         row("localized falsely", lambda s: s["false"]),

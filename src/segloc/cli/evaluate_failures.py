@@ -41,7 +41,7 @@ def failures(
     weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
-    """Show at which stage each query that has a place in the map was lost.
+    """Show at which stage each query within map coverage was lost.
 
     Writes funnel.json, and a picture of each of the failures that the map explains best.
     """
@@ -84,7 +84,7 @@ def show(found: Funnel) -> None:
     """Print a funnel as one table."""
     from .console import table
 
-    rows = [("queries", str(found.queries)), ("with a place in the map", str(len(found.cases)))]
+    rows = [("queries", str(found.queries)), ("within map coverage", str(len(found.cases)))]
     for stage, count in found.counts().items():
         rows.append((f"  {stage}", str(count)))
     rows += [(f"    {gate}", str(count)) for gate, count in found.details().items()]

@@ -50,7 +50,7 @@ def show(recording: Inspectable, found: Inspection) -> None:
         ("rate", number(found.rate_hz, "Hz", 1)),
         ("duration", number(found.duration_s, "s", 1)),
         ("poses", found.poses),
-        ("way", number(found.length_m, "m", 1)),
+        ("path", number(found.length_m, "m", 1)),
         ("points of a scan, median", f"{found.points} ({found.sampled} scans read)"),
         ("points not finite", f"{100 * found.dropped:.2f} %"),
         ("problems", str(len(found.problems)) if found.problems else "none found"),

@@ -48,7 +48,7 @@ def localize(
 ) -> None:
     """Find the scans of a recording in a map, each by itself and without an initial guess.
 
-    With poses, a query is a cloud gathered over the way behind it; otherwise one scan.
+    With poses, a query is a cloud gathered over the path behind it; otherwise one scan.
     """
     from ..batch.run import localize_sequence
     from ..batch.score import Evaluation, Tolerance
@@ -91,10 +91,12 @@ def _positions(
 
     if every is None:
         return np.arange(len(recording), dtype=np.int64)
-    way = recording.poses if recording.poses is not None else truths
-    if way is None:
-        raise ConfigError("--every needs --poses, --odometry or --truth to measure the way")
-    positions = query_positions(way, every, max_gap_m)
+    path = recording.poses if recording.poses is not None else truths
+    if path is None:
+        raise ConfigError(
+            "--every needs --poses, --odometry or --truth to measure the distance travelled"
+        )
+    positions = query_positions(path, every, max_gap_m)
     if not len(positions):
         raise ConfigError(f"--every {every:g}: {recording.name} has no stretch of that length")
     return positions
@@ -108,7 +110,7 @@ def show(summary: dict[str, Any], title: str) -> None:
     if summary["correct"] is not None:
         rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
         found = f"{summary['within_coverage_correct']} of {summary['within_coverage']}"
-        rows.append(("correct, of those with a place in the map", found))
+        rows.append(("correct, of those within map coverage", found))
         for kind, unit in (("translation", "m"), ("rotation", "deg")):
             spread = summary[f"{kind}_error_{unit}"]
             pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"

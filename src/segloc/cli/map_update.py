@@ -29,7 +29,7 @@ def update(
     ],
     select: Select = None,
     max_missed: Annotated[
-        int, typer.Option(min=1, help="Sessions in a row that must look through what is removed.")
+        int, typer.Option(min=1, help="Sessions in a row that must pass through what is removed.")
     ] = 2,
     max_views: Annotated[int, typer.Option(min=0, help="Newest views of an object; 0: all.")] = 0,
     max_segments: Annotated[int, typer.Option(min=0, help="Size of the map; 0: any.")] = 0,

@@ -31,11 +31,11 @@ def odometry(
     recording = cast(Raw, open_sequence(sequence, NO_POSES, topic=topic))
     with progress("Odometry") as update:
         poses = compute_odometry(recording, file, update).poses
-    way = geometry.travelled(poses)[-1]
+    travelled = geometry.travelled(poses)[-1]
     apart = float(((poses[-1, :3, 3] - poses[0, :3, 3]) ** 2).sum() ** 0.5)
     rows = [
         ("scans", str(len(poses))),
-        ("way", number(way, "m", 1)),
+        ("path", number(travelled, "m", 1)),
         ("end to start", number(apart, "m", 1)),
     ]
     table(str(file), ("", ""), rows)

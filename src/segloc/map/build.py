@@ -108,7 +108,7 @@ def map_views(
     every_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[View]:
-    """The views that :func:`build_map` describes, along the way; they depend on no descriptor.
+    """The views that :func:`build_map` describes, along the path; they depend on no descriptor.
 
     Raises
     ------
@@ -142,12 +142,12 @@ def _poses(sequence: Recording) -> Float64:
 
 
 def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tuple[int, range]]:
-    """The views of a map: (index of the reference scan, scans it gathers), along the way."""
-    way = geometry.travelled(poses)
+    """The views of a map: (index of the reference scan, scans it gathers), along the path."""
+    travelled = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []
     for view in config.mapping.views:
-        marks = np.arange(0.0, way[-1] + 1e-9, every_m or view.every_m)
-        for index in np.unique(np.searchsorted(way, marks - 1e-9)):
+        marks = np.arange(0.0, travelled[-1] + 1e-9, every_m or view.every_m)
+        for index in np.unique(np.searchsorted(travelled, marks - 1e-9)):
             gap = config.local_cloud.max_gap_m
             scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
             plan.append((int(index), scans))

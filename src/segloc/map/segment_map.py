@@ -158,7 +158,7 @@ class SegmentMap(SegmentTable):
         self._append(columns)
 
     def add_trajectory(self, poses: ArrayLike) -> None:
-        """Add the way of the sensor: (V, 4, 4) poses T_map_sensor.
+        """Add the path of the sensor: (V, 4, 4) poses T_map_sensor.
 
         It tells which places the map covers, and it is drawn in pictures.
 
@@ -214,13 +214,13 @@ class SegmentMap(SegmentTable):
 
         near = inside(self.centroids[:, :2])
         near_points = inside(self.cloud[:, :2] + self.origin[:2])
-        way = self.trajectory[inside(self.trajectory[:, :2, 3])]
-        return self._part(self._segments(), near, near_points, way)
+        path = self.trajectory[inside(self.trajectory[:, :2, 3])]
+        return self._part(self._segments(), near, near_points, path)
 
     def kept(
         self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
     ) -> SegmentMap:
-        """A new map of some of the segments and points, along the same way.
+        """A new map of some of the segments and points, along the same path.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The segments of a map as columns: checked on the way in, joined when asked for."""
+"""The segments of a map as columns: checked on the way in, joined when needed."""
 
 from __future__ import annotations
 

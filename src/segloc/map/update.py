@@ -31,7 +31,7 @@ class UpdateConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     max_missed: int = Field(
-        2, ge=1, description="sessions in a row that must look through an object to remove it"
+        2, ge=1, description="sessions in a row that must pass through an object to remove it"
     )
     gone_share: float = Field(
         0.6, gt=0, le=1, description="share of an object's points in view that must be gone"
@@ -78,7 +78,7 @@ def update_map(
     update: UpdateConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[SegmentMap, UpdateCounts]:
-    """Add what a session saw to a map, and let go what it saw through.
+    """Add what a session saw to a map, and let go what it passed through.
 
     An object that rays of the session passed through, and that nothing was seen of, is missed once
     more; missed by ``max_missed`` sessions in a row it is removed. What is seen again is missed no

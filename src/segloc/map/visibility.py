@@ -1,9 +1,9 @@
-"""Which points of a map a later session looked through, and which it saw again.
+"""Which points of a map a later session passed through (free-space violations), and which it saw again.
 
-A point was looked through where the sensor measured something well behind it, in the point's
+A point violates free space where the sensor measured something well behind it, in the point's
 direction and in all directions about it. G. Kim, A. Kim, "Remove, then Revert: Static Point Cloud
 Map Construction using Multiresolution Range Images", IROS 2020, compares range images in the same
-way.
+travelled.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .voxel_cloud import VoxelCloud
 
 
 class VisibilityConfig(BaseModel):
-    """When a place counts as looked through."""
+    """When a place counts as a free-space violation."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -33,7 +33,7 @@ class VisibilityConfig(BaseModel):
     bin_deg: float = Field(1.0, gt=0, le=10, description="width of a pixel of the range images")
     margin_m: float = Field(0.7, gt=0, description="what lies this far behind a point is behind it")
     near_m: float = Field(0.4, gt=0, description="a point this near is the same place seen again")
-    min_passes: int = Field(3, ge=1, description="scans that must look through a place")
+    min_passes: int = Field(3, ge=1, description="scans that must pass through a place")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Visibility:
     Attributes
     ----------
     gone : (N,) bool
-        Looked through several times, and nothing seen there.
+        Passed through several times, and nothing seen there.
     seen : (N,) bool
         Something is there still. What is neither was not in view.
     """
@@ -79,16 +79,16 @@ def visibility(
     poses = recording.poses
     if poses is None or not len(poses):
         raise DatasetError(f"{recording.name}: needs a pose in the map for every scan")
-    way = geometry.travelled(poses)
-    marks = np.arange(0.0, way[-1] + 1e-9, config.every_m)
-    chosen = np.unique(np.searchsorted(way, marks - 1e-9))
+    travelled = geometry.travelled(poses)
+    marks = np.arange(0.0, travelled[-1] + 1e-9, config.every_m)
+    chosen = np.unique(np.searchsorted(travelled, marks - 1e-9))
     passes = np.zeros(len(points), np.int32)
     cloud = VoxelCloud(np.empty((0, 3), np.float32), origin, config.near_m / 2)
     for done, i in enumerate(map(int, chosen)):
         scan = recording.scan(i).points
         scan = scan[(scan**2).sum(axis=1) < (2 * config.range_m) ** 2]
         T = geometry.rigid(poses[i, :3, :3], poses[i, :3, 3] - origin)
-        rows = _looked_through(points, T, scan, config)
+        rows = _free_space_violations(points, T, scan, config)
         passes[rows] += 1
         cloud.add_relative(geometry.transform(T, scan).astype(np.float32))
         if progress:
@@ -104,10 +104,10 @@ def _near(points: Float32, others: Float32, radius: float) -> NDArray[np.bool_]:
     return np.isfinite(distances)
 
 
-def _looked_through(
+def _free_space_violations(
     points: Float32, T_map_sensor: Pose, scan: Float32, config: VisibilityConfig
 ) -> Int64:
-    """Rows of the points that one scan looked through."""
+    """Rows of the points that violate free space in one scan."""
     offsets = points - T_map_sensor[:3, 3].astype(np.float32)
     near = np.flatnonzero((offsets**2).sum(axis=1) < config.range_m**2)
     local = (offsets[near].astype(np.float64)) @ T_map_sensor[:3, :3]

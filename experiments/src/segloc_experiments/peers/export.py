@@ -19,7 +19,7 @@ import numpy as np
 
 from segloc import _native, geometry
 from segloc.batch.run import query_positions
-from segloc.batch.score import PLACE_RADIUS_M, distances_to_path
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.datasets import Recording, Sequence, open_sequence
 from segloc.local_cloud import Accumulator, LocalCloudConfig, window
 from segloc.simulation import SCENES, Conditions, Route, SimulatedSequence, hdl64e, simulate_session
@@ -82,7 +82,7 @@ def add_accumulated(
     found: Gathering, recording: Recording, positions: list[int], path: Float64, group: str = "all"
 ) -> None:
     """Queries of the 40 m behind a scan, in a level frame, as a robot has them."""
-    near = distances_to_path(recording.poses, path) <= PLACE_RADIUS_M
+    near = distances_to_path(recording.poses, path) <= COVERAGE_RADIUS_M
     for i in positions:
         cloud = gathered(recording, i, VIEWS_M["long"], centred=False)
         T_map_local = recording.poses[i] @ geometry.inverse(cloud.T_local_sensor)
@@ -109,7 +109,7 @@ def kitti(data: Path, out: Path, protocol: str, every: int) -> None:
     if protocol == "accumulated":
         add_accumulated(found, Cached(drive), positions, prior_map.poses)
     else:
-        near = distances_to_path(drive.poses, prior_map.poses) <= PLACE_RADIUS_M
+        near = distances_to_path(drive.poses, prior_map.poses) <= COVERAGE_RADIUS_M
         for i in positions:
             found.add(drive.scan(i).points, drive.poses[i], 1, bool(near[i]))
     write_map(prior_map, out / protocol)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map
-from segloc.batch.score import PLACE_RADIUS_M, distances_to_path
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.datasets import Sequence, open_sequence
 from segloc.tracker import Tracker
 
@@ -58,7 +58,7 @@ def main() -> None:
         errors = held(Localizer(prior_map, config), drive, args.every)
         assert drive.poses is not None
         beside = distances_to_path(drive.poses[:: args.every], prior_map.trajectory)
-        place, right = beside <= PLACE_RADIUS_M, errors <= FALSE_M
+        place, right = beside <= COVERAGE_RADIUS_M, errors <= FALSE_M
         cells = [
             mapped,
             driven,

@@ -12,7 +12,7 @@ from ..map.segment_map import SegmentMap
 from ..types import Recording
 
 
-def build_site(
+def build_merged_map(
     recordings: Sequence[Recording],
     config: Config,
     progress: Callable[[int, int], None] | None = None,
