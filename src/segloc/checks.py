@@ -14,6 +14,16 @@ Float64 = NDArray[np.float64]
 Pose = NDArray[np.float64]
 
 
+MOST_METRES = 1e8
+"""Positions farther from the origin of any frame are refused: UTM and ECEF coordinates are below
+1e7 m, and a float64 still tells 1e-8 m apart."""
+
+MOST_LOCAL_METRES = 1e5
+"""A local cloud's points lie around the sensor: farther ones are in another frame or unit."""
+
+_WIDEST_ROW = 64  # (3, N) instead of (N, 3)
+
+
 def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
     try:
         return np.asarray(values, dtype=dtype)
@@ -21,14 +31,63 @@ def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> ND
         raise InvalidScan(f"{name} must be an array of numbers") from error
 
 
-def checked_points(points: ArrayLike) -> Float32:
-    array = as_array(points, "points")
+def checked_points(points: ArrayLike, name: str = "points") -> Float32:
+    """The x, y, z of ``points`` as (N, 3) float32, C-contiguous; values may be infinite or NaN.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape or dtype is wrong.
+    """
+    array = as_array(points, name)
     if array.ndim != 2 or array.shape[1] < 3:
-        raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
+        raise InvalidScan(f"{name} must have shape (N, 3) or wider, not {array.shape}")
+    if array.shape[0] == 3 and array.shape[1] > _WIDEST_ROW:
+        raise InvalidScan(f"{name} must have shape (N, 3), not {array.shape}: transpose them")
     if not np.issubdtype(array.dtype, np.floating):
-        raise InvalidScan(f"points must be floating point, not {array.dtype}")
-    with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf: dropped
+        raise InvalidScan(f"{name} must be floating point, not {array.dtype}")
+    with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf
         return np.ascontiguousarray(array[:, :3], dtype=np.float32)
+
+
+def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+    """``values`` in a dtype and shape (-1: any), C-contiguous; copied only where needed.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape or dtype is wrong, or a value is not finite; names the first such row.
+    """
+    array = as_array(values, name)
+    fits = array.ndim == len(shape) and all(
+        wanted in (-1, found) for wanted, found in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise InvalidScan(f"{name} must have shape {_shown(shape)}, not {array.shape}")
+    if array.dtype.kind not in ("f" if np.issubdtype(dtype, np.floating) else "iu"):
+        raise InvalidScan(f"{name} cannot have dtype {array.dtype}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        rows = np.ascontiguousarray(array, dtype=dtype)
+    check_finite(rows, name)
+    return rows
+
+
+def check_finite(rows: NDArray[Any], name: str, most: float = np.inf) -> None:
+    """Refuse values that are not finite, or beyond ``most``; names the first row with one.
+
+    Raises
+    ------
+    InvalidScan
+    """
+    if rows.dtype.kind != "f" or not rows.size:
+        return
+    flat = rows.reshape(len(rows), -1)
+    with np.errstate(invalid="ignore"):
+        good = np.abs(flat) <= most if np.isfinite(most) else np.isfinite(flat)
+    if not good.all():
+        row = int(np.flatnonzero(~good.all(axis=1))[0])
+        fault = "is not finite" if not np.isfinite(flat[row]).all() else f"is beyond {most:g} m"
+        raise InvalidScan(f"{name}: row {row} {fault}")
 
 
 def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
@@ -40,13 +99,33 @@ def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
     return array
 
 
+def checked_stamp(stamp: float | None) -> float | None:
+    """A stamp as a finite float, or None.
+
+    Raises
+    ------
+    InvalidScan
+        If it is no finite number.
+    """
+    if stamp is None:
+        return None
+    try:
+        value = float(stamp)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"stamp must be a number of seconds, not {stamp!r}") from error
+    if not np.isfinite(value):
+        raise InvalidScan(f"stamp must be finite, not {value}")
+    return value
+
+
 def checked_pose(pose: ArrayLike, name: str) -> Pose:
     """A copy of ``pose`` as a (4, 4) float64 rigid transform.
 
     Raises
     ------
     InvalidScan
-        If the shape is wrong, a value is not finite, or the rotation is not one (to 1e-3).
+        If the shape is wrong, a value is not finite, the rotation is not one (to 1e-3), or the
+        position is farther than ``MOST_METRES`` from the origin.
     """
     T: Pose = as_array(pose, name, np.float64).copy()
     if T.shape != (4, 4):
@@ -54,8 +133,16 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     R = T[:3, :3]
     if not np.isfinite(T).all():
         raise InvalidScan(f"{name} has values that are not finite")
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+    if np.abs(T[:3, 3]).max() > MOST_METRES:
+        raise InvalidScan(f"{name} lies {np.abs(T[:3, 3]).max():.3g} m from the origin: metres?")
+    if np.abs(R).max() > 2 or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
         raise InvalidScan(f"{name} is not a rigid transform")
     if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InvalidScan(f"{name} must end with the row 0 0 0 1")
     return T
+
+
+def _shown(shape: tuple[int, ...]) -> str:
+    return (
+        "(" + ", ".join("N" if n < 0 else str(n) for n in shape) + ("," * (len(shape) == 1)) + ")"
+    )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
@@ -17,6 +17,7 @@ from .map.merge import TEXT_SEPARATOR
 from .map.segment_map import SegmentMap
 from .matching import MatchingConfig
 from .pose import PoseConfig
+from .section import Section
 from .segmentation import SegmentationConfig
 from .verification import VerificationConfig, shipped_confidence
 
@@ -44,15 +45,13 @@ FOR_USERS = (
 """What users may want to set. The confidence was fitted under the others."""
 
 
-class Config(BaseModel):
+class Config(Section):
     """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: str = Field(DEFAULT_METHOD, description="how segments are described")
     weights: Path | None = Field(None, description="trained weights in place of the shipped ones")
-    threads: int = Field(0, ge=0, description="0: all cores; results do not depend on it")
-    seed: int = Field(0, ge=0, description="of the estimators that draw samples")
+    threads: int = Field(0, ge=0, le=1024, description="0: all cores; results do not depend on it")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="of the estimators that draw samples")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
     segmentation: SegmentationConfig = SegmentationConfig()
     mapping: MappingConfig = MappingConfig()

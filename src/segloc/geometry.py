@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from .section import Section
 from .types import Pose
 
 
@@ -93,12 +94,10 @@ def rotated_covariance(
     return rotated
 
 
-class Separation(BaseModel):
+class Separation(Section):
     """Poses closer than this are one place."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    metres: float = Field(3.0, gt=0, description="horizontal distance")
+    metres: float = Field(3.0, gt=0, le=1000, description="horizontal distance")
     degrees: float = Field(15.0, gt=0, le=180, description="difference of the headings")
 
     def apart(self, T_a: Pose, T_b: Pose) -> bool:

@@ -7,23 +7,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from . import geometry
 from .errors import InvalidScan
+from .section import Section
 from .types import LocalCloud, Pose, Scan
 
 
-class LocalCloudConfig(BaseModel):
+class LocalCloudConfig(Section):
     """How scans are gathered."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     radius_m: float = Field(
-        50.0, gt=0, description="points farther away (horizontally) are left out"
+        50.0, ge=1, le=1000, description="points farther away (horizontally) are left out"
     )
-    window_m: float = Field(40.0, ge=0, description="travelled distance that a query's cloud spans")
-    max_gap_m: float = Field(10.0, gt=0, description="a longer step between scans ends the window")
+    window_m: float = Field(
+        40.0, ge=0, le=10_000, description="travelled distance that a query's cloud spans"
+    )
+    max_gap_m: float = Field(
+        10.0, gt=0, le=10_000, description="a longer step between scans ends the window"
+    )
 
 
 def window(
@@ -61,32 +64,33 @@ def _walk(positions: NDArray[Any], index: int, step: int, length: float, max_gap
     return index
 
 
+Scans = Scan | Sequence[Scan] | NDArray[Any]
+"""What a local cloud is gathered from: one scan, an (N, 3) array of its points, or several scans."""
+
+
 class Accumulator:
     """Gathers scans into a local cloud."""
 
     def __init__(self, config: LocalCloudConfig | None = None) -> None:
         self.config = config or LocalCloudConfig()
 
-    def gather(self, scans: Scan | Sequence[Scan], reference: int = -1) -> LocalCloud:
+    def gather(self, scans: Scans, reference: int = -1) -> LocalCloud:
         """The local cloud of one scan or of several posed ones.
 
         Parameters
         ----------
-        scans : Scan or sequence of Scan
+        scans : Scan, (N, 3) array, or list of Scan
             With more than one scan, each needs its ``T_odom_sensor``. A single scan without a pose
-            is taken as level.
+            is taken as level; so is an array, which is the points of one scan.
         reference : int
             The scan whose pose is wanted; the last one by default.
 
         Raises
         ------
         InvalidScan
-            If there is no scan, or one of several has no pose.
+            If there is no scan, one of several has no pose, or they are something else.
         """
-        if isinstance(scans, Scan):
-            scans = [scans]
-        if not scans:
-            raise InvalidScan("no scan given")
+        scans = _listed(scans)
         anchor = scans[reference]
         T_odom_local = _levelled_pose(anchor)
         clouds = [self._crop(scan, T_odom_local, single=len(scans) == 1) for scan in scans]
@@ -106,6 +110,25 @@ class Accumulator:
         radius = self.config.radius_m
         near = (points[:, 0] ** 2 + points[:, 1] ** 2 < radius**2) & (np.abs(points[:, 2]) < radius)
         return np.ascontiguousarray(points[near])
+
+
+def _listed(scans: Scans) -> Sequence[Scan]:
+    if isinstance(scans, Scan):
+        return [scans]
+    if isinstance(scans, np.ndarray):
+        return [Scan(scans)]
+    if not isinstance(scans, (list, tuple)):
+        kind = type(scans).__name__
+        raise InvalidScan(
+            f"scans must be a Scan, an (N, 3) array or a list of Scan, not {kind}: "
+            "make a list of a generator, and a Scan of points"
+        )
+    if not scans:
+        raise InvalidScan("no scan given")
+    for i, scan in enumerate(scans):
+        if not isinstance(scan, Scan):
+            raise InvalidScan(f"scans[{i}] must be a Scan, not {type(scan).__name__}")
+    return scans
 
 
 def _levelled_pose(scan: Scan) -> Pose:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from . import geometry
 from .config import Config, query_config
 from .descriptors import create
-from .errors import MapMismatch
-from .local_cloud import Accumulator
+from .errors import ConfigError, MapMismatch
+from .local_cloud import Accumulator, Scans
 from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
 from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, LocalCloud, Matches, Pose, Scan
+from .types import Candidate, Descriptors, LocalCloud, Matches, Pose
 from .verification import RefinedScore, Score, Verdict, Verifier
 
 
@@ -73,6 +73,13 @@ class Localizer:
     MapMismatch
         If the map was described by another method, by other weights or by another version of its
         descriptor.
+    ConfigError
+        If it is given something else than a map.
+
+    Notes
+    -----
+    Any number of threads may use one localizer at once: queries change nothing in it. It can be
+    pickled, and used on both sides of a fork.
     """
 
     def __init__(
@@ -82,12 +89,21 @@ class Localizer:
         *,
         clock: Clock = time.perf_counter,
     ) -> None:
+        if not isinstance(prior_map, SegmentMap):
+            raise ConfigError(
+                f"a Localizer needs a SegmentMap, not {type(prior_map).__name__}: "
+                "load one by SegmentMap.load(path)"
+            )
         config, self.notes = query_config(prior_map, config)
         threads = config.threads
         self.prior_map, self.config, self._clock = prior_map, config, clock
         self.accumulator = Accumulator(config.local_cloud)
         self.segmenter = Segmenter(config.segmentation)
         self.descriptor = create(prior_map.descriptor, threads, config.weights)
+        if self.descriptor.dim != prior_map.dim:
+            raise MapMismatch(
+                f"the map's vectors have {prior_map.dim} numbers, not {self.descriptor.dim}"
+            )
         if self.descriptor.fingerprint != prior_map.fingerprint:
             raise MapMismatch(
                 f"the map was described by {prior_map.fingerprint}, not by "
@@ -105,25 +121,29 @@ class Localizer:
             threads=threads,
         )
 
-    def localize(self, scans: Scan | Sequence[Scan] | LocalCloud) -> Localization:
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by its map and configuration, and made anew: so it goes to other processes."""
+        return _restored, (self.prior_map, self.config, self._clock)
+
+    def localize(self, scans: Scans | LocalCloud) -> Localization:
         """The pose of the (last) scan in the map, or the reason why there is none.
 
         Parameters
         ----------
-        scans : Scan, sequence of Scan, or LocalCloud
-            One scan; or consecutive ones with odometry poses, of which the last is the query.
+        scans : Scan, (N, 3) array, list of Scan, or LocalCloud
+            One scan, or its points; or consecutive ones with odometry poses, of which the last is
+            the query.
 
         Raises
         ------
         InvalidScan
-            If several scans are given without poses. Never raised for "not found".
+            If several scans are given without poses, or something else. Never raised for "not
+            found".
         """
         times = StageTimes(self._clock)
         return self.locate(self.describe(scans, times), times)
 
-    def describe(
-        self, scans: Scan | Sequence[Scan] | LocalCloud, times: StageTimes | None = None
-    ) -> Query:
+    def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Scans -> local cloud -> segments -> descriptors."""
         times = times or StageTimes(self._clock)
         with times("gathering"):
@@ -167,6 +187,10 @@ class Localizer:
                 break
         assert best is not None  # no schedule is empty
         return best
+
+
+def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:
+    return Localizer(prior_map, config, clock=clock)
 
 
 def _answer(query: Query, found: Search, times: StageTimes) -> Localization:

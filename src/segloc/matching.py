@@ -3,39 +3,48 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from . import _native
 from .descriptors import Pruner
 from .map.segment_map import SegmentMap
+from .section import Section
 from .types import Descriptors, Float32, Int64, Matches
 
 Nearest = tuple[Int64, Float32]
 """Map segments and their distances, (P, K), nearest first."""
 
 
-class MatchingConfig(BaseModel):
+class MatchingConfig(Section):
     """How many candidates a segment gets."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    neighbours: int = Field(25, ge=1, description="map segments proposed for each query segment")
-    growth: float = Field(
-        0.6, ge=0, description="they grow with this power of the map's size; 0: they do not"
+    neighbours: int = Field(
+        25, ge=1, le=10000, description="map segments proposed for each query segment"
     )
-    grows_from: int = Field(50_000, ge=1, description="segments of a map from which they grow")
-    max_neighbours: int = Field(200, ge=1, description="up to so many")
+    growth: float = Field(
+        0.6, ge=0, le=4, description="they grow with this power of the map's size; 0: they do not"
+    )
+    grows_from: int = Field(
+        50_000, ge=1, le=1000000000000, description="segments of a map from which they grow"
+    )
+    max_neighbours: int = Field(200, ge=1, le=10000, description="up to so many")
     escalation: int = Field(
         4,
         ge=1,
+        le=1000,
         description="times as many, once, where too few segments agree on a pose; 1: never",
     )
-    max_escalated: int = Field(400, ge=1, description="up to so many")
+    max_escalated: int = Field(400, ge=1, le=10000, description="up to so many")
     indexed_from: int = Field(
-        100_000, ge=1, description="larger maps are searched through an index, not exactly"
+        100_000,
+        ge=1,
+        le=1000000000000,
+        description="larger maps are searched through an index, not exactly",
     )
-    list_size: int = Field(1000, ge=1, description="segments in a list of the index")
-    probes: int = Field(48, ge=1, description="lists that are read for each query segment")
+    list_size: int = Field(1000, ge=1, le=1000000000, description="segments in a list of the index")
+    probes: int = Field(
+        48, ge=1, le=1000000, description="lists that are read for each query segment"
+    )
     min_probability: float = Field(
         0.5,
         ge=0,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,9 +45,9 @@ class Motion:
         if not (np.diff(self.stamps) > 0).all():
             raise ConfigError("the stamps of a motion must rise")
 
-    @cached_property
-    def _slerp(self) -> Slerp:
-        return Slerp(self.stamps, Rotation.from_matrix(self.poses[:, :3, :3]))
+    def _rotations(self, times: Float64) -> Float64:
+        slerp = Slerp(self.stamps, Rotation.from_matrix(self.poses[:, :3, :3]))
+        return np.asarray(slerp(times).as_matrix(), dtype=np.float64)
 
     def at(self, times: ArrayLike) -> Float64:
         """Poses (N, 4, 4) at times (N,); before the first knot and after the last it rests.
@@ -63,7 +62,7 @@ class Motion:
             raise ConfigError("a motion is evaluated at a time that is not finite")
         inside = np.clip(wanted, self.stamps[0], self.stamps[-1])
         T = np.tile(np.eye(4), (len(inside), 1, 1))
-        T[:, :3, :3] = self._slerp(inside).as_matrix()
+        T[:, :3, :3] = self._rotations(inside)
         for axis in range(3):
             T[:, axis, 3] = np.interp(inside, self.stamps, self.poses[:, axis, 3])
         return T

@@ -4,39 +4,45 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from . import _native
 from .geometry import Separation
+from .section import Section
 from .types import Candidate, Float64, Int64, Matches
 
 
-class PoseConfig(BaseModel):
+class PoseConfig(Section):
     """How candidate poses are found."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     estimator: Literal["consensus", "prosac", "ransac"] = Field(
         "consensus", description="consensus: yaw and translation, by votes; the others: SE(3)"
     )
     edge_tolerance: float = Field(
-        0.5, gt=0, description="edges of a sample differ by less, metres (prosac, ransac)"
+        0.5, gt=0, le=100, description="edges of a sample differ by less, metres (prosac, ransac)"
     )
-    inlier_tolerance: float = Field(0.6, gt=0, description="a match fits a pose below this, metres")
-    height_tolerance: float = Field(1.0, gt=0, description="the same along z, metres")
+    inlier_tolerance: float = Field(
+        0.6, gt=0, le=100, description="a match fits a pose below this, metres"
+    )
+    height_tolerance: float = Field(1.0, gt=0, le=1000, description="the same along z, metres")
     min_edge: float = Field(
-        3.0, gt=0, description="samples closer than this are not used, metres (prosac, ransac)"
+        3.0,
+        gt=0,
+        le=1000,
+        description="samples closer than this are not used, metres (prosac, ransac)",
     )
     distinct_radius: float = Field(
-        1.0, ge=0, description="segments closer than this count as one inlier, metres"
+        1.0, ge=0, le=1000, description="segments closer than this count as one inlier, metres"
     )
     separation: Separation = Separation()
-    max_refined: int = Field(128, ge=1, description="candidates refined by consensus")
-    max_draws: int = Field(2_000_000, ge=1, description="samples of prosac and ransac at most")
+    max_refined: int = Field(128, ge=1, le=100_000, description="candidates refined by consensus")
+    max_draws: int = Field(
+        2_000_000, ge=1, le=10**9, description="samples of prosac and ransac at most"
+    )
     chance: float = Field(
         0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"
     )
-    max_candidates: int = Field(8, ge=1, description="candidates handed to verification")
+    max_candidates: int = Field(8, ge=1, le=1000, description="candidates handed to verification")
 
 
 class PoseEstimator:

@@ -3,45 +3,56 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from . import _native
+from .section import Section
 from .types import Float32, LocalCloud, Segments
 
+HeightAboveGround = Annotated[float, Field(ge=-100, le=100)]
 
-class ClusterConfig(BaseModel):
+
+class ClusterConfig(Section):
     """Parameters that follow the density of the cloud."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    voxel_size: float = Field(gt=0, description="edge of the voxel grid, metres")
-    tolerance: float = Field(gt=0, description="points closer than this belong together, metres")
-    min_points: int = Field(ge=1, description="points of the smallest segment")
-    max_points: int = Field(15_000, ge=1, description="points of the largest segment")
-    height_cuts: tuple[float, ...] = Field(
+    voxel_size: float = Field(ge=0.01, le=10, description="edge of the voxel grid, metres")
+    tolerance: float = Field(
+        ge=0.01, le=50, description="points closer than this belong together, metres"
+    )
+    min_points: int = Field(ge=1, le=10**9, description="points of the smallest segment")
+    max_points: int = Field(15_000, ge=1, le=10**9, description="points of the largest segment")
+    height_cuts: tuple[HeightAboveGround, ...] = Field(
         (0.6, 1.2),
+        min_length=1,
+        max_length=16,
         description="clusters are formed above each of these heights over ground, metres",
     )
 
 
-class SegmentationConfig(BaseModel):
+class SegmentationConfig(Section):
     """Segmentation of accumulated clouds and of single scans."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     accumulated: ClusterConfig = ClusterConfig(voxel_size=0.2, tolerance=0.4, min_points=30)
     single: ClusterConfig = ClusterConfig(voxel_size=0.1, tolerance=0.7, min_points=10)
-    ground_cell: float = Field(1.0, gt=0, description="edge of a cell of the ground grid, metres")
-    ground_slope: float = Field(0.2, gt=0, description="steepest ground, rise over run")
+    ground_cell: float = Field(
+        1.0, ge=0.05, le=100, description="edge of a cell of the ground grid, metres"
+    )
+    ground_slope: float = Field(0.2, gt=0, le=10, description="steepest ground, rise over run")
     ground_step: float = Field(
-        0.3, gt=0, description="neighbouring cells of ground differ by less, metres"
+        0.3, gt=0, le=100, description="neighbouring cells of ground differ by less, metres"
     )
     structure_height: float = Field(
-        0.4, description="points higher above ground than this serve verification, metres"
+        0.4,
+        ge=-100,
+        le=100,
+        description="points higher above ground than this serve verification, metres",
     )
-    ground_voxel: float = Field(1.0, gt=0, description="the others are thinned to this, metres")
+    ground_voxel: float = Field(
+        1.0, ge=0.01, le=100, description="the others are thinned to this, metres"
+    )
 
 
 @dataclass(frozen=True)

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from . import geometry
 from .checks import checked_pose
+from .local_cloud import Scans
 from .localization import Reason
 from .localizer import Localizer
-from .types import LocalCloud, Pose, Scan
+from .section import Section
+from .types import LocalCloud, Pose
 
 
-class TrackerConfig(BaseModel):
+class TrackerConfig(Section):
     """When hypotheses of different queries support each other."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     min_confidence: float = Field(0.3, ge=0, le=1, description="less likely ones are not kept")
     tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
@@ -93,12 +92,12 @@ class Tracker:
         self._travelled = 0.0
         self._last: Pose | None = None
 
-    def update(self, scans: Scan | Sequence[Scan] | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
+    def update(self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
         """Take the next query.
 
         Parameters
         ----------
-        scans : Scan, sequence of Scan, or LocalCloud
+        scans : Scan, (N, 3) array, list of Scan, or LocalCloud
             As for :meth:`Localizer.localize`.
         T_odom_sensor : (4, 4) array
             Pose of the (last) scan's sensor in the odometry's frame, whose z axis points up.
@@ -118,7 +117,7 @@ class Tracker:
         self._forget()
         return self._answer(view)
 
-    def _view(self, scans: Scan | Sequence[Scan] | LocalCloud, T_odom_sensor: Pose) -> _Kept | None:
+    def _view(self, scans: Scans | LocalCloud, T_odom_sensor: Pose) -> _Kept | None:
         """What one query says, if that is worth keeping.
 
         Where several places look alike, it says nothing: such views agree with one another at wrong

@@ -8,7 +8,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import checked_points, checked_pose, checked_times
+from .checks import (
+    MOST_LOCAL_METRES,
+    check_finite,
+    checked_points,
+    checked_pose,
+    checked_rows,
+    checked_stamp,
+    checked_times,
+)
+from .errors import InvalidScan
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -61,7 +70,7 @@ class Scan:
             stamps = None if stamps is None else stamps[finite]
         self.points: Float32 = xyz
         self.times: Float64 | None = stamps
-        self.stamp = stamp
+        self.stamp = checked_stamp(stamp)
         self.T_odom_sensor: Pose | None = (
             None if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
         )
@@ -126,12 +135,28 @@ class LocalCloud:
         How many scans the points come from.
     stamp : float or None
         Stamp of the reference scan.
+
+    Raises
+    ------
+    InvalidScan
+        If a shape or dtype is wrong, or a value is not finite or beyond all reason. Other float
+        types and layouts are converted.
     """
 
     points: Float32
     T_local_sensor: Pose
     num_scans: int = 1
     stamp: float | None = None
+
+    def __post_init__(self) -> None:
+        points = checked_points(self.points)
+        check_finite(points, "points", MOST_LOCAL_METRES)
+        object.__setattr__(self, "points", points)
+        T = checked_pose(self.T_local_sensor, "T_local_sensor")
+        object.__setattr__(self, "T_local_sensor", T)
+        object.__setattr__(self, "stamp", checked_stamp(self.stamp))
+        if not isinstance(self.num_scans, int) or self.num_scans < 1:
+            raise InvalidScan(f"num_scans must be a positive whole number, not {self.num_scans!r}")
 
 
 @dataclass(frozen=True)
@@ -148,12 +173,37 @@ class Segments:
         Mean of each segment's points, local frame.
     heights : (P,) float32
         Height of each centroid above the ground below it, metres.
+
+    Raises
+    ------
+    InvalidScan
+        If shapes do not fit, or a value is not finite; names the field and the row.
     """
 
     points: Float32
     offsets: Int64
     centroids: Float64
     heights: Float32
+
+    def __post_init__(self) -> None:
+        points = checked_rows(self.points, "points", (-1, 3), np.float32)
+        offsets = checked_rows(self.offsets, "offsets", (-1,), np.int64)
+        count = len(offsets) - 1
+        if (
+            count < 0
+            or offsets[0] != 0
+            or offsets[-1] != len(points)
+            or (np.diff(offsets) < 0).any()
+        ):
+            raise InvalidScan(f"offsets must rise from 0 to the number of points, {len(points)}")
+        centroids = checked_rows(self.centroids, "centroids", (count, 3), np.float64)
+        heights = checked_rows(self.heights, "heights", (count,), np.float32)
+        for name, rows in zip(
+            ("points", "offsets", "centroids", "heights"),
+            (points, offsets, centroids, heights),
+            strict=True,
+        ):
+            object.__setattr__(self, name, rows)
 
     def __len__(self) -> int:
         return len(self.centroids)

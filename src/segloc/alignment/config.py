@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from ..section import Section
 
 
-class AlignConfig(BaseModel):
+class AlignConfig(Section):
     """Settings of the alignment of sessions."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    every_m: float = Field(
-        6.0, gt=0, allow_inf_nan=False, description="travel between submaps: nodes of the graph"
-    )
+    every_m: float = Field(6.0, gt=0, description="travel between submaps: nodes of the graph")
     submap_m: float = Field(16.0, ge=0, description="travel that a submap's cloud spans for ICP")
     part_m: float = Field(
         200.0, gt=0, description="travel of the parts that sessions are searched in: little drift"

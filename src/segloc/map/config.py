@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from ..section import Section
 
 
-class ViewConfig(BaseModel):
+class ViewConfig(Section):
     """One length of local cloud that a map is built from."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    length_m: float = Field(
+        ge=0, le=10_000, description="travelled distance a view spans; 0: single scans"
+    )
+    every_m: float = Field(ge=0.05, le=10_000, description="distance between views")
 
-    length_m: float = Field(ge=0, description="travelled distance a view spans; 0: single scans")
-    every_m: float = Field(gt=0, description="distance between views")
 
-
-class MappingConfig(BaseModel):
+class MappingConfig(Section):
     """What a map keeps: views of several lengths, since short ones match single scans best."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     views: tuple[ViewConfig, ...] = Field(
         (
@@ -26,4 +26,6 @@ class MappingConfig(BaseModel):
         ),
         description="local clouds that segments are cut from, metres",
     )
-    cloud_voxel: float = Field(0.3, gt=0, description="voxel of the cloud kept for verification")
+    cloud_voxel: float = Field(
+        0.3, ge=0.01, le=10, description="voxel of the cloud kept for verification"
+    )

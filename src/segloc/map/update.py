@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial import cKDTree
 
 from ..config import Config, map_config
 from ..errors import SeglocError
+from ..section import Section
 from ..types import Float64, Recording
 from .build import build_map
 from .segment_map import SegmentMap
@@ -25,10 +26,8 @@ _RADII_M = (0.5, 2.5)
 _LEAST_POINTS = 4
 
 
-class UpdateConfig(BaseModel):
+class UpdateConfig(Section):
     """How long a map remembers what is no longer there, and how large it may grow."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     max_missed: int = Field(
         2, ge=1, description="sessions in a row that must pass through an object to remove it"

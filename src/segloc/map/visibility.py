@@ -13,20 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import DatasetError
+from ..section import Section
 from ..types import Float32, Float64, Int64, Pose, Recording
 from .voxel_cloud import VoxelCloud
 
 
-class VisibilityConfig(BaseModel):
+class VisibilityConfig(Section):
     """When a place counts as a free-space violation."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     every_m: float = Field(1.0, gt=0, description="travel between the scans that are looked at")
     range_m: float = Field(30.0, gt=0, description="rays are judged up to here")

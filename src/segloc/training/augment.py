@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from ..section import Section
 from ..types import Float32
 
 
-class AugmentConfig(BaseModel):
+class AugmentConfig(Section):
     """How strongly training segments are changed."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     yaw: bool = Field(True, description="turn by any angle about z")
     drop: float = Field(0.1, ge=0, lt=1, description="largest share of points dropped at random")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..descriptors.pointset import Alignment
+from ..section import Section
 from .augment import AugmentConfig
 from .dataset import FAR_M
 from .sampling import Sampler
@@ -15,10 +16,8 @@ from .sampling import Sampler
 Loss = Literal["info_nce", "triplet", "esm", "multi_similarity"]
 
 
-class TrainConfig(BaseModel):
+class TrainConfig(Section):
     """Everything that decides how a network comes out."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     network: str = Field("dsm", description="one of training.tasks.MODULES")
     alignment: Alignment = "pca2d"

@@ -8,12 +8,13 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial import cKDTree
 
 from .. import _native, geometry
 from ..errors import DatasetError
 from ..local_cloud import Accumulator, LocalCloudConfig, window
+from ..section import Section
 from ..segmentation import Segmentation
 from ..types import Float32, Float64, Int64, LocalCloud, Pose, Recording, Scan
 from .dataset import packed
@@ -21,25 +22,21 @@ from .labels import LabelConfig
 from .session_registration import Registration
 
 Segment = Callable[[LocalCloud], Segmentation]
-Length = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=0)]
 
 _IDENTITY_VOXEL_M = 0.3
 _IDENTITY_POINTS = 12
 _STRUCTURE_VOXEL_M = 0.5
 
 
-class ExtractConfig(BaseModel):
+class ExtractConfig(Section):
     """Which local clouds become training segments, and which of them show one object."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     lengths_m: tuple[Length, ...] = Field(
         (40.0, 16.0, 0.0), min_length=1, description="way that clouds span; 0 is a single scan"
     )
     swathe_m: float = Field(30.0, gt=0, description="the same for push-broom sensors")
-    every_m: float = Field(
-        10.0, gt=0, allow_inf_nan=False, description="distance between local clouds"
-    )
+    every_m: float = Field(10.0, gt=0, description="distance between local clouds")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
     label: LabelConfig = LabelConfig()
     max_points: int = Field(2048, ge=1, description="points kept of a segment, chosen at random")

@@ -9,23 +9,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from .. import _native
 from ..descriptors import create
 from ..descriptors.random_forest import ForestDescriptor, PairForest, Trees, save_forest
 from ..errors import ConfigError, DatasetError, MissingDependency
 from ..matching import MatchingConfig
+from ..section import Section
 from ..types import Float32, Int64
 from .dataset import SegmentDataset
 
 Progress = Callable[[str], None]
 
 
-class ForestConfig(BaseModel):
+class ForestConfig(Section):
     """How a forest is grown, and from which pairs."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     trees: int = Field(25, ge=1)
     max_leaves: int = Field(512, ge=2, description="of one tree: bounds the size of the file")

@@ -7,18 +7,17 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial import cKDTree
 
+from ..section import Section
 from ..types import Float64, Int64
 
 _LEAST_EXTENT_M = 0.4
 
 
-class LabelConfig(BaseModel):
+class LabelConfig(Section):
     """When two segments show one object."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     same_m: float = Field(0.5, gt=0, description="centroids of one object lie this close")
     rule: Literal["extents", "centroids"] = Field(

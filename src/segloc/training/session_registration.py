@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from .. import _native, geometry
 from ..registration import Aligner, Registered, Target, thinned
+from ..section import Section
 from ..types import Float32, Pose
 
 _LEAST_POINTS = 200
@@ -18,10 +19,8 @@ LEAST_MET = 0.2
 """Local clouds that meet less of the structure saw a place that no earlier session knows."""
 
 
-class RegisterConfig(BaseModel):
+class RegisterConfig(Section):
     """How local clouds are aligned with earlier sessions, and what is believed."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     radius_m: float = Field(40.0, gt=0, description="points around the sensor that are aligned")
     voxel_m: float = Field(0.5, gt=0)

@@ -6,9 +6,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..errors import ConfigError
+from ..section import Section
 from ..simulation import (
     PLATFORMS,
     SCENES,
@@ -27,10 +28,8 @@ _CARRIERS = {"town": ("car",)}
 _WALKERS = ("wheeled", "legged", "handheld")
 
 
-class Drive(BaseModel):
+class Drive(Section):
     """One session of a world."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sensor: str
     thin: int = Field(1, ge=1, description="every so many firings: faster scans of fewer points")
@@ -43,10 +42,8 @@ class Drive(BaseModel):
     raised_m: float = Field(description="of its sensor above where it usually sits")
 
 
-class WorldSpec(BaseModel):
+class WorldSpec(Section):
     """One world, and the sessions that are driven in it; the same again for the same values."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     scene: str
     seed: int = Field(ge=0)

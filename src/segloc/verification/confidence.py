@@ -9,19 +9,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from ..errors import WeightsError
+from ..section import Section
 from .evidence import Evidence, Score
 
 FEATURES = ("seen", "inliers_over_rival", "overlap_over_rival", "seen_over_rival")
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 
 
-class Chance(BaseModel):
+class Chance(Section):
     """What wrong poses reach by chance; it stands in for what is not known of rivals."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     inliers: int = Field(ge=1, description="so many segments agree on some pose of any map")
     overlap: float = Field(ge=0, le=1, description="so well do clouds agree somewhere in any map")
@@ -31,7 +30,7 @@ class Chance(BaseModel):
     )
 
 
-class ConfidenceModel(BaseModel):
+class ConfidenceModel(Section):
     """Probability that a candidate is right.
 
     The features compare a candidate with the best ones at other places of the same map: they say
@@ -51,8 +50,6 @@ class ConfidenceModel(BaseModel):
     card : dict
         Data, command and figures of the fit.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: int = Field(ge=1, le=1)
     constant: float

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -68,12 +67,12 @@ class RoadNetwork:
 
     nodes: Float64
     streets: tuple[Street, ...]
+    _tree: tuple[cKDTree, Float64] = field(init=False, repr=False, compare=False)
 
-    @cached_property
-    def _tree(self) -> tuple[cKDTree, Float64]:
+    def __post_init__(self) -> None:
         points = np.concatenate([street.line for street in self.streets])
         width = np.concatenate([np.full(len(s.line), s.half_width) for s in self.streets])
-        return cKDTree(points), width
+        object.__setattr__(self, "_tree", (cKDTree(points), width))
 
     def clearance(self, xy: ArrayLike) -> Float64:
         """Distance of points (..., 2) from the nearest kerb, negative on the carriageway."""

@@ -1,0 +1,11 @@
+"""What every section of the configuration is: unknown keys are refused, and so are NaN and infinity."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Section(BaseModel):
+    """A section of the configuration, or of a file beside the weights."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -1,0 +1,251 @@
+"""The door: whatever is handed in is refused in one line, or gives a finite answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import (
+    Config,
+    ConfigError,
+    InvalidScan,
+    LocalCloud,
+    Localizer,
+    Scan,
+    SeglocError,
+    SegmentMap,
+    Tracker,
+    build_map,
+    geometry,
+)
+from segloc.config import validated
+from segloc.types import Segments
+
+GEO = Config.preset("geo")
+HERE = geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7))
+
+
+@pytest.fixture(scope="module")
+def localizer(plaza: Plaza) -> Localizer:
+    return Localizer(build_map(PlazaSequence(plaza, steps=6), GEO))
+
+
+@pytest.fixture(scope="module")
+def points(plaza: Plaza) -> np.ndarray:
+    return plaza.scan(HERE, posed=False).points
+
+
+def test_an_array_is_a_scan(localizer: Localizer, points: np.ndarray) -> None:
+    expected = localizer.localize(Scan(points))
+    assert expected.localized
+    for same in (points, points.astype(np.float64), np.asfortranarray(points)):
+        np.testing.assert_array_equal(localizer.localize(same).T_map_sensor, expected.T_map_sensor)
+
+
+@pytest.mark.parametrize(
+    ("scans", "said"),
+    [
+        (lambda p: p.T, r"shape \(N, 3\), not \(3, \d+\): transpose"),
+        (lambda p: (Scan(p) for _ in range(2)), "not generator: make a list"),
+        (lambda p: [p, p], r"scans\[0\] must be a Scan, not ndarray"),
+        (lambda p: "scan.pcd", "not str"),
+        (lambda p: None, "not NoneType"),
+        (lambda p: [], "no scan given"),
+        (lambda p: (p * 10).astype(np.int32), "floating point, not int32"),
+        (lambda p: p[:, :2], r"shape \(N, 3\)"),
+        (lambda p: p.astype(complex), "floating point"),
+        (lambda p: np.array(["a"]), "shape"),
+    ],
+)
+def test_what_is_no_scan_is_told_what_to_do(
+    localizer: Localizer, points: np.ndarray, scans: Callable[[np.ndarray], Any], said: str
+) -> None:
+    with pytest.raises(InvalidScan, match=said) as caught:
+        localizer.localize(scans(points))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InvalidScan, match=said):
+        Tracker(localizer).update(scans(points), np.eye(4))
+
+
+@pytest.mark.parametrize("prior_map", ["site.segmap", None, 3, {}])
+def test_a_localizer_needs_a_map(prior_map: Any) -> None:
+    with pytest.raises(
+        ConfigError, match=r"needs a SegmentMap, not .*: load one by SegmentMap.load"
+    ):
+        Localizer(prior_map)
+
+
+def pose(**changes: float) -> np.ndarray:
+    T = np.eye(4)
+    for key, value in changes.items():
+        T[int(key[1]), int(key[2])] = value
+    return T
+
+
+@pytest.mark.parametrize(
+    "T",
+    [
+        np.full((4, 4), np.nan),
+        pose(t03=np.inf),
+        pose(t03=1e12),
+        pose(t00=-1.0),
+        pose(t00=1e200),
+        pose(t30=1.0),
+        np.eye(3),
+        "here",
+        None,
+    ],
+)
+def test_poses_are_checked_at_every_door(localizer: Localizer, points: np.ndarray, T: Any) -> None:
+    if T is not None:
+        with pytest.raises(InvalidScan, match="T_odom_sensor"):
+            Scan(points, T_odom_sensor=T)
+    with pytest.raises(InvalidScan, match="T_local_sensor"):
+        localizer.localize(LocalCloud(points, T))
+    with pytest.raises(InvalidScan, match="T_odom_sensor"):
+        Tracker(localizer).update(points, T)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([np.nan, np.inf, -np.inf, 3e38, 1e6, -1e5 * 1.001]),
+)
+def test_one_wrong_value_in_a_local_cloud_is_named(
+    points: np.ndarray, seed: int, bad: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    wrong = points.copy()
+    row = int(rng.integers(len(wrong)))
+    wrong[row, rng.integers(3)] = bad
+    with pytest.raises(InvalidScan, match=rf"points: row {row} is (not finite|beyond 100000 m)"):
+        LocalCloud(wrong, np.eye(4))
+
+
+def test_a_local_cloud_of_any_layout_is_the_same(localizer: Localizer, points: np.ndarray) -> None:
+    expected = localizer.localize(LocalCloud(points, np.eye(4)))
+    assert expected.localized
+    wide = np.column_stack([points, np.zeros(len(points), np.float32)])
+    read_only = points.copy()
+    read_only.setflags(write=False)
+    for other in (points.astype(np.float64), np.asfortranarray(points), wide, read_only):
+        result = localizer.localize(LocalCloud(other, np.eye(4)))
+        np.testing.assert_array_equal(result.T_map_sensor, expected.T_map_sensor)
+    for kwargs in ({"num_scans": 0}, {"num_scans": 1.5}, {"stamp": np.nan}, {"stamp": "now"}):
+        with pytest.raises(InvalidScan, match=next(iter(kwargs))):
+            LocalCloud(points, np.eye(4), **kwargs)
+
+
+def test_segments_of_ones_own_are_checked() -> None:
+    points, offsets = np.zeros((5, 3), np.float32), np.array([0, 2, 5])
+    centroids, heights = np.zeros((2, 3)), np.zeros(2, np.float32)
+    good = Segments(points.astype(np.float64), offsets.astype(np.int32), centroids, heights)
+    assert good.points.dtype == np.float32 and good.offsets.dtype == np.int64
+    nan = centroids.copy()
+    nan[1, 2] = np.nan
+    for wrong, said in (
+        ((points[:, :2], offsets, centroids, heights), r"points must have shape \(N, 3\)"),
+        ((points, np.array([0, 6]), centroids[:1], heights[:1]), "offsets must rise from 0"),
+        ((points, np.array([0, 4, 3, 5]), np.zeros((3, 3)), np.zeros(3)), "offsets must rise"),
+        ((points, np.empty(0, np.int64), centroids, heights), "offsets must rise"),
+        ((points, offsets.astype(float), centroids, heights), "offsets cannot have dtype"),
+        ((points, offsets, centroids[:1], heights), r"centroids must have shape \(2, 3\)"),
+        ((points, offsets, nan, heights), "centroids: row 1 is not finite"),
+        ((points, offsets, centroids, np.array([0, np.inf])), "heights: row 1"),
+    ):
+        with pytest.raises(InvalidScan, match=said):
+            Segments(*wrong)
+
+
+SECTIONS = ("local_cloud", "segmentation", "mapping", "matching", "pose", "verification")
+
+
+def leaves(values: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    found = []
+    for key, value in values.items():
+        here = (*path, key)
+        found += leaves(value, here) if isinstance(value, dict) else [here]
+    return found
+
+
+@pytest.mark.parametrize("key", leaves(GEO.model_dump(mode="json")), ids=".".join)
+def test_no_number_of_the_configuration_may_be_absurd(key: tuple[str, ...]) -> None:
+    for absurd in (float("nan"), float("inf"), -1e300, 1e300, 2 * 10**20):
+        values = GEO.model_dump(mode="json")
+        section = _at(values, key[:-1])
+        if isinstance(section[key[-1]], bool) or not isinstance(section[key[-1]], (int, float)):
+            continue
+        section[key[-1]] = absurd
+        with pytest.raises(ConfigError, match=key[-1]):
+            validated(Config, values, "test")
+
+
+def _at(values: Any, key: tuple[str, ...]) -> Any:
+    for part in key:
+        values = values[part]
+    return values
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 400),
+    st.floats(1e-6, 1e6),
+    st.sampled_from([0.0, 1.0, 1e3, 4.9e5, 6.4e6, 1e7]),
+    st.integers(0, 2**32 - 1),
+)
+def test_any_cloud_gets_a_finite_answer(
+    localizer: Localizer, count: int, spread: float, shift: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.normal(0, spread, (count, 3)) + shift
+    try:
+        result = localizer.localize(cloud)
+    except SeglocError:
+        return
+    assert 0 <= result.confidence <= 1 and np.isfinite(result.overlap)
+    assert result.T_map_sensor is None or np.isfinite(result.T_map_sensor).all()
+
+
+@pytest.mark.parametrize("shift", [(4.5e5, 5.4e6, 300.0), (4.2e6, 1.7e5, 4.8e6), (1e7, -1e7, 1e7)])
+def test_verdicts_do_not_depend_on_where_the_map_lies(
+    plaza: Plaza, localizer: Localizer, points: np.ndarray, shift: tuple[float, float, float]
+) -> None:
+    """UTM, ECEF and 1e7 m."""
+    there = geometry.yaw_transform(0.0, shift)
+    walk = PlazaSequence(plaza, steps=6)
+    scans = [walk.scan(i).points for i in range(len(walk))]
+    walk.poses = there @ walk.poses
+    walk.scan = lambda i: Scan(scans[i], T_odom_sensor=walk.poses[i])  # type: ignore[method-assign]
+    moved = Localizer(build_map(walk, GEO)).localize(points)
+    here = localizer.localize(points)
+    assert moved.localized and here.localized and moved.inliers == here.inliers
+    assert abs(moved.confidence - here.confidence) < 0.02
+    off = geometry.inverse(there @ here.T_map_sensor) @ moved.T_map_sensor
+    assert np.linalg.norm(off[:3, 3]) < 0.05
+
+
+def test_odometry_far_from_its_origin_changes_nothing(
+    localizer: Localizer, points: np.ndarray
+) -> None:
+    expected = localizer.localize(Scan(points, T_odom_sensor=HERE))
+    for shift in ((4.5e5, 5.4e6, 300.0), (1e7, 1e7, -1e7)):
+        T = geometry.yaw_transform(0.0, shift) @ HERE
+        result = localizer.localize(Scan(points, T_odom_sensor=T))
+        assert result.localized == expected.localized
+        assert result.inliers == expected.inliers
+
+
+def test_maps_of_nothing_refuse_and_do_not_crash(points: np.ndarray) -> None:
+    for dim in (1, 7, 1000):
+        empty = SegmentMap.empty("geo", "geo-1", dim)
+        if dim == 7:
+            assert not Localizer(empty).localize(points).localized
+            continue
+        with pytest.raises(SeglocError):
+            Localizer(empty).localize(points)

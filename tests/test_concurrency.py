@@ -1,0 +1,125 @@
+"""One localizer, used by many threads and processes at once."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, Localization, Localizer, Scan, build_map, geometry
+
+PROFILE = Config.preset("profile")
+YAWS = (0.3, 1.0, 2.0, -2.0)
+
+
+@pytest.fixture(scope="module")
+def localizer(plaza: Plaza) -> Localizer:
+    return Localizer(build_map(PlazaSequence(plaza, steps=6), PROFILE))
+
+
+@pytest.fixture(scope="module")
+def scans(plaza: Plaza) -> list[Scan]:
+    return [plaza.scan(geometry.yaw_transform(yaw, (-8.0, 1.0, 1.7))) for yaw in YAWS]
+
+
+def bits(result: Localization) -> bytes:
+    T = np.zeros((4, 4)) if result.T_map_sensor is None else result.T_map_sensor
+    return T.tobytes() + np.float64(result.confidence).tobytes()
+
+
+def test_threads_share_a_localizer(localizer: Localizer, scans: list[Scan]) -> None:
+    expected = [bits(localizer.localize(scan)) for scan in scans]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda k: bits(localizer.localize(scans[k % 4])), range(32)))
+    assert found == [expected[k % 4] for k in range(32)]
+
+
+def test_a_localizer_can_be_pickled(localizer: Localizer, scans: list[Scan]) -> None:
+    again = pickle.loads(pickle.dumps(localizer))
+    assert again.config == localizer.config
+    assert bits(again.localize(scans[0])) == bits(localizer.localize(scans[0]))
+
+
+def localized(work: tuple[Localizer, Scan]) -> bytes:
+    return bits(work[0].localize(work[1]))
+
+
+@pytest.mark.slow
+def test_spawned_processes_localize(localizer: Localizer, scans: list[Scan]) -> None:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context) as pool:
+        found = list(pool.map(localized, [(localizer, scan) for scan in scans[:2]]))
+    assert found == [bits(localizer.localize(scan)) for scan in scans[:2]]
+
+
+FORK = """
+import os, sys, threading, warnings
+sys.path[:0] = {path!r}
+warnings.simplefilter("ignore")
+from samples.plaza import Plaza, PlazaSequence
+from segloc import Config, Localizer, build_map, geometry
+plaza = Plaza(0)
+localizer = Localizer(build_map(PlazaSequence(plaza, steps=3), Config.preset("profile")))
+scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+expected = localizer.localize(scan).T_map_sensor.tobytes()
+stop = threading.Event()
+def busy():
+    while not stop.is_set():
+        localizer.localize(scan)
+threads = [threading.Thread(target=busy) for _ in range(2)]
+for thread in threads: thread.start()
+status = []
+for _ in range(8):
+    child = os.fork()
+    if child == 0:
+        same = localizer.localize(scan).T_map_sensor.tobytes() == expected
+        os._exit(0 if same else 3)
+    status.append(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+stop.set()
+for thread in threads: thread.join()
+print(status)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_fork_while_other_threads_localize_does_not_hang() -> None:
+    code = FORK.format(path=[path for path in sys.path if path])
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str([0] * 8)
+
+
+def test_no_class_wide_locks() -> None:
+    """``functools.cached_property`` holds one lock for all instances before Python 3.12."""
+    from pathlib import Path
+
+    import segloc
+
+    found = [
+        path.name
+        for path in Path(segloc.__file__).parent.rglob("*.py")
+        if "cached_property" in path.read_text("utf-8")
+    ]
+    assert found == []
+
+
+def test_queries_change_nothing(localizer: Localizer, scans: list[Scan]) -> None:
+    before = pickle.dumps(localizer.prior_map)
+    points = [scan.points.copy() for scan in scans]
+    for scan in scans:
+        localizer.localize(scan)
+    assert pickle.dumps(localizer.prior_map) == before
+    for scan, kept in zip(scans, points, strict=True):
+        np.testing.assert_array_equal(scan.points, kept)
+    assert threading.active_count() < 50

@@ -1,0 +1,67 @@
+"""Memory stays flat over thousands of queries and tracker updates."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, Localizer, Scan, Tracker, build_map, geometry
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc"),
+]
+
+GROWTH_MB = 24
+
+
+def resident_mb() -> float:
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
+
+
+@pytest.fixture(scope="module")
+def localizer(plaza: Plaza) -> Localizer:
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    return Localizer(build_map(PlazaSequence(plaza, steps=6), config), config)
+
+
+@pytest.fixture(scope="module")
+def scans(plaza: Plaza) -> list[Scan]:
+    """Small ones: it is the number of queries that counts."""
+    rng = np.random.default_rng(0)
+    found = []
+    for k in range(20):
+        T = geometry.yaw_transform(0.3 * k, (-12.0 + k, 0.5, 1.7))
+        points = plaza.scan(T).points
+        found.append(Scan(points[rng.permutation(len(points))[:1500]], T_odom_sensor=T))
+    return found
+
+
+def test_two_thousand_queries(localizer: Localizer, scans: list[Scan]) -> None:
+    for scan in scans * 10:
+        localizer.localize(scan)
+    before = resident_mb()
+    for k in range(2000):
+        localizer.localize(scans[k % len(scans)])
+    assert resident_mb() - before < GROWTH_MB
+
+
+def test_three_thousand_tracker_updates(localizer: Localizer, scans: list[Scan]) -> None:
+    tracker = Tracker(localizer)
+    poses = [scan.T_odom_sensor for scan in scans]
+
+    def drive(count: int) -> None:
+        for k in range(count):
+            tracker.update(scans[k % len(scans)], poses[k % len(scans)])
+
+    drive(200)
+    before = resident_mb()
+    drive(3000)
+    assert resident_mb() - before < GROWTH_MB
