@@ -103,6 +103,7 @@ def test_wrong_requests_are_refused(names, threads, repeats):
         suite.run(names, threads, repeats)
 
 
+@pytest.mark.usefixtures("verbs")
 def test_the_command_line_writes_every_figure(tmp_path: Path):
     file = tmp_path / "bench.json"
     options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import cast
 
 from segloc.batch.report.study import Study
 
 from .workspace import Workspace
 
-MODULES: Mapping[str, str] = {
-    "roc": "roc",
-    "generalization": "generalization",
-    "rotation": "rotation",
-    "sampling": "sampling",
-    "localization": "localization_study",
-    "timing": "timing",
-    "memory": "memory",
-}
-"""Which module of this package runs a study."""
-
-STUDIES = tuple(MODULES)
+STUDIES = (
+    "roc",
+    "generalization",
+    "rotation",
+    "sampling",
+    "localization",
+    "timing",
+    "memory",
+)
+"""Each is run by the module of its name in this package."""
 
 
 def run(name: str, workspace: Workspace) -> Study:
@@ -33,7 +31,7 @@ def run(name: str, workspace: Workspace) -> Study:
         Whatever is the user's to mend: data that cannot be read, packages that are missing, a
         folder that cannot be written.
     """
-    module = importlib.import_module(f"{__package__}.{MODULES[name]}")
+    module = importlib.import_module(f"{__package__}.{name}")
     study = cast(Callable[[Workspace], Study], module.run)(workspace)
     study.save(workspace.out / study.name)
     return study
