@@ -141,34 +141,23 @@ def _torch_model(torch: Any, threads: int) -> tuple[Any, dict[str, Float32]]:
     return model, folded(model)
 
 
-def _given_neighbours(torch: Any, model: Any) -> Any:
-    """The model as a module of (points, neighbours...), without its neighbour search."""
-
-    class Given(torch.nn.Module):  # type: ignore[misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.model = model
-
-        def forward(self, points: Any, *neighbours: Any) -> Any:
-            model.neighbors = lambda _: neighbours
-            return self.model(points)
-
-    return Given().eval()
-
-
 def _chunks(torch: Any, model: Any, prepared: Float32, size: int) -> list[tuple[Any, ...]]:
     """(points, neighbours of every layer) of every chunk."""
-    search = type(model).neighbors
-    parts = torch.split(torch.from_numpy(prepared), size)
-    return [(part, *search(model, part)) for part in parts]
+    from segloc.training.models import neighbors_of
+
+    starts = range(0, len(prepared), size)
+    parts = [np.ascontiguousarray(prepared[k : k + size]) for k in starts]
+    return [(torch.from_numpy(part), *neighbors_of(part, model.layers)) for part in parts]
 
 
 def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
-    chunks, given = _chunks(torch, model, prepared, size), _given_neighbours(torch, model)
+    from segloc.training.ops import torch_forms
+
+    chunks = _chunks(torch, model, prepared, size)
 
     def run() -> Float32:
-        with torch.inference_mode():
-            result: Float32 = torch.cat([given(*chunk) for chunk in chunks]).numpy()
+        with torch_forms(), torch.inference_mode():
+            result: Float32 = torch.cat([model(*chunk) for chunk in chunks]).numpy()
         return result
 
     return run
@@ -177,14 +166,14 @@ def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
 def _onnx_run(
     torch: Any, runtime: Any, model: Any, prepared: Float32, size: int, threads: int
 ) -> Any:
+    from segloc.training.ops import torch_forms
+
     chunks = _chunks(torch, model, prepared, size)
     file = io.BytesIO()
     names = ["points", *(f"neighbours{k}" for k in range(len(chunks[0]) - 1))]
-    with warnings.catch_warnings():
+    with torch_forms(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.onnx.export(
-            _given_neighbours(torch, model), chunks[0], file, input_names=names, dynamo=False
-        )
+        torch.onnx.export(model, chunks[0], file, input_names=names, dynamo=False)
     options = runtime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     session = runtime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
