@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_experiments.bench import fps, geometric, harness, inputs, network, query, suite
+from segloc_experiments.padding import padded_with_copies
 from typer.testing import CliRunner
 
 from segloc import Config, ConfigError, _native, build_map
@@ -78,7 +79,7 @@ def plaza_scene():
     return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
 
 
-def test_a_padded_map_has_the_size_asked_for_and_still_localizes(plaza_scene):
+def test_a_padded_map_has_the_size_that_was_wanted_and_still_localizes(plaza_scene):
     size = 3 * len(plaza_scene.prior_map) + 7
     measured = query.query_row("query", plaza_scene, 1, 1, segments=size)
     assert measured.details["map segments"] == size
@@ -89,10 +90,10 @@ def test_a_padded_map_has_the_size_asked_for_and_still_localizes(plaza_scene):
 def test_padding_leaves_the_map_as_it_was(plaza_scene):
     prior_map = plaza_scene.prior_map
     count = len(prior_map)
-    larger = query.padded(prior_map, count + 500)
+    larger = padded_with_copies(prior_map, count + 500)
     assert (len(prior_map), len(larger)) == (count, count + 500)
     assert np.array_equal(np.sort(larger.centroids[:count], 0), np.sort(prior_map.centroids, 0))
-    assert len(query.padded(prior_map, 10)) == count
+    assert len(padded_with_copies(prior_map, 10)) == count
 
 
 @pytest.mark.parametrize(

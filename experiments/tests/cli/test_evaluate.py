@@ -53,4 +53,3 @@ def test_all_runs_every_study_and_leaves_out_what_cannot_be(
     assert "memory is left out: measuring memory needs torch" in " ".join(told.err.split())
     page = (tmp_path / "report.html").read_text("utf-8")
     assert all(f'id="{name}"' in page for name in studies.STUDIES if name != "memory")
-

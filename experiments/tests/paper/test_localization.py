@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.tiny_suite import TINY
 from segloc_experiments.paper import localization
 from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario, scenarios
 from segloc_experiments.paper.workspace import Workspace
-from samples.tiny_suite import TINY
 
 from segloc import Config, Localizer, build_map
 from segloc.batch import comparison

@@ -16,7 +16,7 @@ from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 from segloc_experiments.bench.harness import Row  # noqa: E402
 from segloc_experiments.paper import domain_segments as making  # noqa: E402
-from segloc_experiments.paper import (
+from segloc_experiments.paper import (  # noqa: E402
     domains,
     generalization,
     learning,

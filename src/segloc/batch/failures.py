@@ -1,10 +1,9 @@
-"""Where queries are lost: the stage at which each one that has a place in the map failed."""
+"""Where queries are lost: the stage at which each one within map coverage failed."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import geometry
+from ..errors import DatasetError
 from ..local_cloud import window
-from ..types import Float64, Hypothesis, Int64, LocalCloud, Matches, Pose
+from ..types import Float64, Hypothesis, LocalCloud, Matches, Pose
 from ..verification.verifier import Verdict
 from .score import PLACE_RADIUS_M, Tolerance, distances_to_path
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..localizer import Localizer
     from ..segmentation import Segmentation
     from ..types import Recording
+    from .scenario import QuerySet
 
 REPEAT_RADIUS_M = 0.5
 """A query segment is repeated where the map has the centroid of a segment this close to its own."""
@@ -45,7 +46,7 @@ _SCANS_IN_MEMORY = 64
 
 @dataclass(frozen=True)
 class Case:
-    """One query that has a place in the map.
+    """One query within map coverage.
 
     Attributes
     ----------
@@ -64,7 +65,7 @@ class Case:
     inliers : int
         Of the hypothesis nearest to the truth; 0 if there is none.
     overlap : float
-        Of the live cloud with the map under the true pose.
+        Of the query cloud with the map under the true pose.
     T_map_local : (4, 4) list
         The true pose, aligned.
     """
@@ -87,9 +88,9 @@ class Funnel:
     Attributes
     ----------
     queries : int
-        Asked in all.
+        In all.
     cases : tuple of Case
-        Those that have a place in the map.
+        Those within map coverage.
     """
 
     queries: int
@@ -121,46 +122,38 @@ class Funnel:
         }
 
 
-def funnel(
-    localizer: Localizer,
-    sequence: Recording,
-    truths: Float64,
-    positions: Iterable[int] | None = None,
-) -> Funnel:
-    """Follow every query that has a place in the map through the stages.
+def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
+    """Follow every query that lies within map coverage through the stages.
 
     Parameters
     ----------
     localizer : Localizer
-    sequence : Recording
-        With poses, queries gather the scans of the way behind them, as when localizing.
-    truths : (N, 4, 4) float64
-        True T_map_sensor of the sequence's scans. Where they are good to a metre or two only, the
-        alignment with the map corrects them.
-    positions : iterable of int, optional
-        The queries; all scans by default.
+    query_set : QuerySet
+        With truths. Where they are good to a metre or two only, the alignment with the map corrects
+        them. Where the recording has poses, queries gather the scans of the path behind them, as
+        when localizing.
 
     Raises
     ------
     DatasetError
-        If a scan cannot be read.
+        If there are no truths, or a scan cannot be read.
     """
-    chosen: Int64 = np.fromiter(
-        range(len(sequence)) if positions is None else positions, dtype=np.int64
-    )
-    near = distances_to_path(truths[chosen], localizer.prior_map.trajectory) <= PLACE_RADIUS_M
+    sequence, truths = query_set.recording, query_set.truths
+    if truths is None:
+        raise DatasetError(f"{sequence.name}: no true poses")
+    near = distances_to_path(truths, localizer.prior_map.trajectory) <= PLACE_RADIUS_M
     read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)
     tree = cKDTree(localizer.prior_map.centroids)
     cases = []
-    for position in map(int, chosen[near]):
+    for position, truth in zip(query_set.positions[near].tolist(), truths[near], strict=True):
         cloud = gathered(localizer, sequence, position, read)
         index = int(sequence.indices[position])
-        cases.append(_examine(localizer, tree, cloud, truths[position], index))
-    return Funnel(len(chosen), tuple(cases))
+        cases.append(_examine(localizer, tree, cloud, truth, index))
+    return Funnel(len(near), tuple(cases))
 
 
 def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:
-    """The local cloud of a query: one scan, or with poses those of the way behind it."""
+    """The local cloud of a query: one scan, or with poses those of the path behind it."""
     scans = range(position, position + 1)
     if sequence.poses is not None:
         config = localizer.config.local_cloud

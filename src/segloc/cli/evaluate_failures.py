@@ -30,7 +30,7 @@ def failures(
     config: ConfigFile = None,
     threads: Threads = 0,
 ) -> None:
-    """Show at which stage each query that has a place in the map was lost.
+    """Show at which stage each query within map coverage was lost.
 
     Writes funnel.json, and a picture of each of the failures that the map explains best.
     """
@@ -41,6 +41,7 @@ def failures(
     from ..batch.failure_picture import draw_case
     from ..batch.failures import funnel
     from ..batch.run import query_positions
+    from ..batch.scenario import QuerySet
     from ..datasets import open_sequence
     from ..errors import DatasetError
     from ..files import replacing
@@ -59,7 +60,7 @@ def failures(
     positions = np.arange(len(recording), dtype=np.int64)
     if every is not None:
         positions = query_positions(truths, every, localizer.config.local_cloud.max_gap_m)
-    found = funnel(localizer, recording, truths, positions)
+    found = funnel(localizer, QuerySet(recording, positions, truths[positions]))
     show(found)
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "funnel.json") as file:
@@ -74,7 +75,7 @@ def show(found: Funnel) -> None:
     """Print a funnel as one table."""
     from .console import table
 
-    rows = [("queries", str(found.queries)), ("with a place in the map", str(len(found.cases)))]
+    rows = [("queries", str(found.queries)), ("within map coverage", str(len(found.cases)))]
     for stage, count in found.counts().items():
         rows.append((f"  {stage}", str(count)))
     rows += [(f"    {gate}", str(count)) for gate, count in found.details().items()]

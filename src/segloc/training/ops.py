@@ -16,7 +16,6 @@ from torch.nn import functional
 
 from .. import _native
 
-
 _NATIVE = ContextVar("native", default=True)
 
 
@@ -31,7 +30,9 @@ def torch_forms() -> Iterator[None]:
 
 
 def _is_native(*tensors: Tensor) -> bool:
-    return _NATIVE.get() and all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors)
+    return _NATIVE.get() and all(
+        t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors
+    )
 
 
 def _array(tensor: Tensor) -> Any:

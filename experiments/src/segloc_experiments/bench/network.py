@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -17,6 +15,7 @@ from segloc.types import Float32
 
 from . import inputs
 from .harness import OURS, Row, optional, row
+from .onnx import onnx_run
 
 SEGMENTS, DIM = 300, 16
 CHUNKS = (10, 30, 100)
@@ -39,7 +38,7 @@ def network(threads: int, repeats: int) -> Row:
     found = optional("onnx", "onnxscript", "onnxruntime")
     if found is not None:
         name, size = "ONNX Runtime, 30 at a time", 30
-        runs[name] = _onnx_run(torch[0], found[2], model, prepared, size, threads)
+        runs[name] = _onnx_run((torch[0], found[2]), model, prepared, size, threads)
     _check(runs)
     skipped = () if found else ("onnxruntime",)
     return row("network", threads, repeats, runs, flops=flops, skipped=skipped)
@@ -164,21 +163,14 @@ def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
 
 
 def _onnx_run(
-    torch: Any, runtime: Any, model: Any, prepared: Float32, size: int, threads: int
+    modules: tuple[Any, Any], model: Any, prepared: Float32, size: int, threads: int
 ) -> Any:
     from segloc.training.ops import torch_forms
 
-    chunks = _chunks(torch, model, prepared, size)
-    file = io.BytesIO()
+    chunks = _chunks(modules[0], model, prepared, size)
     names = ["points", *(f"neighbours{k}" for k in range(len(chunks[0]) - 1))]
-    with torch_forms(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(model, chunks[0], file, input_names=names, dynamo=False)
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-    session = runtime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
-    feeds = [dict(zip(names, (t.numpy() for t in chunk), strict=True)) for chunk in chunks]
-    return lambda: np.concatenate([session.run(None, feed)[0] for feed in feeds])
+    with torch_forms():
+        return onnx_run(modules, model, chunks, names, threads)
 
 
 def _check(runs: dict[str, Any]) -> None:

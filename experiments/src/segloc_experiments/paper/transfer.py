@@ -81,12 +81,12 @@ class Transfer:
     Raises
     ------
     ConfigError
-        If the workspace asks for methods that there are not.
+        If the workspace names methods that there are not.
 
     Attributes
     ----------
     methods : tuple of str
-        Those of :data:`~segloc.batch.methods.METHODS` that the workspace asks for.
+        Those of :data:`~segloc.batch.methods.METHODS` that the workspace names.
     fingerprints : dict of str to str
         Of all weights used so far, by method and training set.
     """

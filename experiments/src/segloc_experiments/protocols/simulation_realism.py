@@ -1,6 +1,6 @@
 """How much simulated scans are like real ones: a table of both, printed as Markdown.
 
-    python benchmarks/simulation_realism.py SCANS POSES
+    python -m segloc_experiments.protocols.simulation_realism SCANS POSES
 
 SCANS is a folder of full-resolution HDL-64E scans about two metres apart, POSES
 their poses (TUM). Both sides go through the same segmentation.
@@ -8,7 +8,6 @@ their poses (TUM). Both sides go through the same segmentation.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
@@ -22,7 +21,9 @@ from segloc.segmentation import Segmenter
 from segloc.simulation import demo_sessions, hdl64e
 from segloc.types import Float32
 
-WAY_M = 20.0
+from ..script import parser
+
+PATH_M = 20.0
 
 
 def scan_figures(points: Float32) -> dict[str, float]:
@@ -59,7 +60,7 @@ def shape_shares(points: Float32) -> dict[str, float]:
 def cloud_figures(sequence: datasets.Sequence, i: int) -> dict[str, float]:
     """Figures of the local cloud gathered over the 20 m before position i."""
     assert sequence.poses is not None
-    span = window(sequence.poses, i, WAY_M, centred=False, max_gap_m=10.0)
+    span = window(sequence.poses, i, PATH_M, centred=False, max_gap_m=10.0)
     cloud = Accumulator().gather([sequence.scan(k) for k in span])
     found = Segmenter().segment(cloud)
     structure = found.structure[np.linalg.norm(found.structure[:, :2], axis=1) < 30.0]
@@ -109,12 +110,12 @@ def _cell(middle: float, low: float, high: float) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scans", help="folder of real scans")
-    parser.add_argument("poses", help="their poses (TUM)")
-    parser.add_argument("--count", type=int, default=24, help="scans and clouds a side")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 5], help="towns to simulate")
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("scans", help="folder of real scans")
+    options.add_argument("poses", help="their poses (TUM)")
+    options.add_argument("--count", type=int, default=24, help="scans and clouds a side")
+    options.add_argument("--seeds", type=int, nargs="+", default=[0, 5], help="towns to simulate")
+    args = options.parse_args()
     real: list[datasets.Sequence] = [FolderSequence(args.scans, args.poses)]
     simulated: list[datasets.Sequence] = [
         demo_sessions(seed, sensor=hdl64e())["map"].with_odometry() for seed in args.seeds
