@@ -13,7 +13,7 @@ import numpy as np
 
 from segloc.batch.run import query_positions
 from segloc.batch.scenario import MAX_GAP_M, QuerySet
-from segloc.datasets import NO_POSES, Sequence, open_sequence
+from segloc.datasets import NO_POSES, Recording, Sequence, open_sequence
 from segloc.errors import DatasetError
 from segloc.types import Float64
 
@@ -67,7 +67,7 @@ def scans(data: Path, posed: bool = True) -> Sequence:
     return open_sequence(data / "scans", "scans.tum" if posed else NO_POSES)
 
 
-def poses_of(recording: Sequence) -> Float64:
+def poses_of(recording: Recording) -> Float64:
     """The poses of a recording.
 
     Raises

@@ -1,4 +1,4 @@
-"""Recordings made of others: without poses, with the true ones, with fewer beams, kept on disk."""
+"""Recordings made of others: without poses, with fewer beams, kept on disk, from beside."""
 
 from __future__ import annotations
 
@@ -9,13 +9,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from segloc import geometry
 from segloc.datasets import Derived
 from segloc.files import replacing
 from segloc.simulation import SimulatedSequence
+from segloc.simulation.motion.paths import on_ground
 from segloc.types import Float64, Recording, Scan
 
 LOWEST_DEG, HIGHEST_DEG, BEAMS = -24.9, 2.0, 64
 """Elevations of an HDL-64E."""
+
+ROOM_M = 1.5
+"""Around a sensor, free of anything."""
+
+_FEWEST_POINTS = 1000
 
 
 class Unposed(Derived[Recording]):
@@ -100,3 +107,22 @@ def kept(drive: SimulatedSequence, root: Path | None) -> Kept:
     key = repr((drive.world.name, drive.session, drive.seed, drive.sensor, drive.conditions))
     digest = hashlib.sha256(key.encode() + drive.truth.tobytes()).hexdigest()[:12]
     return Kept(drive, root / f"{drive.world.name}-{drive.name.replace(' ', '-')}-{digest}")
+
+
+def beside(
+    drive: SimulatedSequence, path: Float64, offset_m: float, turned: bool = False
+) -> SimulatedSequence:
+    """The session seen from so many metres to the left of a path, perhaps turned about."""
+    shift = geometry.yaw_transform(np.pi if turned else 0.0, (0.0, offset_m, 0.0))
+    moved = np.stack([T @ shift for T in path])
+    yaw = np.array([geometry.heading(T) for T in moved])
+    poses = on_ground(drive.world.terrain, moved[:, :2, 3], yaw, drive.sensor.mount_height_m)
+    indices = np.arange(len(poses), dtype=np.int64)
+    return replace(drive, indices=indices, truth=poses, poses=poses, _last=None)
+
+
+def has_room(scan: Scan, mount_height_m: float) -> bool:
+    """Whether nothing stands where the sensor does."""
+    x, y, z = scan.points.T
+    near = (x**2 + y**2 < ROOM_M**2) & (z > 0.4 - mount_height_m)
+    return len(scan) > _FEWEST_POINTS and not near.any()

@@ -104,6 +104,43 @@ def test_wrong_requests_are_refused(names, threads, repeats):
         suite.run(names, threads, repeats)
 
 
+SMALLEST = {
+    "fps": ((fps, "SEGMENTS", 10),),
+    "network": ((network, "SEGMENTS", 12), (network, "CHUNKS", (5,))),
+    "dsm_vs_esm": ((network, "SEGMENTS", 12),),
+    "clustering": (),
+    "knn": ((geometric, "DATABASE", 2000),),
+    "pose": (),
+    "icp": (),
+    "query": ((query, "MAP_SEGMENTS", 3000), (query, "simulated_scene", None)),
+}
+"""What makes each benchmark small."""
+
+
+@pytest.mark.parametrize("name", suite.BENCHMARKS)
+def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, monkeypatch):
+    """With PyTorch, ONNX Runtime and the other rivals where they are installed."""
+    for module, constant, value in SMALLEST[name]:
+        small = (lambda threads: plaza_scene) if value is None else value
+        monkeypatch.setattr(module, constant, small)
+    monkeypatch.setattr(harness, "_SGEMM_SIZE", 64)
+    row = suite.BENCHMARKS[name](1, 1)
+    assert row.ours_ms > 0 and all(ms > 0 for ms in row.rivals.values())
+    if name == "network" and harness.optional("torch") is not None:
+        assert any("PyTorch" in rival for rival in row.rivals)
+    json.dumps(row.as_json(), allow_nan=False)
+
+
+def test_pytorch_runs_in_its_own_forms():
+    pytest.importorskip("torch", reason="the training framework needs PyTorch")
+    from segloc.training import ops
+
+    assert ops._is_native()
+    with ops.torch_forms():
+        assert not ops._is_native()
+    assert ops._is_native()
+
+
 @pytest.mark.usefixtures("verbs")
 def test_the_command_line_writes_every_figure(tmp_path: Path):
     file = tmp_path / "bench.json"

@@ -27,7 +27,8 @@ class Result:
     ----------
     scenario : Scenario
     answers : dict
-        ``answers[method][query_set][place][estimator]``; see :func:`~segloc.batch.comparison.localize_all`.
+        ``answers[method][query_set][place][estimator]``; see
+        :func:`~segloc.batch.comparison.localize_all`.
     arrays : dict of str to array
     """
 
@@ -45,7 +46,7 @@ class Result:
         return comparison.evaluation(answers, self.arrays, query_set)
 
     def has_negatives(self) -> bool:
-        """Whether the queries were also asked where nothing may be found."""
+        """Whether the queries were also made where nothing may be found."""
         return any(
             "negative" in query_sets
             for found in self.answers.values()
@@ -78,7 +79,7 @@ def _found(results: list[Result], methods: Methods, estimator: str) -> Table:
             rows.append((*described, *counts))
     note = (
         "Queries that were localized rightly; in brackets, where there are any, those that were "
-        "localized falsely. Places: queries that the map's way passes within 3 m; some that it "
+        "localized falsely. Places: queries that the map's path passes within 3 m; some that it "
         "passes farther off are found, too. "
     )
     return Table(
@@ -184,7 +185,7 @@ def details(results: list[Result], methods: Methods) -> Table:
             "right, at a place", "false", "asked elsewhere", "false elsewhere", "median error m",
         ),
         tuple(rows),
-        "Right answers off the places are of queries that pass the map's way at more than 3 m.",
+        "Right answers off the places are of queries that pass the map's path at more than 3 m.",
     )  # fmt: skip
 
 

@@ -34,10 +34,10 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
     breaks = np.flatnonzero(steps > max_gap_m) + 1
     chosen = []
     for part in np.split(np.arange(len(poses)), breaks):
-        way = geometry.travelled(poses[part])
+        distance = geometry.travelled(poses[part])
         if len(part):
-            marks = np.arange(every_m, way[-1] + 1e-9, every_m)
-            chosen.append(part[np.unique(np.searchsorted(way, marks - 1e-9))])
+            marks = np.arange(every_m, distance[-1] + 1e-9, every_m)
+            chosen.append(part[np.unique(np.searchsorted(distance, marks - 1e-9))])
     return np.concatenate(chosen, dtype=np.int64) if chosen else np.empty(0, np.int64)
 
 
@@ -49,7 +49,7 @@ def localize_sequence(
 ) -> list[Localization]:
     """Localize the scans at some positions of a sequence, each by itself.
 
-    Where the sequence has poses, a query gathers the scans of the way behind it; otherwise it is
+    Where the sequence has poses, a query gathers the scans of the path behind it; otherwise it is
     the one scan alone.
 
     Raises

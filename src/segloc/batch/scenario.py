@@ -54,14 +54,14 @@ class OpenedScenario:
 
 @dataclass(frozen=True)
 class Facts:
-    """What a table says of a scenario: kind of place, sensor, and the length of its queries' way."""
+    """What a table says of a scenario: the kind of place, and the sensor."""
 
     kind: str
     sensor: str
 
 
 class Scenario(Protocol):
-    """A map, and the queries that are asked in it; small, so that processes can be handed it."""
+    """A map, and the queries that are made in it; small, so that processes can be handed it."""
 
     @property
     def name(self) -> str: ...
@@ -95,7 +95,7 @@ class Pair:
     topic : str or None
         Of both recordings, where they have several.
     every_m : float
-        Metres of travel between queries; every scan is asked where nothing tells the way.
+        Metres of travel between queries; every scan is one where nothing tells the distance.
     """
 
     map: Path
@@ -140,10 +140,10 @@ class PairScenario:
         truths = None
         if pair.truth is not None:
             truths = poses_at(query, pair.query, pair.truth, topic=pair.topic)
-        way = query.poses if query.poses is not None else truths
+        path = query.poses if query.poses is not None else truths
         positions = np.arange(len(query), dtype=np.int64)
-        if way is not None:
-            positions = query_positions(way, pair.every_m, MAX_GAP_M)
+        if path is not None:
+            positions = query_positions(path, pair.every_m, MAX_GAP_M)
         if not len(positions):
             raise ConfigError(f"{query.name} has no stretch of {pair.every_m:g} m")
         query_set = QuerySet(query, positions, None if truths is None else truths[positions])

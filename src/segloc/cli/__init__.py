@@ -53,7 +53,7 @@ maps.command("update")(map_update.update)
 
 
 def _add_plugins() -> None:
-    """Add the verbs of other distributions: entry points ``register(app)`` of ``segloc.commands``."""
+    """Add the verbs of other distributions, by entry points ``segloc.commands``: register(app)."""
     for plugin in entry_points(group="segloc.commands"):
         try:
             plugin.load()(app)

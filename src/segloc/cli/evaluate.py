@@ -1,4 +1,4 @@
-"""``segloc evaluate``: on recordings of one's own; ``segloc-experiments`` adds the paper's studies."""
+"""``segloc evaluate``: on one's own recordings; ``segloc-experiments`` adds the paper's studies."""
 
 from __future__ import annotations
 

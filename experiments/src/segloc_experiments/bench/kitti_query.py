@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from segloc import Config, Scan, _native, build_map
 from segloc.datasets import Sequence
@@ -37,8 +36,9 @@ def kitti_scene(folder: Path, method: str, queries: int, accumulated: bool = Fal
     recording, scans = kitti00.mapped(folder, "single"), kitti00.scans(folder)
     poses = kitti00.poses_of(scans)
     prior_map = build_map(recording, Config.preset(method).model_copy(update={"threads": 1}))
-    distance, nearest = cKDTree(kitti00.poses_of(recording)[:, :3, 3]).query(poses[:, :3, 3])
-    within_coverage = np.flatnonzero(distance < NEAR_M)
+    gaps = np.linalg.norm(poses[:, None, :3, 3] - kitti00.poses_of(recording)[:, :3, 3], axis=2)
+    nearest = gaps.argmin(axis=1)
+    within_coverage = np.flatnonzero(gaps.min(axis=1) < NEAR_M)
     chosen = within_coverage[np.linspace(0, len(within_coverage) - 1, queries).astype(int)]
     clouds: list[Scan | LocalCloud] = [
         gathered(scans, k) if accumulated else alone(scans, k) for k in chosen

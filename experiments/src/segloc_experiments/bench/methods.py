@@ -7,17 +7,16 @@ timed against PyTorch and ONNX Runtime.
 """
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from segloc import Config, _native
+from segloc import Config, SegmentMap, _native
 from segloc.descriptors import available, create, segmap
 from segloc.matching import Matcher
 from segloc.system import processor
 from segloc.training.shapes import shapes_dataset
-from segloc.types import Float32, Segments
+from segloc.types import Descriptors, Float32, Segments
 
 from ..script import parser
 from .harness import OURS, Row, in_process, interleaved, optional, row
@@ -63,7 +62,10 @@ def measured(method: str, query: int, size: int, threads: int, repeats: int) -> 
     """One line of the table."""
     segments, descriptor = scene(query), create(method, threads)
     vectors = descriptor.describe(scene(size, seed=1)).vectors
-    prior_map = SimpleNamespace(vectors=vectors, quality=None)
+    prior_map = SegmentMap.empty(method, descriptor.fingerprint, descriptor.dim)
+    where = np.zeros((len(vectors), 3))
+    ones = np.ones(len(vectors), np.int64)
+    prior_map.add(Descriptors(vectors), where, ones, session=0, stamp=0.0, cloud=where[:0])
     config = Config.preset(method).matching
     matcher = Matcher(prior_map, config, pruner=descriptor.pruner, threads=threads)
     prepared = descriptor.prepare(segments)
@@ -143,7 +145,7 @@ def torch_model(torch: Any, tensors: dict[str, np.ndarray]) -> Any:
     """The network in PyTorch, with the same weights."""
     nn, functional = torch.nn, torch.nn.functional
 
-    class Model(nn.Module):
+    class Model(nn.Module):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:
             super().__init__()
             self.conv1, self.conv2, self.conv3 = (
@@ -165,9 +167,10 @@ def torch_model(torch: Any, tensors: dict[str, np.ndarray]) -> Any:
     return Model().eval()
 
 
-def torch_run(torch: Any, model: Any, chunks: list[tuple[Any, Any]]) -> np.ndarray:
+def torch_run(torch: Any, model: Any, chunks: list[tuple[Any, Any]]) -> Float32:
     with torch.inference_mode():
-        return torch.cat([model(*chunk) for chunk in chunks]).numpy()
+        described: Float32 = torch.cat([model(*chunk) for chunk in chunks]).numpy()
+    return described
 
 
 if __name__ == "__main__":

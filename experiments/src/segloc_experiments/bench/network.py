@@ -23,7 +23,7 @@ CHUNKS = (10, 30, 100)
 
 def network(threads: int, repeats: int) -> Row:
     """DSM against PyTorch and ONNX Runtime, which are handed the neighbours for nothing."""
-    prepared = prepared_segments()
+    prepared = prepared_segments(SEGMENTS)
     flops = "its arithmetic", float(sum(layer_flops(DSM_LAYERS)) * SEGMENTS)
     torch = optional("torch")
     if torch is None:
@@ -46,7 +46,7 @@ def network(threads: int, repeats: int) -> Row:
 
 def dsm_vs_esm(threads: int, repeats: int) -> Row:
     """The paper's comparison on one engine: DSM's time, ESM as the rival."""
-    prepared = prepared_segments()
+    prepared = prepared_segments(SEGMENTS)
     flops = {name: sum(layer_flops(layers)) for name, layers in _both().items()}
     engines = {name: build(layers, random_tensors(layers)) for name, layers in _both().items()}
     runs = {
@@ -62,7 +62,7 @@ def _both() -> dict[str, Sequence[Layer]]:
     return {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
 
 
-def prepared_segments(count: int = SEGMENTS) -> Float32:
+def prepared_segments(count: int) -> Float32:
     """Synthetic segments as the network reads them, (count, 256, 3)."""
     points = inputs.segments(count, 400).reshape(-1, 3)
     offsets = np.arange(count + 1, dtype=np.int64) * 400

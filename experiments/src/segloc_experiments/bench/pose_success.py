@@ -5,12 +5,15 @@ python -m segloc_experiments.bench.pose_success [TRIALS]
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+
+from segloc.types import Float64
 
 from ..script import head, parser, row
 from .geometric import consensus, prosac, prune_and_solve
 from .harness import optional
-from .inputs import match_problem
+from .inputs import MatchProblem, match_problem
 
 SHARES = (0.005, 0.01, 0.02, 0.05, 0.1)
 
@@ -20,7 +23,7 @@ def main() -> None:
     options.add_argument("trials", nargs="?", type=int, default=20)
     trials = options.parse_args().trials
     kiss = optional("kiss_matcher")
-    estimators = {
+    estimators: dict[str, Callable[[MatchProblem], Float64]] = {
         "consensus": consensus,
         "PROSAC": prosac,
         "RANSAC": partial(prosac, ordered=False),

@@ -102,7 +102,7 @@ def candidates(localizer: Localizer, drive: Sequence, known: bool, every_m: floa
     local = localizer.config.local_cloud
     poses = drive.poses
     assert poses is not None
-    rows = []
+    rows: list[Row] = []
     for n, i in enumerate(query_positions(poses, every_m, local.max_gap_m)):
         behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
         single = thinned(drive.scan(i), n) if n % 2 else drive.scan(i)
@@ -272,7 +272,7 @@ def main() -> None:
     options.add_argument("--figure", type=Path)
     args = options.parse_args()
     if args.rows is None:
-        real = [open_sequence(*map(Path, pair.split("="))) for pair in args.real]
+        real = [open_sequence(*pair.split("=")) for pair in args.real]
         calibration, before = Calibration(args.out), None
         for recording in real:
             calibration.real(recording)

@@ -13,10 +13,12 @@ from ..bench.harness import interleaved, optional
 from ..bench.network import DIM, build, prepared_segments, random_tensors
 from ..memory import rise_mb
 
+_DISTINCT = 300
+
 
 def inference_mb(layers: Sequence[Layer], segments: int = 300, threads: int = 1) -> float:
     """Peak of describing prepared segments, beyond the segments themselves and the weights."""
-    prepared = np.tile(prepared_segments(), (-(-segments // 300), 1, 1))[:segments]
+    prepared = np.tile(prepared_segments(_DISTINCT), (-(-segments // _DISTINCT), 1, 1))[:segments]
     engine = build(layers, random_tensors(layers))
     return rise_mb(lambda: engine.describe(prepared, threads))
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from segloc.batch.comparison import QUALITY
 from segloc.batch.methods import METHODS
 from segloc.batch.methods import fingerprint as shipped_fingerprint
 from segloc.descriptors.base import Descriptor
@@ -19,7 +20,6 @@ from .learning import (
     EFFORTS,
     FORESTS,
     NETWORKS,
-    QUALITY,
     Effort,
     Training,
     load_method,

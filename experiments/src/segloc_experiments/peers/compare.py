@@ -67,7 +67,7 @@ def score(path: Path, queries: Clouds) -> Score:
         threshold = float(answers.scores[wrong].max()) if wrong.any() else -math.inf
         taken = given & (answers.scores > threshold)
     name = path.stem.removeprefix("answers-")
-    ms = float(np.median(answers.ms[answers.asked]))
+    ms = float(np.median(answers.ms[answers.queried]))
     return Score(name, answers.queried, right, taken, answers.scores, threshold, ms)
 
 
@@ -76,7 +76,8 @@ def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
     metres = np.linalg.norm(poses[:, :3, 3] - truths[:, :3, 3], axis=1)
     traces = np.einsum("nij,nij->n", poses[:, :3, :3], truths[:, :3, :3])
     degrees = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    return (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
+    right: Bools = (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
+    return right
 
 
 def table(folder: Path) -> Part:

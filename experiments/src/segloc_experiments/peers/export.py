@@ -31,10 +31,10 @@ from segloc.simulation import (
     simulate_session,
 )
 from segloc.simulation.drives import mapped_way
-from segloc.simulation.motion.paths import on_ground
-from segloc.types import Float64, LocalCloud, Scan
+from segloc.types import Float64, LocalCloud
 
 from .. import kitti00
+from ..recordings import beside, has_room
 from ..script import parser
 from .exchange import Clouds, Gathering
 
@@ -43,7 +43,7 @@ VIEW_EVERY_M = {"long": 8.0, "short": 8.0, "scan": 2.0}
 LOCAL = LocalCloudConfig(radius_m=80.0)
 THIN_M = 0.1
 OFFSETS_M = (0.0, 5.0, 10.0, 15.0)
-PATH_M, WORLD_M, ROOM_M = 240.0, {"town": 260.0, "park": 240.0}, 1.5
+PATH_M, WORLD_M = 240.0, {"town": 260.0, "park": 240.0}
 CHANGED = Conditions(foliage=0.2, replaced=0.2, scaffolding=0.1)
 
 
@@ -52,19 +52,21 @@ CHANGED = Conditions(foliage=0.2, replaced=0.2, scaffolding=0.1)
 
 def gathered(recording: Recording, i: int, length_m: float, *, centred: bool) -> LocalCloud:
     """The scans around or behind one of a recording, thinned."""
-    scans = window(recording.poses, i, length_m, centred=centred, max_gap_m=LOCAL.max_gap_m)
+    poses = kitti00.poses_of(recording)
+    scans = window(poses, i, length_m, centred=centred, max_gap_m=LOCAL.max_gap_m)
     cloud = Accumulator(LOCAL).gather([recording.scan(k) for k in scans], i - scans.start)
     return replace(cloud, points=_native.voxel_grid(cloud.points, THIN_M))
 
 
 def views(recording: Recording, length_m: float, every_m: float) -> Clouds:
     """Clouds along the path of a map, each with its (level) pose."""
-    travelled = geometry.travelled(recording.poses)
+    poses = kitti00.poses_of(recording)
+    travelled = geometry.travelled(poses)
     marks = np.arange(0.0, travelled[-1] + 1e-9, every_m)
     found = Gathering()
     for i in np.unique(np.searchsorted(travelled, marks - 1e-9)).tolist():
         cloud = gathered(recording, i, length_m, centred=True)
-        found.add(cloud.points, geometry.levelled(recording.poses[i]), cloud.num_scans)
+        found.add(cloud.points, geometry.levelled(poses[i]), cloud.num_scans)
     return found.clouds()
 
 
@@ -91,10 +93,11 @@ def add_accumulated(
     found: Gathering, recording: Recording, positions: list[int], path: Float64, group: str = "all"
 ) -> None:
     """Queries of the 40 m behind a scan, in a level frame, as a robot has them."""
-    near = distances_to_path(recording.poses, path) <= PLACE_RADIUS_M
+    poses = kitti00.poses_of(recording)
+    near = distances_to_path(poses, path) <= PLACE_RADIUS_M
     for i in positions:
         cloud = gathered(recording, i, VIEWS_M["long"], centred=False)
-        T_map_local = recording.poses[i] @ geometry.inverse(cloud.T_local_sensor)
+        T_map_local = poses[i] @ geometry.inverse(cloud.T_local_sensor)
         found.add(cloud.points, T_map_local, cloud.num_scans, bool(near[i]), group)
 
 
@@ -120,22 +123,6 @@ def kitti(data: Path, out: Path, protocol: str, every: int) -> None:
 # --- the protocols on simulated scans -------------------------------------------------------------
 
 
-def beside(drive: SimulatedSequence, offset_m: float, turned: bool = False) -> SimulatedSequence:
-    """The session seen from so many metres to the left of its path, perhaps turned about."""
-    shift = geometry.yaw_transform(np.pi if turned else 0.0, (0.0, offset_m, 0.0))
-    moved = np.stack([T @ shift for T in drive.truth])
-    yaw = np.array([geometry.heading(T) for T in moved])
-    poses = on_ground(drive.world.terrain, moved[:, :2, 3], yaw, drive.sensor.mount_height_m)
-    return replace(drive, truth=poses, poses=poses, _last=None)
-
-
-def has_room(scan: Scan, mount_height_m: float) -> bool:
-    """Whether nothing stands where the sensor does."""
-    x, y, z = scan.points.T
-    near = (x**2 + y**2 < ROOM_M**2) & (z > 0.4 - mount_height_m)
-    return len(scan) > 1000 and not near.any()
-
-
 def add_scans(found: Gathering, drive: SimulatedSequence, every: int, group: str) -> None:
     """Queries of a single scan without its pose, wherever there is room for a sensor."""
     for i in range(every // 2, len(drive), every):
@@ -158,8 +145,8 @@ def simulated(out: Path, scene: str, every: int, seed: int = 8000) -> None:
     write_map(prior_map, out / scene)
     found = Gathering()
     for offset, side in offsets():
-        add_scans(found, beside(again, side), every, f"{offset:g} m beside")
-    add_scans(found, beside(again, 3.0, turned=True), every, "opposite direction")
+        add_scans(found, beside(again, again.truth, side), every, f"{offset:g} m beside")
+    add_scans(found, beside(again, again.truth, 3.0, turned=True), every, "opposite direction")
     later = drive_along(here, 2, lidar, seed, CHANGED)
     add_scans(found, later, every, "changed")
     add_scans(found, drive_along(there, 0, lidar, seed, Conditions()), every // 4, "elsewhere")

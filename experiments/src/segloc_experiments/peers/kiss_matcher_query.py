@@ -55,7 +55,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
         with verified.timed(q), alone.timed(q):
             candidates = contexts.candidates(queries[q], sideways(options.shifts), options.top)
         for candidate in candidates:
-            places.target(candidate.view)  # part of the map: prepared before it is asked
+            places.target(candidate.view)  # part of the map: prepared before it is queried
         with verified.timed(q), alone.timed(q):
             cloud = near(queries[q], RADIUS_M)
             poses = []

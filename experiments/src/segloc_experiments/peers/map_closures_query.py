@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
+from numpy.typing import NDArray
 
 from ..script import parser
 from .exchange import Answers, Clouds, run
@@ -21,8 +22,10 @@ from .exchange import Answers, Clouds, run
 RADIUS_M = 50.0
 
 
-def near(points: np.ndarray) -> np.ndarray:
-    return points[np.hypot(points[:, 0], points[:, 1]) < RADIUS_M].astype(np.float64)
+def near(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The points near the sensor, which is at the origin."""
+    inside: NDArray[np.bool_] = np.hypot(points[:, 0], points[:, 1]) < RADIUS_M
+    return points[inside].astype(np.float64)
 
 
 def answer(folder: Path, options: argparse.Namespace) -> None:

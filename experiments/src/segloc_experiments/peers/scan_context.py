@@ -92,7 +92,8 @@ class ScanContexts:
         """Each view's distance at its best turn, and that turn."""
         columns = normalised(context)
         alike = np.einsum("vsr,tr->vst", self._columns, columns, optimize=True)
-        both = self._filled[:, :, None] & columns.any(axis=1)[None, None, :]
+        filled: NDArray[np.bool_] = np.any(columns, axis=1).reshape(-1)
+        both = self._filled[:, :, None] & filled[None, None, :]
         sectors = np.arange(SECTORS)[None, :]
         total = alike[:, sectors, self._turned].sum(axis=2)
         count = both[:, sectors, self._turned].sum(axis=2)
@@ -125,7 +126,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
             candidates = contexts.candidates(queries[q], shifts, options.top)
         alone.give(q, candidates[0].T_map_query, -candidates[0].distance)
         for candidate in candidates:
-            places.target(candidate.view)  # part of the map: prepared before it is asked
+            places.target(candidate.view)  # part of the map: prepared before it is queried
         with verified.timed(q):
             query = Query(queries[q])
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]

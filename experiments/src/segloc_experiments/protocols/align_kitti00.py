@@ -15,7 +15,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -62,7 +62,8 @@ def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:
     correction = registration.corrected(T_b, cloud_b) @ geometry.inverse(T_b)
     if not registration.accepted:
         return None
-    return geometry.inverse(a.poses[i]) @ correction @ b.poses[j]
+    T_a_b: Pose = geometry.inverse(a.poses[i]) @ correction @ b.poses[j]
+    return T_a_b
 
 
 def pairs_across(a: Reposed, b: Reposed) -> list[tuple[int, int]]:
@@ -109,7 +110,8 @@ def false_loops(truth: list[Reposed], found: Alignment) -> int:
 
 
 @contextmanager
-def timed(label: str) -> Iterator[object]:
+def timed(label: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress that prints how long each part took."""
     began = time.perf_counter()
     yield lambda done, total: None
     print(f"<!-- {label}: {time.perf_counter() - began:.0f} s -->", flush=True)

@@ -23,42 +23,24 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc import Config, Localizer, SegmentMap, build_map
 from segloc.batch.comparison import place_of
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import distances_to_path, pose_errors
 from segloc.descriptors import create
-from segloc.simulation import SCENES, Conditions, SimulatedSequence, hdl64e
-from segloc.simulation.motion.paths import on_ground
-from segloc.types import Float64, Scan
+from segloc.simulation import SCENES, Conditions, hdl64e
+from segloc.types import Float64
 
 from ..kitti00 import SECOND_HALF, keyframes, poses_of
+from ..recordings import beside, has_room
 from ..script import head, parser, row
 from .change import SIZES_M, evaluations, mapped_drive
 
 OFFSETS_M = (0.0, 3.0, 5.0, 7.5, 10.0, 12.5, 15.0)
 WORLDS = {"town": 4, "industrial": 2, "park": 1}
 """How many of each kind."""
-ROOM_M = 1.5
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
 REAL_M = (3.0, 5.0, 10.0, 20.0)
-
-
-def beside(drive: SimulatedSequence, path: Float64, offset_m: float) -> SimulatedSequence:
-    """The session seen from so many metres to the left of a path."""
-    shift = geometry.yaw_transform(0.0, (0.0, offset_m, 0.0))
-    moved = np.stack([T @ shift for T in path])
-    yaw = np.array([geometry.heading(T) for T in moved])
-    poses = on_ground(drive.world.terrain, moved[:, :2, 3], yaw, drive.sensor.mount_height_m)
-    indices = np.arange(len(poses), dtype=np.int64)
-    return replace(drive, indices=indices, truth=poses, poses=poses)
-
-
-def has_room(scan: Scan, mount_height_m: float) -> bool:
-    """Whether nothing stands where the sensor does."""
-    x, y, z = scan.points.T
-    near = (x**2 + y**2 < ROOM_M**2) & (z > 0.4 - mount_height_m)
-    return len(scan) > 1000 and not near.any()
 
 
 def simulated(name: str, seed: int, config: Config, every: int) -> Iterator[tuple[float, str]]:

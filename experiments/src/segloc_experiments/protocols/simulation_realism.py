@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from segloc import _native, datasets
@@ -81,9 +82,11 @@ def cloud_figures(sequence: datasets.Sequence, i: int) -> dict[str, float]:
     return figures | shape_shares(structure)
 
 
-def _car_like(extent: Float32) -> np.ndarray:
+def _car_like(extent: Float32) -> NDArray[np.bool_]:
     long, short = np.sort(extent[:, :2], axis=1)[:, ::-1].T
-    return (long > 2.5) & (long < 6.0) & (short > 1.0) & (short < 3.5) & (extent[:, 2] < 1.9)
+    flat = (long > 2.5) & (long < 6.0) & (short > 1.0) & (short < 3.5)
+    alike: NDArray[np.bool_] = flat & (extent[:, 2] < 1.9)
+    return alike
 
 
 Figures: TypeAlias = Callable[[datasets.Sequence, int], dict[str, float]]
@@ -98,10 +101,11 @@ def quartiles(
         for sequence in sequences
         for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int)
     ]
-    return {
-        name: tuple(float(v) for v in np.percentile([row[name] for row in rows], [50, 25, 75]))
-        for name in rows[0]
-    }
+    found = {}
+    for name in rows[0]:
+        low, middle, high = np.percentile([row[name] for row in rows], [25, 50, 75]).tolist()
+        found[name] = (middle, low, high)
+    return found
 
 
 def _cell(middle: float, low: float, high: float) -> str:

@@ -100,7 +100,8 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
     for row, (sensor, (real, simulated)) in zip(axes, sides.items(), strict=True):
         for k, ax in enumerate(row):
             both = np.concatenate([real.features[:, k], simulated.features[:, k]])
-            bins = np.linspace(*np.percentile(both, [0.5, 99.5]), 24)
+            low, high = np.percentile(both, [0.5, 99.5]).tolist()
+            bins = np.linspace(low, high, 24)
             for side, colour, label in (
                 (real, "#c44e52", "real"),
                 (simulated, "#4c72b0", "simulated"),
