@@ -182,7 +182,7 @@ def details(results: list[Result], methods: Methods) -> Table:
         "All counts",
         (
             "set", "method", "estimator", "queries", "places", "localized", "right",
-            "right, at a place", "false", "asked elsewhere", "false elsewhere", "median error m",
+            "right, at a place", "false", "queries elsewhere", "false elsewhere", "median error m",
         ),
         tuple(rows),
         "Right answers off the places are of queries that pass the map's path at more than 3 m.",

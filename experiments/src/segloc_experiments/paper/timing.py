@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from segloc.batch.comparison import MappedPlace, build_maps, place_of
-from segloc.batch.methods import METHODS
+from segloc.batch.methods import ready
 from segloc.batch.report.study import Cell, Study, Table
 from segloc.batch.run import query_scans
 from segloc.config import Config
@@ -76,8 +76,7 @@ def run(workspace: Workspace) -> Study:
         If a recording cannot be read, or results cannot be written.
     """
     start = time.perf_counter()
-    names = workspace.methods or METHODS
-    descriptors = {name: create(name, 1) for name in names}
+    descriptors = {name: create(name, 1) for name in ready(workspace.methods).names}
     tables = []
     for label, settings, source in _sources(workspace):
         measured = workspace.cached_json(

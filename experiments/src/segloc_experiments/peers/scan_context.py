@@ -18,6 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +93,7 @@ class ScanContexts:
         """Each view's distance at its best turn, and that turn."""
         columns = normalised(context)
         alike = np.einsum("vsr,tr->vst", self._columns, columns, optimize=True)
-        filled: NDArray[np.bool_] = np.any(columns, axis=1).reshape(-1)
+        filled = cast(NDArray[np.bool_], columns.any(axis=1))
         both = self._filled[:, :, None] & filled[None, None, :]
         sectors = np.arange(SECTORS)[None, :]
         total = alike[:, sectors, self._turned].sum(axis=2)
