@@ -14,6 +14,7 @@ from segloc_experiments.paper import pairs as pair_module
 from segloc_experiments.paper import rotation
 from segloc_experiments.paper.pairs import Pairs
 
+from segloc.descriptors import create
 from segloc.types import Segments
 
 

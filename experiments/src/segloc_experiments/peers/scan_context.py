@@ -18,7 +18,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +60,12 @@ def ground_below(points: NDArray[np.float32]) -> float:
     return float(np.percentile(close[:, 2], 5)) if len(close) else 0.0
 
 
+def _filled(columns: Floats) -> NDArray[np.bool_]:
+    """Which columns, of which the last axis holds the rings, are not empty."""
+    found: NDArray[np.bool_] = np.logical_or.reduce(columns != 0, axis=-1)
+    return found
+
+
 class ScanContexts:
     """The contexts of a map's views."""
 
@@ -68,7 +73,7 @@ class ScanContexts:
         self.poses, self.radius_m = views.poses, radius_m
         contexts = [self.describe(views[i]) for i in range(len(views))]
         self._columns = np.stack([normalised(c) for c in contexts])
-        self._filled = self._columns.any(axis=2)
+        self._filled = _filled(self._columns)
         turns = np.arange(SECTORS)
         self._turned = (turns[None, :] + turns[:, None]) % SECTORS
 
@@ -93,8 +98,7 @@ class ScanContexts:
         """Each view's distance at its best turn, and that turn."""
         columns = normalised(context)
         alike = np.einsum("vsr,tr->vst", self._columns, columns, optimize=True)
-        filled = cast(NDArray[np.bool_], columns.any(axis=1))
-        both = self._filled[:, :, None] & filled[None, None, :]
+        both = self._filled[:, :, None] & _filled(columns)[None, None, :]
         sectors = np.arange(SECTORS)[None, :]
         total = alike[:, sectors, self._turned].sum(axis=2)
         count = both[:, sectors, self._turned].sum(axis=2)
