@@ -53,5 +53,15 @@ $(VENV)/.%: $(NATIVE) | $(BIN)/python
 	$(PIP) -e ".[$*]"
 	@touch $@
 
+# The experiments are a distribution of their own, which adds verbs to segloc.
+LABORATORY := $(NATIVE) experiments/pyproject.toml
+$(VENV)/.evaluate: $(LABORATORY) | $(BIN)/python
+	$(PIP) -e ".[io]" -e ./experiments
+	@touch $@
+
+$(VENV)/.test $(VENV)/.dev: $(VENV)/.%: $(LABORATORY) | $(BIN)/python
+	$(PIP) -e ".[$*]" -e ./experiments
+	@touch $@
+
 clean:
 	rm -rf build $(VENV)

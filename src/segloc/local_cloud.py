@@ -65,7 +65,7 @@ def _walk(positions: NDArray[Any], index: int, step: int, length: float, max_gap
 
 
 Scans = Scan | Sequence[Scan] | NDArray[Any]
-"""What a local cloud is gathered from: one scan, an (N, 3) array of its points, or several scans."""
+"""What a local cloud is gathered from: one scan, an (N, 3) array of points, or several scans."""
 
 
 class Accumulator:

@@ -1,4 +1,4 @@
-"""Descriptors -> matches: the nearest map descriptors of every query segment, pruned if the method does so."""
+"""Descriptors -> matches: the nearest map descriptors of every query segment, perhaps pruned."""
 
 from __future__ import annotations
 

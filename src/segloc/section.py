@@ -1,4 +1,4 @@
-"""What every section of the configuration is: unknown keys are refused, and so are NaN and infinity."""
+"""What every section of the configuration refuses: unknown keys, NaN and infinity."""
 
 from __future__ import annotations
 

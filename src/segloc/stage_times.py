@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Clock = Callable[[], float]
-"""Returns seconds: ``time.perf_counter`` for wall time, ``time.process_time`` for processor time."""
+"""Returns seconds: of the wall, ``time.perf_counter``, or of the processor, ``time.process_time``."""
 
 
 class StageTimes:

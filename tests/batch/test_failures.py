@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from segloc import Config, Localizer, SegmentMap, build_map
 from segloc.batch import failures
 from segloc.batch.failure_picture import draw_case
 from segloc.batch.failures import Case, Funnel, funnel
+from segloc.batch.scenario import QuerySet
 from segloc.cli import app
 from segloc.io import Trajectory, write_tum
 from segloc.types import Descriptors
@@ -28,12 +30,17 @@ def prior_map(walk: PlazaSequence) -> SegmentMap:
     return build_map(walk, Config.preset("geo"))
 
 
+def queries(walk: PlazaSequence, positions: Iterable[int]) -> QuerySet:
+    chosen = np.array(list(positions), dtype=np.int64)
+    return QuerySet(walk, chosen, walk.poses[chosen])
+
+
 def stages(localizer: Localizer, walk: PlazaSequence) -> set[str]:
-    return {case.stage for case in funnel(localizer, walk, walk.poses, [2, 5]).cases}
+    return {case.stage for case in funnel(localizer, queries(walk, [2, 5])).cases}
 
 
 def test_found_queries_pass_through(prior_map: SegmentMap, walk: PlazaSequence) -> None:
-    found = funnel(Localizer(prior_map), walk, walk.poses)
+    found = funnel(Localizer(prior_map), queries(walk, range(len(walk))))
     assert found.queries == len(walk) == len(found.cases)
     assert found.counts()["localized"] == len(walk) and not found.worst(3)
     for case in found.cases:
@@ -47,7 +54,7 @@ def test_a_rejected_pose_names_its_gate(prior_map: SegmentMap, walk: PlazaSequen
     config = Config.preset("geo")
     gates = config.verification.model_copy(update={"min_confidence": 1.0})
     localizer = Localizer(prior_map, config.model_copy(update={"verification": gates}))
-    found = funnel(localizer, walk, walk.poses, [2, 5])
+    found = funnel(localizer, queries(walk, [2, 5]))
     assert found.counts()["pose found but rejected"] == 2
     assert found.details() == {"too uncertain": 2} and len(found.worst(1)) == 1
 
@@ -123,5 +130,5 @@ def test_the_verb_writes_the_funnel_and_pictures(
 def test_a_picture_is_a_png(prior_map: SegmentMap, walk: PlazaSequence) -> None:
     pytest.importorskip("matplotlib")
     localizer = Localizer(prior_map)
-    case = funnel(localizer, walk, walk.poses, [3]).cases[0]
+    case = funnel(localizer, queries(walk, [3])).cases[0]
     assert draw_case(localizer, walk, case, 3).startswith(b"\x89PNG")

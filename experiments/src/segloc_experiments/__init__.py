@@ -1,1 +1,1 @@
-"""TODO."""
+"""The experiments behind segloc: studies, benchmarks, protocols, calibration and weights."""

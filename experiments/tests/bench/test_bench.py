@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_experiments.bench import fps, geometric, harness, inputs, network, query, suite
+from segloc_experiments.padding import padded_with_copies
 from typer.testing import CliRunner
 
 from segloc import Config, ConfigError, _native, build_map
@@ -78,7 +79,7 @@ def plaza_scene():
     return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
 
 
-def test_a_padded_map_has_the_size_asked_for_and_still_localizes(plaza_scene):
+def test_a_padded_map_has_the_size_that_was_wanted_and_still_localizes(plaza_scene):
     size = 3 * len(plaza_scene.prior_map) + 7
     measured = query.query_row("query", plaza_scene, 1, 1, segments=size)
     assert measured.details["map segments"] == size
@@ -89,10 +90,10 @@ def test_a_padded_map_has_the_size_asked_for_and_still_localizes(plaza_scene):
 def test_padding_leaves_the_map_as_it_was(plaza_scene):
     prior_map = plaza_scene.prior_map
     count = len(prior_map)
-    larger = query.padded(prior_map, count + 500)
+    larger = padded_with_copies(prior_map, count + 500)
     assert (len(prior_map), len(larger)) == (count, count + 500)
     assert np.array_equal(np.sort(larger.centroids[:count], 0), np.sort(prior_map.centroids, 0))
-    assert len(query.padded(prior_map, 10)) == count
+    assert len(padded_with_copies(prior_map, 10)) == count
 
 
 @pytest.mark.parametrize(
@@ -103,6 +104,44 @@ def test_wrong_requests_are_refused(names, threads, repeats):
         suite.run(names, threads, repeats)
 
 
+SMALLEST = {
+    "fps": ((fps, "SEGMENTS", 10),),
+    "network": ((network, "SEGMENTS", 12), (network, "CHUNKS", (5,))),
+    "dsm_vs_esm": ((network, "SEGMENTS", 12),),
+    "clustering": (),
+    "knn": ((geometric, "DATABASE", 2000),),
+    "pose": (),
+    "icp": (),
+    "query": ((query, "MAP_SEGMENTS", 3000), (query, "simulated_scene", None)),
+}
+"""What makes each benchmark small."""
+
+
+@pytest.mark.parametrize("name", suite.BENCHMARKS)
+def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, monkeypatch):
+    """With PyTorch, ONNX Runtime and the other rivals where they are installed."""
+    for module, constant, value in SMALLEST[name]:
+        small = (lambda threads: plaza_scene) if value is None else value
+        monkeypatch.setattr(module, constant, small)
+    monkeypatch.setattr(harness, "_SGEMM_SIZE", 64)
+    row = suite.BENCHMARKS[name](1, 1)
+    assert row.ours_ms > 0 and all(ms > 0 for ms in row.rivals.values())
+    if name == "network" and harness.optional("torch") is not None:
+        assert any("PyTorch" in rival for rival in row.rivals)
+    json.dumps(row.as_json(), allow_nan=False)
+
+
+def test_pytorch_runs_in_its_own_forms():
+    pytest.importorskip("torch", reason="the training framework needs PyTorch")
+    from segloc.training import ops
+
+    assert ops._is_native()
+    with ops.torch_forms():
+        assert not ops._is_native()
+    assert ops._is_native()
+
+
+@pytest.mark.usefixtures("verbs")
 def test_the_command_line_writes_every_figure(tmp_path: Path):
     file = tmp_path / "bench.json"
     options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]

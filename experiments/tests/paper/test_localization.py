@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_experiments.paper import localization as localization_study
-from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario
+from samples.tiny_suite import TINY
+from segloc_experiments.paper import localization
+from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario, scenarios
 from segloc_experiments.paper.workspace import Workspace
-from tiny_suite import TINY
 
 from segloc import Config, Localizer, build_map
-from segloc.batch import comparison as comparison
+from segloc.batch import comparison
+from segloc.batch.comparison_study import answered
+from segloc.batch.comparison_tables import summaries
 from segloc.batch.methods import METHODS, fingerprint, ready
 from segloc.batch.report.study import Study, Table
 from segloc.batch.run import localize_sequence
@@ -39,7 +41,7 @@ def workspace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
 @pytest.fixture
 def study(workspace: Workspace) -> Study:
     """From the cache for every test but the first."""
-    return localization_study.run(workspace)
+    return localization.run(workspace)
 
 
 def table(study: Study, name: str) -> Table:
@@ -53,13 +55,13 @@ def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspa
     config = Config.preset(METHOD).model_copy(update={"threads": 1})
     localizer = Localizer(build_map(opened.map, config), config)
     expected = localize_sequence(localizer, query_set.recording, query_set.positions)
-    result = localization_study.asked(workspace, ready((METHOD,)))[0]
-    answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
+    (found,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    answers = found.answers[METHOD]["test_0"]["map"]["consensus"]
     assert [a["reason"] for a in answers] == [r.reason for r in expected]
     assert [a["inliers"] for a in answers] == [r.inliers for r in expected]
-    for answer, localization in zip(answers, expected, strict=True):
-        if localization.T_map_sensor is not None:
-            np.testing.assert_array_equal(answer["T_map_sensor"], localization.T_map_sensor.ravel())
+    for answer, result in zip(answers, expected, strict=True):
+        if result.T_map_sensor is not None:
+            np.testing.assert_array_equal(answer["T_map_sensor"], result.T_map_sensor.ravel())
 
 
 def test_the_tables_count_what_was_answered(study: Study) -> None:
@@ -85,43 +87,43 @@ def test_the_map_shows_every_query(study: Study) -> None:
     assert len(figure.series["map"][0]) > 100
 
 
-def test_a_second_run_asks_nothing(
+def test_a_second_run_localizes_nothing(
     study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def never(*_: object) -> None:
-        raise AssertionError("was asked again")
+        raise AssertionError("was localized again")
 
     monkeypatch.setattr(comparison, "localize_all", never)
-    again = localization_study.run(workspace)
+    again = localization.run(workspace)
     assert again.tables == study.tables
 
 
-def test_what_is_damaged_is_asked_again(
+def test_what_is_damaged_is_localized_again(
     study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (part,) = workspace.out.glob(f"cache/localization-tiny-{METHOD}-*/data")
     part.write_bytes(part.read_bytes()[:-2])
-    asked: list[tuple[str, ...]] = []
+    run: list[tuple[str, ...]] = []
     whole = comparison.localize_all
 
     def watched(opened: object, methods: tuple[str, ...], *rest: object) -> object:
-        asked.append(methods)
+        run.append(methods)
         return whole(opened, methods, *rest)  # type: ignore[arg-type]
 
     monkeypatch.setattr(comparison, "localize_all", watched)
     said: list[str] = []
-    again = localization_study.run(replace(workspace, say=said.append))
-    assert asked == [(METHOD,)]  # the other method is as it was
+    again = localization.run(replace(workspace, say=said.append))
+    assert run == [(METHOD,)]  # the other method is as it was
     assert len(said) == 1 and "damaged" in said[0]
     assert again.tables == study.tables
 
 
 def test_false_answers_stand_in_brackets(study: Study, workspace: Workspace) -> None:
-    (result,) = localization_study.asked(workspace, ready((METHOD,)))
+    (result,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
     answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
     first = next(answer for answer in answers if answer["T_map_sensor"] is not None)
     first["T_map_sensor"][3] += 30.0
-    rows = localization_study.summaries([result], ready((METHOD,)), "consensus")
+    rows = summaries([result], ready((METHOD,)), "consensus")
     cell = next(rows).rows[0][-1]
     assert isinstance(cell, str) and cell.endswith("(1)")
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from segloc_experiments.paper import published, timing
 from segloc_experiments.paper.gpu import GPU_METHODS, gpu_ms
-from segloc_experiments.paper.random_weights import any_descriptor
+from segloc_experiments.stages import STAGES
 
+from segloc.descriptors import create
 from segloc.map.segment_map import SegmentMap
 from segloc.segmentation import Segmenter
 from segloc.training.shapes import shapes_dataset
@@ -32,7 +33,7 @@ def bench() -> timing.Bench:
     scene = Segmenter().segment(cloud)
     maps = {}
     for name in ("geo", "nsm", "esm"):
-        descriptor, _ = any_descriptor(name, 1)
+        descriptor = create(name, 1)
         maps[name] = SegmentMap.empty(name, descriptor.fingerprint, descriptor.dim)
         maps[name].add(
             descriptor.describe(scene.segments),
@@ -52,14 +53,14 @@ def test_every_stage_of_every_method_is_timed(
     times = timing.stage_times(bench, 1, 1)
     assert set(times) == {"geo", "nsm", "esm"}
     for stages in times.values():
-        assert set(timing.STAGES) < set(stages) and all(ms >= 0 for ms in stages.values())
+        assert set(STAGES) < set(stages) and all(ms >= 0 for ms in stages.values())
     assert len({stages["segmentation"] for stages in times.values()}) == 1
     assert times["nsm"]["pruning"] > times["geo"]["pruning"]
     assert times["esm"]["descriptor"] > times["geo"]["descriptor"]
 
 
 def test_the_table_adds_up_and_says_what_was_missing() -> None:
-    stages = dict.fromkeys(timing.STAGES, 2.0) | {"pose, PROSAC": 5.0}
+    stages = dict.fromkeys(STAGES, 2.0) | {"pose, PROSAC": 5.0}
     measured = {
         "times": {"one core": {"nsm": stages}, "2 cores": {"nsm": stages}},
         "gpu": {"device": "G", "times": {"nsm": [1.0, 0.5]}},
@@ -67,26 +68,14 @@ def test_the_table_adds_up_and_says_what_was_missing() -> None:
         "map": 700,
         "queries": 5,
     }
-    descriptors = {"nsm": any_descriptor("nsm", 1)[0]}
-    table = timing.time_table("x", measured, descriptors, ["esm"])
+    descriptors = {"nsm": create("nsm", 1)}
+    table = timing.time_table("x", measured, descriptors)
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [row["processor"] for row in rows] == ["one core", "2 cores", "G"]
     assert [row["total"] for row in rows] == [14.0, 14.0, 11.5]
     assert rows[0]["total, PROSAC"] == 17.0 and rows[0]["K"] == 200 and rows[0]["numbers"] == 66
-    assert (
-        "no GPU" not in table.note and "random weights, where none are shipped: esm" in table.note
-    )
-    assert (
-        "There was no GPU" in timing.time_table("x", {**measured, "gpu": {}}, descriptors, []).note
-    )
-
-
-def test_random_weights_are_for_networks_that_have_none(segments: Segments) -> None:
-    descriptor, _ = any_descriptor("esm", 1)
-    again, _ = any_descriptor("esm", 1)
-    assert descriptor.fingerprint == again.fingerprint
-    assert descriptor.describe(segments).vectors.shape == (6, 16)
-    assert any_descriptor("profile", 1)[1] is False
+    assert "no GPU" not in table.note
+    assert "no GPU" in timing.time_table("x", {**measured, "gpu": {}}, descriptors).note
 
 
 def test_networks_run_through_the_training_framework(segments: Segments) -> None:

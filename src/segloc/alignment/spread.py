@@ -12,8 +12,8 @@ from .submaps import Session
 def spread(session: Session, nodes: Float64) -> Float64:
     """T_world_sensor of every scan, (N, 4, 4).
 
-    A scan between two submaps is carried along by both; what they say of it is blended by the distance travelled
-    to each: linear in position, slerp in rotation.
+    A scan between two submaps is carried along by both; what they say of it is blended by the
+    distance travelled to each: linear in position, slerp in rotation.
 
     Parameters
     ----------

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
 from ..verification.verifier import Verifier
 from .run import query_scans
-from .scenario import OpenedScenario, Scenario
+from .scenario import OpenedScenario, QuerySet, Scenario
 from .score import Evaluation
 
 ESTIMATORS = ("consensus", "prosac")
@@ -148,11 +147,11 @@ def localize_all(
     Returns
     -------
     answers : dict
-        ``answers[method][query_set][place][estimator]`` is a list of one dict a query, in values that
-        JSON can hold.
+        ``answers[method][query_set][place][estimator]`` is a list of one dict a query, in values
+        that JSON can hold.
     arrays : dict of str to array
-        "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each query_set "indices-SET"
-        and "truths-SET".
+        "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each set of queries
+        "indices-SET" and "truths-SET".
     """
     descriptors = {name: create(name, threads) for name in methods}
     places = {"map": build_place(opened.map, descriptors, threads)}
@@ -177,25 +176,34 @@ def localize_all(
 def _answered(
     opened: OpenedScenario, descriptors: Mapping[str, Descriptor], places: Mapping[str, MappedPlace]
 ) -> Iterator[tuple[str, dict[tuple[str, str, str], Localization]]]:
+    for name, query_set in opened.query_sets.items():
+        for found in localized(query_set, descriptors, places):
+            yield name, found
+
+
+def localized(
+    query_set: QuerySet,
+    descriptors: Mapping[str, Descriptor],
+    places: Mapping[str, MappedPlace],
+    estimators: Sequence[str] = ESTIMATORS,
+) -> Iterator[dict[tuple[str, str, str], Localization]]:
+    """The answers to each query, by (method, place, estimator).
+
+    A cloud is gathered and segmented once for all, and described once by each method.
+    """
     config = Config()
     accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
-    queries = chain.from_iterable(
-        (
-            (name, scans)
-            for scans in query_scans(query_set.recording, query_set.positions, config.local_cloud)
-        )
-        for name, query_set in opened.query_sets.items()
-    )
-    for name, scans in queries:
+    for scans in query_scans(query_set.recording, query_set.positions, config.local_cloud):
         cloud = accumulator.gather(scans)
         scene = segmenter.segment(cloud)
-        found = {}
-        for method, described in describe_all(descriptors, scene.segments).items():
-            for place, prior_map in places.items():
-                for estimator, localizer in prior_map.localizers[method].items():
-                    answer = localizer.locate(Query(cloud, scene, described))
-                    found[method, place, estimator] = answer
-        yield name, found
+        yield {
+            (method, place, estimator): mapped.localizers[method][estimator].locate(
+                Query(cloud, scene, described)
+            )
+            for method, described in describe_all(descriptors, scene.segments).items()
+            for place, mapped in places.items()
+            for estimator in estimators
+        }
 
 
 def _record(result: Localization) -> Answer:

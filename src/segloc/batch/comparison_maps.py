@@ -13,7 +13,7 @@ from .methods import Methods
 from .report.study import Curve, Figure
 from .score import PATH_BREAK_M, Evaluation
 
-_CLOUD_REACH_M = 60.0
+_CLOUD_RADIUS_M = 60.0
 
 
 def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
@@ -23,7 +23,7 @@ def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
         for group in groups(result):
             label = label_of(result, group)
             parts = [_drawn(result.scored(method, query_set, "consensus")) for query_set in group]
-            series = {"map": _near_way(result.arrays), "path of the map": _way(result.arrays)}
+            series = {"map": _near_path(result.arrays), "path of the map": _path(result.arrays)}
             for key in parts[0]:
                 series[key] = _joined([part[key] for part in parts])
             yield Figure(
@@ -36,13 +36,13 @@ def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
             )
 
 
-def _near_way(arrays: Mapping[str, Float64]) -> Curve:
+def _near_path(arrays: Mapping[str, Float64]) -> Curve:
     cloud, path = arrays["cloud"], arrays["trajectory"]
-    near = cKDTree(path).query(cloud, distance_upper_bound=_CLOUD_REACH_M)[0] < _CLOUD_REACH_M
+    near = cKDTree(path).query(cloud, distance_upper_bound=_CLOUD_RADIUS_M)[0] < _CLOUD_RADIUS_M
     return cloud[near, 0], cloud[near, 1]
 
 
-def _way(arrays: Mapping[str, Float64]) -> Curve:
+def _path(arrays: Mapping[str, Float64]) -> Curve:
     path = arrays["trajectory"]
     breaks = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
     broken = np.insert(path, breaks, np.nan, axis=0)

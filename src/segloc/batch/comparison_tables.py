@@ -27,7 +27,8 @@ class Result:
     ----------
     scenario : Scenario
     answers : dict
-        ``answers[method][query_set][place][estimator]``; see :func:`~segloc.batch.comparison.localize_all`.
+        ``answers[method][query_set][place][estimator]``; see
+        :func:`~segloc.batch.comparison.localize_all`.
     arrays : dict of str to array
     """
 
@@ -78,7 +79,7 @@ def _found(results: list[Result], methods: Methods, estimator: str) -> Table:
             rows.append((*described, *counts))
     note = (
         "Queries that were localized rightly; in brackets, where there are any, those that were "
-        "localized falsely. Places: queries that the mapped path passes within 3 m; some that it "
+        "localized falsely. Places: queries that the map's path passes within 3 m; some that it "
         "passes farther off are found, too. "
     )
     return Table(
@@ -181,10 +182,11 @@ def details(results: list[Result], methods: Methods) -> Table:
         "All counts",
         (
             "set", "method", "estimator", "queries", "places", "localized", "right",
-            "right, within coverage", "false", "negative queries", "false on negatives", "median error m",
+            "right, within coverage", "false", "negative queries", "false on negatives",
+            "median error m",
         ),
         tuple(rows),
-        "Right answers off the places are of queries that pass the mapped path at more than 3 m.",
+        "Right answers off the places are of queries that pass the map's path at more than 3 m.",
     )  # fmt: skip
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import geometry
+from ..errors import DatasetError
 from ..local_cloud import window
-from ..types import Candidate, Float64, Int64, LocalCloud, Matches, Pose
+from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from ..verification import Verdict
 from .score import COVERAGE_RADIUS_M, Tolerance, distances_to_path
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..localizer import Localizer
     from ..segmentation import Segmentation
     from ..types import Recording
+    from .scenario import QuerySet
 
 REPEAT_RADIUS_M = 0.5
 """A query segment is repeated where the map has the centroid of a segment this close to its own."""
@@ -87,9 +88,9 @@ class Funnel:
     Attributes
     ----------
     queries : int
-        Asked in all.
+        In all.
     cases : tuple of Case
-        Those that have a place in the map.
+        Those within map coverage.
     """
 
     queries: int
@@ -121,42 +122,34 @@ class Funnel:
         }
 
 
-def funnel(
-    localizer: Localizer,
-    sequence: Recording,
-    truths: Float64,
-    positions: Iterable[int] | None = None,
-) -> Funnel:
-    """Follow every query within map coverage through the stages.
+def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
+    """Follow every query that lies within map coverage through the stages.
 
     Parameters
     ----------
     localizer : Localizer
-    sequence : Recording
-        With poses, queries gather the scans of the path behind them, as when localizing.
-    truths : (N, 4, 4) float64
-        True T_map_sensor of the sequence's scans. Where they are good to a metre or two only, the
-        alignment with the map corrects them.
-    positions : iterable of int, optional
-        The queries; all scans by default.
+    query_set : QuerySet
+        With truths. Where they are good to a metre or two only, the alignment with the map corrects
+        them. Where the recording has poses, queries gather the scans of the path behind them, as
+        when localizing.
 
     Raises
     ------
     DatasetError
-        If a scan cannot be read.
+        If there are no truths, or a scan cannot be read.
     """
-    chosen: Int64 = np.fromiter(
-        range(len(sequence)) if positions is None else positions, dtype=np.int64
-    )
-    near = distances_to_path(truths[chosen], localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
+    sequence, truths = query_set.recording, query_set.truths
+    if truths is None:
+        raise DatasetError(f"{sequence.name}: no true poses")
+    near = distances_to_path(truths, localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
     read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)
     tree = cKDTree(localizer.prior_map.centroids)
     cases = []
-    for position in map(int, chosen[near]):
+    for position, truth in zip(query_set.positions[near].tolist(), truths[near], strict=True):
         cloud = gathered(localizer, sequence, position, read)
         index = int(sequence.indices[position])
-        cases.append(_examine(localizer, tree, cloud, truths[position], index))
-    return Funnel(len(chosen), tuple(cases))
+        cases.append(_examine(localizer, tree, cloud, truth, index))
+    return Funnel(len(near), tuple(cases))
 
 
 def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:

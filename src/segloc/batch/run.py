@@ -35,10 +35,10 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
     breaks = np.flatnonzero(steps > max_gap_m) + 1
     chosen = []
     for part in np.split(np.arange(len(poses)), breaks):
-        travelled = geometry.travelled(poses[part])
+        distance = geometry.travelled(poses[part])
         if len(part):
-            marks = np.arange(every_m, travelled[-1] + 1e-9, every_m)
-            chosen.append(part[np.unique(np.searchsorted(travelled, marks - 1e-9))])
+            marks = np.arange(every_m, distance[-1] + 1e-9, every_m)
+            chosen.append(part[np.unique(np.searchsorted(distance, marks - 1e-9))])
     return np.concatenate(chosen, dtype=np.int64) if chosen else np.empty(0, np.int64)
 
 

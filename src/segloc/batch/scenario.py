@@ -54,14 +54,14 @@ class OpenedScenario:
 
 @dataclass(frozen=True)
 class Facts:
-    """What a table says of a scenario: kind of place, sensor, and the length of its queries' path."""
+    """What a table says of a scenario: the kind of place, and the sensor."""
 
     kind: str
     sensor: str
 
 
 class Scenario(Protocol):
-    """A map, and the queries made in it; small, so that processes can be handed it."""
+    """A map, and the queries that are made in it; small, so that processes can be handed it."""
 
     @property
     def name(self) -> str: ...
@@ -95,7 +95,7 @@ class Pair:
     topic : str or None
         Of both recordings, where they have several.
     every_m : float
-        Metres of travel between queries; every scan is a query where nothing tells the path.
+        Metres of travel between queries; every scan is one where nothing tells the distance.
     """
 
     map: Path

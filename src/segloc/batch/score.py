@@ -19,7 +19,7 @@ from ..types import Float64, Int64, Pose
 Bools = NDArray[np.bool_]
 
 COVERAGE_RADIUS_M = 3.0
-"""A query has a place in a map when the map's trajectory passes this close to it."""
+"""A query lies within map coverage when the map's trajectory passes this close to it."""
 
 PATH_BREAK_M = 35.0
 """Poses of a map's trajectory that are farther apart are not joined."""
@@ -105,9 +105,9 @@ class Evaluation:
     Attributes
     ----------
     localized, correct, false, within_coverage : (N,) bool
-        ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those whose true
-        position the map's trajectory passes within ``COVERAGE_RADIUS_M``. Without truths all three
-        are all False.
+        ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those whose
+        true position the map's trajectory passes within ``COVERAGE_RADIUS_M``. Without truths all
+        three are all False.
     translation_error, rotation_error, distance_to_map : (N,) float64
         Metres, degrees, metres; NaN where not known.
     """

@@ -13,6 +13,7 @@ from . import (
     align,
     config,
     demo,
+    evaluate,
     info,
     localize,
     map_build,
@@ -22,7 +23,6 @@ from . import (
     odometry,
     simulate,
 )
-from .evaluate import evaluate
 from .train import train
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -38,7 +38,7 @@ app = typer.Typer(
 maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
 app.add_typer(maps, name="map", context_settings=_CONTEXT)
 app.add_typer(train, name="train", context_settings=_CONTEXT)
-app.add_typer(evaluate, name="evaluate", context_settings=_CONTEXT)
+app.add_typer(evaluate.app, name="evaluate", context_settings=_CONTEXT)
 app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
@@ -53,11 +53,11 @@ maps.command("update")(map_update.update)
 
 
 def _add_plugins() -> None:
-    """Add the verbs of other distributions: entry points ``register(app)`` of ``segloc.commands``."""
+    """Add the verbs of other distributions, by entry points ``segloc.commands``: register(app)."""
     for plugin in entry_points(group="segloc.commands"):
         try:
             plugin.load()(app)
-        except Exception as error:  # whatever a stranger's package does must not end ours
+        except Exception as error:  # whatever another package does must not end ours
             print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
 
 

@@ -1,4 +1,4 @@
-"""``segloc evaluate``: on recordings of one's own; ``segloc-experiments`` adds the paper's studies."""
+"""``segloc evaluate``: on one's own recordings; ``segloc-experiments`` adds the paper's studies."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ Every = Annotated[
     float, typer.Option(metavar="METRES", help="One query in so many metres of travel.")
 ]
 
-evaluate = typer.Typer(
+app = typer.Typer(
     help="Compare the methods on two recordings, and see at which stage queries fail. Results are "
     "stored in DIR as they are finished, so that a run that was cut off goes on where it stopped; "
     "DIR/report.html shows them.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-evaluate_failures.register(evaluate)
+evaluate_failures.register(app)
 
 
-@evaluate.command("localization")
+@app.command("localization")
 def localization(
     mapped: Annotated[Path, typer.Argument(metavar="MAP", help="The recording to map.")],
     query: Annotated[Path, typer.Argument(metavar="QUERY", help="One to localize in that map.")],
@@ -86,7 +86,7 @@ def localization(
     compare_on(pair, out, methods, threads, workers)
 
 
-@evaluate.command("report")
+@app.command("report")
 def report(out: Out = OUT) -> None:
     """Draw again what is stored."""
     from .results import check_folder

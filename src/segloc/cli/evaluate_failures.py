@@ -52,6 +52,7 @@ def failures(
     from ..batch.failure_picture import draw_case
     from ..batch.failures import funnel
     from ..batch.run import query_positions
+    from ..batch.scenario import QuerySet
     from ..datasets import open_sequence
     from ..errors import DatasetError
     from ..files import replacing
@@ -69,7 +70,7 @@ def failures(
     positions = np.arange(len(recording), dtype=np.int64)
     if every is not None:
         positions = query_positions(truths, every, localizer.config.local_cloud.max_gap_m)
-    found = funnel(localizer, recording, truths, positions)
+    found = funnel(localizer, QuerySet(recording, positions, truths[positions]))
     show(found)
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "funnel.json") as file:

@@ -1,1 +1,1 @@
-"""TODO."""
+"""The prior map: segments, cloud, file, building, merging and updating."""

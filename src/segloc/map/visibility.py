@@ -1,9 +1,9 @@
-"""Which points of a map a later session passed through (free-space violations), and which it saw again.
+"""Which points of a map violate the free space of a later session, and which it saw again.
 
 A point violates free space where the sensor measured something well behind it, in the point's
 direction and in all directions about it. G. Kim, A. Kim, "Remove, then Revert: Static Point Cloud
 Map Construction using Multiresolution Range Images", IROS 2020, compares range images in the same
-travelled.
+way.
 """
 
 from __future__ import annotations

@@ -5,6 +5,9 @@ Each has a native form for float32 on the CPU and the same in torch for other de
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import torch
@@ -13,9 +16,23 @@ from torch.nn import functional
 
 from .. import _native
 
+_NATIVE = ContextVar("native", default=True)
+
+
+@contextmanager
+def torch_forms() -> Iterator[None]:
+    """Every operation in its torch form, on the CPU too: to export a network, or to compare it."""
+    token = _NATIVE.set(False)
+    try:
+        yield
+    finally:
+        _NATIVE.reset(token)
+
 
 def _is_native(*tensors: Tensor) -> bool:
-    return all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors)
+    return _NATIVE.get() and all(
+        t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors
+    )
 
 
 def _array(tensor: Tensor) -> Any:
@@ -152,7 +169,9 @@ def column_maps(x: Tensor, weight: Tensor) -> Tensor:
         return result
     # Most of this matrix is zero, and yet one large product is faster than K small ones.
     K = len(weight)
-    matrix = torch.diag_embed(weight.transpose(1, 2)).permute(0, 2, 3, 1).reshape(K * K, K * K)
+    eye = torch.eye(K, dtype=weight.dtype, device=weight.device)
+    diagonals = weight.transpose(1, 2).unsqueeze(-1) * eye  # as diag_embed, which ONNX has not
+    matrix = diagonals.permute(0, 2, 3, 1).reshape(K * K, K * K)
     return (x.flatten(-2) @ matrix.to(x.dtype)).view(x.shape)
 
 

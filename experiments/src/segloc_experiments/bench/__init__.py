@@ -1,1 +1,1 @@
-"""Measurements of the native engine against what else does the same work."""
+"""Measurements of the native engine against other software for the same work: ``segloc bench``."""

@@ -41,7 +41,7 @@ def fps(threads: int, repeats: int) -> Row:
 
 
 def _check(runs: dict[str, Any], points: Float32) -> None:
-    """Every way must be farthest-point sampling; orders may part where distances are equal."""
+    """Every run must be farthest-point sampling; orders may part where distances are equal."""
     for name, run in runs.items():
         if shortfall(points, run()) < 0.999:
             raise SeglocError(f"{name} does not sample the farthest points")

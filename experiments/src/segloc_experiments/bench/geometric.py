@@ -30,7 +30,7 @@ YAW_STEP_M = 1.6
 
 
 def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
-    """Exact Euclidean clusters; the same partition asked of every rival. One thread always."""
+    """Exact Euclidean clusters; every rival must find the same partition. One thread always."""
     points = inputs.local_cloud() if cloud is None else cloud
     runs: dict[str, Any] = {
         OURS: lambda: _labels(_native.euclidean_clusters(points, CLUSTER_RADIUS_M, 1, len(points))),

@@ -6,7 +6,6 @@ import importlib
 import multiprocessing
 import os
 import statistics
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -15,6 +14,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
+
+from ..stages import clock_for
 
 Result = TypeVar("Result")
 Runs = Mapping[str, Callable[[], object]]
@@ -82,7 +83,7 @@ def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:
     threads : int
     repeats : int
     """
-    clock = processor_clock if threads == 1 else time.perf_counter
+    clock = clock_for(threads)
     times: dict[str, list[float]] = {name: [] for name in runs}
     for run in runs.values():
         run()
@@ -103,11 +104,6 @@ def _wake(run: Callable[[], object]) -> None:
     end = time.perf_counter() + _WAKE_S
     while time.perf_counter() < end:
         run()
-
-
-def processor_clock() -> float:
-    """Seconds of processor time of this process; of the wall where that is too coarse."""
-    return time.perf_counter() if sys.platform == "win32" else time.process_time()
 
 
 def row(

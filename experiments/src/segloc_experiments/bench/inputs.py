@@ -51,10 +51,10 @@ class Plaza:
             parts.append(geometry.transform(turn, shell))
         self.points: Float64 = np.vstack(parts)
 
-    def scan(self, T_world_sensor: Pose, reach_m: float = 50.0, seed: int = 0) -> Scan:
-        """Every point within reach, with 2 cm of noise; posed."""
+    def scan(self, T_world_sensor: Pose, radius_m: float = 50.0, seed: int = 0) -> Scan:
+        """Every point within the radius, with 2 cm of noise; posed."""
         points = geometry.transform(geometry.inverse(T_world_sensor), self.points)
-        points = points[np.hypot(points[:, 0], points[:, 1]) < reach_m]
+        points = points[np.hypot(points[:, 0], points[:, 1]) < radius_m]
         points += np.random.default_rng(seed).normal(0, 0.02, points.shape)
         return Scan(points, stamp=float(seed), T_odom_sensor=T_world_sensor)
 
@@ -67,9 +67,10 @@ class PlazaWalk:
     def __init__(self, plaza: Plaza, steps: int = 12) -> None:
         self._plaza = plaza
         self.indices: Int64 = np.arange(steps, dtype=np.int64)
-        way = [(-20.0 + 4 * k, 0.5 * k, SENSOR_HEIGHT_M) for k in range(steps)]
+        self.stamps: Float64 | None = None
+        path = [(-20.0 + 4 * k, 0.5 * k, SENSOR_HEIGHT_M) for k in range(steps)]
         self.poses: Float64 = np.stack(
-            [geometry.yaw_transform(0.05 * k, t) for k, t in enumerate(way)]
+            [geometry.yaw_transform(0.05 * k, t) for k, t in enumerate(path)]
         )
 
     def __len__(self) -> int:
@@ -128,7 +129,7 @@ def match_problem(
     mapped: int = 50_000,
     seed: int = 0,
 ) -> MatchProblem:
-    """Matches of a live cloud with a map of 1 km by 1 km.
+    """Matches of a query cloud with a map of 1 km by 1 km.
 
     Parameters
     ----------

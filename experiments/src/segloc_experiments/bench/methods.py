@@ -1,30 +1,26 @@
 """Every method on the same query: 300 segments in a map of 10 000, stage by stage.
 
-    python benchmarks/bench_methods.py [--methods segmatch-eigen,nsm] [--map 10000] [--threads 1,2]
+    python -m segloc_experiments.bench.methods [--methods segmatch-eigen,nsm] [--map 10000]
 
-Segments are shapes of `segloc.training.shapes`, seen from several sides. Networks whose weights are
-not there are given random ones: time hardly depends on what they say. SegMap's network is also
+Segments are shapes of `segloc.training.shapes`, seen from several sides. SegMap's network is also
 timed against PyTorch and ONNX Runtime.
 """
 
-import argparse
-import io
-import warnings
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from segloc import Config, _native
-from segloc.descriptors import available, segmap
+from segloc import Config, SegmentMap, _native
+from segloc.descriptors import available, create, segmap
 from segloc.matching import Matcher
 from segloc.system import processor
 from segloc.training.shapes import shapes_dataset
-from segloc.types import Segments
+from segloc.types import Descriptors, Float32, Segments
 
-from ..paper.random_weights import any_descriptor, voxel_tensors
+from ..script import parser
 from .harness import OURS, Row, in_process, interleaved, optional, row
+from .onnx import onnx_run
 from .rows import show
 
 VIEWS = 3
@@ -37,13 +33,13 @@ CHUNK = 30
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--methods", default=",".join(available()))
-    parser.add_argument("--query", type=int, default=300)
-    parser.add_argument("--map", type=int, default=10_000)
-    parser.add_argument("--threads", default="1,2")
-    parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+    parsed = parser(__doc__)
+    parsed.add_argument("--methods", default=",".join(available()))
+    parsed.add_argument("--query", type=int, default=300)
+    parsed.add_argument("--map", type=int, default=10_000)
+    parsed.add_argument("--threads", default="1,2")
+    parsed.add_argument("--repeats", type=int, default=5)
+    options = parsed.parse_args()
     print(processor())
     print(
         "| method | numbers | threads | prepare | describe | match | prune | kept of |\n"
@@ -64,9 +60,12 @@ def main() -> None:
 
 def measured(method: str, query: int, size: int, threads: int, repeats: int) -> str:
     """One line of the table."""
-    segments, descriptor = scene(query), any_descriptor(method, threads)[0]
+    segments, descriptor = scene(query), create(method, threads)
     vectors = descriptor.describe(scene(size, seed=1)).vectors
-    prior_map = SimpleNamespace(vectors=vectors, quality=None)
+    prior_map = SegmentMap.empty(method, descriptor.fingerprint, descriptor.dim)
+    where = np.zeros((len(vectors), 3))
+    ones = np.ones(len(vectors), np.int64)
+    prior_map.add(Descriptors(vectors), where, ones, session=0, stamp=0.0, cloud=where[:0])
     config = Config.preset(method).matching
     matcher = Matcher(prior_map, config, pruner=descriptor.pruner, threads=threads)
     prepared = descriptor.prepare(segments)
@@ -111,7 +110,9 @@ def voxel_network(count: int, threads: int, repeats: int) -> Row:
             )
         )
         runs[f"torch, chunks of {CHUNK}"] = lambda: torch_run(torch, model, chunks)
-        runs["onnxruntime"] = onnx_run(torch, runtime, model, chunks, threads)
+        names = ("grids", "scales")
+        axes = {name: {0: "segments"} for name in names}
+        runs["onnxruntime"] = onnx_run((torch, runtime), model, chunks, names, threads, axes)
         for name, run in runs.items():
             error = float(np.abs(run() - runs[OURS]()).max())
             if error > 1e-3 * float(np.abs(runs[OURS]()).max()):
@@ -122,11 +123,29 @@ def voxel_network(count: int, threads: int, repeats: int) -> Row:
     return row("SegMap's network", threads, repeats, runs, flops=work, skipped=skipped)
 
 
+def voxel_tensors(seed: int = 0) -> dict[str, Float32]:
+    """Weights of SegMap's network, of the right shapes and sizes of value."""
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "conv1": (3, 3, 3, 1, 32),
+        "conv2": (3, 3, 3, 32, 64),
+        "conv3": (3, 3, 3, 64, 64),
+        "fc1": (16387, 512),
+        "fc2": (512, 64),
+    }
+    tensors = {}
+    for name, shape in shapes.items():
+        bound = np.sqrt(6 / np.prod(shape[:-1]))
+        tensors[f"{name}.weight"] = rng.uniform(-bound, bound, shape).astype(np.float32)
+        tensors[f"{name}.bias"] = np.full(shape[-1], 0.05, np.float32)
+    return tensors
+
+
 def torch_model(torch: Any, tensors: dict[str, np.ndarray]) -> Any:
     """The network in PyTorch, with the same weights."""
     nn, functional = torch.nn, torch.nn.functional
 
-    class Model(nn.Module):
+    class Model(nn.Module):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:
             super().__init__()
             self.conv1, self.conv2, self.conv3 = (
@@ -148,27 +167,10 @@ def torch_model(torch: Any, tensors: dict[str, np.ndarray]) -> Any:
     return Model().eval()
 
 
-def torch_run(torch: Any, model: Any, chunks: list[tuple[Any, Any]]) -> np.ndarray:
+def torch_run(torch: Any, model: Any, chunks: list[tuple[Any, Any]]) -> Float32:
     with torch.inference_mode():
-        return torch.cat([model(*chunk) for chunk in chunks]).numpy()
-
-
-def onnx_run(
-    torch: Any, runtime: Any, model: Any, chunks: list, threads: int
-) -> Callable[[], np.ndarray]:
-    file = io.BytesIO()
-    names = ["grids", "scales"]
-    axes = {name: {0: "segments"} for name in names}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            model, chunks[0], file, input_names=names, dynamic_axes=axes, dynamo=False
-        )
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-    session = runtime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
-    feeds = [dict(zip(names, (t.numpy() for t in chunk), strict=True)) for chunk in chunks]
-    return lambda: np.concatenate([session.run(None, feed)[0] for feed in feeds])
+        described: Float32 = torch.cat([model(*chunk) for chunk in chunks]).numpy()
+    return described
 
 
 if __name__ == "__main__":

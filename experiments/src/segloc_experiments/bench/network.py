@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -17,6 +15,7 @@ from segloc.types import Float32
 
 from . import inputs
 from .harness import OURS, Row, optional, row
+from .onnx import onnx_run
 
 SEGMENTS, DIM = 300, 16
 CHUNKS = (10, 30, 100)
@@ -24,7 +23,7 @@ CHUNKS = (10, 30, 100)
 
 def network(threads: int, repeats: int) -> Row:
     """DSM against PyTorch and ONNX Runtime, which are handed the neighbours for nothing."""
-    prepared = prepared_segments()
+    prepared = prepared_segments(SEGMENTS)
     flops = "its arithmetic", float(sum(layer_flops(DSM_LAYERS)) * SEGMENTS)
     torch = optional("torch")
     if torch is None:
@@ -39,7 +38,7 @@ def network(threads: int, repeats: int) -> Row:
     found = optional("onnx", "onnxscript", "onnxruntime")
     if found is not None:
         name, size = "ONNX Runtime, 30 at a time", 30
-        runs[name] = _onnx_run(torch[0], found[2], model, prepared, size, threads)
+        runs[name] = _onnx_run((torch[0], found[2]), model, prepared, size, threads)
     _check(runs)
     skipped = () if found else ("onnxruntime",)
     return row("network", threads, repeats, runs, flops=flops, skipped=skipped)
@@ -47,7 +46,7 @@ def network(threads: int, repeats: int) -> Row:
 
 def dsm_vs_esm(threads: int, repeats: int) -> Row:
     """The paper's comparison on one engine: DSM's time, ESM as the rival."""
-    prepared = prepared_segments()
+    prepared = prepared_segments(SEGMENTS)
     flops = {name: sum(layer_flops(layers)) for name, layers in _both().items()}
     engines = {name: build(layers, random_tensors(layers)) for name, layers in _both().items()}
     runs = {
@@ -63,7 +62,7 @@ def _both() -> dict[str, Sequence[Layer]]:
     return {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
 
 
-def prepared_segments(count: int = SEGMENTS) -> Float32:
+def prepared_segments(count: int) -> Float32:
     """Synthetic segments as the network reads them, (count, 256, 3)."""
     points = inputs.segments(count, 400).reshape(-1, 3)
     offsets = np.arange(count + 1, dtype=np.int64) * 400
@@ -141,55 +140,37 @@ def _torch_model(torch: Any, threads: int) -> tuple[Any, dict[str, Float32]]:
     return model, folded(model)
 
 
-def _given_neighbours(torch: Any, model: Any) -> Any:
-    """The model as a module of (points, neighbours...), without its neighbour search."""
-
-    class Given(torch.nn.Module):  # type: ignore[misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.model = model
-
-        def forward(self, points: Any, *neighbours: Any) -> Any:
-            model.neighbors = lambda _: neighbours
-            return self.model(points)
-
-    return Given().eval()
-
-
 def _chunks(torch: Any, model: Any, prepared: Float32, size: int) -> list[tuple[Any, ...]]:
     """(points, neighbours of every layer) of every chunk."""
-    search = type(model).neighbors
-    parts = torch.split(torch.from_numpy(prepared), size)
-    return [(part, *search(model, part)) for part in parts]
+    from segloc.training.models import neighbors_of
+
+    starts = range(0, len(prepared), size)
+    parts = [np.ascontiguousarray(prepared[k : k + size]) for k in starts]
+    return [(torch.from_numpy(part), *neighbors_of(part, model.layers)) for part in parts]
 
 
 def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
-    chunks, given = _chunks(torch, model, prepared, size), _given_neighbours(torch, model)
+    from segloc.training.ops import torch_forms
+
+    chunks = _chunks(torch, model, prepared, size)
 
     def run() -> Float32:
-        with torch.inference_mode():
-            result: Float32 = torch.cat([given(*chunk) for chunk in chunks]).numpy()
+        with torch_forms(), torch.inference_mode():
+            result: Float32 = torch.cat([model(*chunk) for chunk in chunks]).numpy()
         return result
 
     return run
 
 
 def _onnx_run(
-    torch: Any, runtime: Any, model: Any, prepared: Float32, size: int, threads: int
+    modules: tuple[Any, Any], model: Any, prepared: Float32, size: int, threads: int
 ) -> Any:
-    chunks = _chunks(torch, model, prepared, size)
-    file = io.BytesIO()
+    from segloc.training.ops import torch_forms
+
+    chunks = _chunks(modules[0], model, prepared, size)
     names = ["points", *(f"neighbours{k}" for k in range(len(chunks[0]) - 1))]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            _given_neighbours(torch, model), chunks[0], file, input_names=names, dynamo=False
-        )
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-    session = runtime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
-    feeds = [dict(zip(names, (t.numpy() for t in chunk), strict=True)) for chunk in chunks]
-    return lambda: np.concatenate([session.run(None, feed)[0] for feed in feeds])
+    with torch_forms():
+        return onnx_run(modules, model, chunks, names, threads)
 
 
 def _check(runs: dict[str, Any]) -> None:

@@ -1,30 +1,37 @@
-"""Candidate poses against kiss-matcher: time, and how often each finds the true pose.
+"""How often each estimator finds the true pose, for every share of true matches.
 
-``python benchmarks/bench_pose.py [TRIALS]``
+python -m segloc_experiments.bench.pose_success [TRIALS]
 """
 
-import sys
+from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
+from segloc.types import Float64
+
+from ..script import head, parser, row
 from .geometric import consensus, prosac, prune_and_solve
 from .harness import optional
-from .inputs import match_problem
-from .rows import main
+from .inputs import MatchProblem, match_problem
 
 SHARES = (0.005, 0.01, 0.02, 0.05, 0.1)
 
 
-def success(trials: int) -> None:
-    """Print how many of the trials each estimator solves, for every share of true matches."""
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("trials", nargs="?", type=int, default=20)
+    trials = options.parse_args().trials
     kiss = optional("kiss_matcher")
-    estimators = {
+    estimators: dict[str, Callable[[MatchProblem], Float64]] = {
         "consensus": consensus,
         "PROSAC": prosac,
-        "RANSAC": lambda problem: prosac(problem, ordered=False),
+        "RANSAC": partial(prosac, ordered=False),
     }
     if kiss is not None:
-        estimators["kiss-matcher"] = lambda problem: prune_and_solve(kiss[0], problem)
-    print(f"\npose found (1 m, 3 degrees) in {trials} trials of 7500 matches")
-    print(f"{'true matches':>14} {'scores':>14} " + "".join(f"{n:>14}" for n in estimators))
+        estimators["kiss-matcher"] = partial(prune_and_solve, kiss[0])
+    print(f"Poses found (1 m, 3 degrees) in {trials} trials of 7500 matches\n")
+    print(head("true matches", "scores", *estimators))
     for share in SHARES:
         for informative in (True, False):
             found = dict.fromkeys(estimators, 0)
@@ -33,10 +40,8 @@ def success(trials: int) -> None:
                 for name, estimate in estimators.items():
                     found[name] += problem.found(estimate(problem))
             scores = "informative" if informative else "uninformative"
-            counts = "".join(f"{count:>14}" for count in found.values())
-            print(f"{100 * share:>12.1f} % {scores:>14} {counts}")
+            print(row(f"{100 * share:g} %", scores, *found.values()), flush=True)
 
 
 if __name__ == "__main__":
-    main("pose")
-    success(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main()

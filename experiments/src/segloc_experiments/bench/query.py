@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-import math
 import statistics
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from segloc import geometry
-from segloc.batch.negative_maps import mirrored
 from segloc.config import DEFAULT_METHOD, Config
 from segloc.errors import SeglocError
 from segloc.localization import Localization
 from segloc.localizer import Localizer
 from segloc.map.build import build_map
 from segloc.map.segment_map import SegmentMap
-from segloc.types import Descriptors, LocalCloud, Pose, Scan
+from segloc.stage_times import Clock, StageTimes
+from segloc.types import LocalCloud, Pose, Scan
 
+from ..padding import padded_with_copies
+from ..stages import clock_for, single_pass
 from . import inputs
-from .harness import OURS, Row, optional, processor_clock, row
+from .harness import OURS, Row, optional, row
 
 if TYPE_CHECKING:
     from segloc.datasets import Recording
 
-SITE_SEGMENTS = 50_000
+MAP_SEGMENTS = 50_000
 KISS_VOXEL_M = 1.0
-_MAX_WITH_CLOUD = 100_000
 _STREET_M = 100.0
 _TOWN_M = 200.0
 
@@ -55,7 +53,7 @@ class Scene:
 
 def query(threads: int, repeats: int) -> Row:
     """Single scans in a map of 50 000 segments, most of them of other places."""
-    return query_row("query", simulated_scene(threads), threads, repeats)
+    return query_row("query", simulated_scene(threads), threads, repeats, segments=MAP_SEGMENTS)
 
 
 def query_row(
@@ -64,7 +62,7 @@ def query_row(
     threads: int,
     repeats: int,
     *,
-    segments: int = SITE_SEGMENTS,
+    segments: int,
     tolerance_m: float = 3.0,
     rivals: bool = True,
 ) -> Row:
@@ -75,7 +73,7 @@ def query_row(
     SeglocError
         If a pose is found that is wrong, or none at all.
     """
-    prior_map = padded(scene.prior_map, segments)
+    prior_map = padded_with_copies(scene.prior_map, segments)
     localizer = Localizer(
         prior_map, Config.preset(prior_map.descriptor).model_copy(update={"threads": threads})
     )
@@ -91,7 +89,7 @@ def query_row(
     count = len(scene.queries)
     result = row(name, threads, repeats, runs)
     correct = _correct(answers, scene, tolerance_m)
-    clock = processor_clock if threads == 1 else time.perf_counter
+    clock = clock_for(threads)
     stages = [stage_ms(localizer, scan, clock) for scan, _ in scene.queries for _ in range(repeats)]
     details = {
         "map segments": float(len(prior_map)),
@@ -106,34 +104,11 @@ def query_row(
     return Row(name, threads, ours, result.rivals, details=details, skipped=skipped)
 
 
-def stage_ms(
-    localizer: Localizer, query: Scan | LocalCloud, clock: Callable[[], float]
-) -> dict[str, float]:
-    """Milliseconds that each stage of :meth:`Localizer.localize` takes, by a clock of choice."""
-    marks = [("", clock())]
-
-    def mark(stage: str) -> None:
-        marks.append((stage, clock()))
-
-    cloud = localizer.accumulator.gather(query) if isinstance(query, Scan) else query
-    mark("local cloud")
-    scene = localizer.segmenter.segment(cloud)
-    mark("segmentation")
-    prepared = localizer.descriptor.prepare(scene.segments)
-    mark("preparation")
-    descriptors = localizer.descriptor.encode(prepared)
-    mark("description")
-    matches = localizer.matcher.match(descriptors)
-    mark("matching")
-    matches = localizer.matcher.prune(descriptors, matches)
-    mark("pruning")
-    hypotheses = localizer.estimator.estimate(
-        scene.segments.centroids, localizer.prior_map.centroids, matches
-    )
-    mark("pose")
-    localizer.verifier.verify(scene, hypotheses)
-    mark("verification")
-    return {name: 1e3 * (end - start) for (_, start), (name, end) in pairwise(marks)}
+def stage_ms(localizer: Localizer, query: Scan | LocalCloud, clock: Clock) -> dict[str, float]:
+    """Milliseconds that each stage takes, by a clock of choice."""
+    watch = StageTimes(clock)
+    single_pass(localizer, query, watch)
+    return watch.ms
 
 
 def _correct(answers: Sequence[Localization], scene: Scene, tolerance_m: float) -> int:
@@ -167,9 +142,9 @@ def simulated_scene(threads: int, method: str = DEFAULT_METHOD, queries: int = 5
     from segloc.simulation import Route, hdl64e, simulate_session, town
 
     world = town(0, size_m=_TOWN_M)
-    way = world.roads.walk(np.random.default_rng(0), [0], _STREET_M, avoid=[])
-    route = Route(tuple(way), length_m=_STREET_M)
-    again = Route(tuple(way), lane_offset_m=0.3, length_m=_STREET_M)
+    junctions = tuple(world.roads.walk(np.random.default_rng(0), [0], _STREET_M, avoid=[]))
+    route = Route(junctions, length_m=_STREET_M)
+    again = Route(junctions, lane_offset_m=0.3, length_m=_STREET_M)
     first = simulate_session(world, 0, route, hdl64e(900), 0)
     mapped = build_map(first, config)
     middle = first.scan(len(first) // 2)
@@ -192,51 +167,3 @@ def _scene(
 
 def _unposed(scan: Scan) -> Scan:
     return Scan(scan.points, stamp=scan.stamp)
-
-
-def padded(prior_map: SegmentMap, segments: int, seed: int = 0) -> SegmentMap:
-    """The map with perturbed copies of itself around it, turned and scattered, in all ``segments``.
-
-    A copy's vectors are near the original's, so that the search has close rivals; its segments are
-    moved by metres each, and it is the mirror image, so that no place of the map is there twice.
-    """
-    rng = np.random.default_rng([seed, 80])
-    merged = prior_map.merge(prior_map)  # a copy
-    extent = np.ptp(prior_map.centroids[:, :2], axis=0)
-    tile = float(np.hypot(*extent)) + 200.0
-    image, middle = mirrored(prior_map), _middle(prior_map)
-    centre = _middle(image)
-    # Without a cloud in very large maps: only the eight best poses are ever compared with it.
-    kept = image.cloud[: None if segments <= _MAX_WITH_CLOUD else 0]
-    cloud = kept + image.origin - centre
-    spread = 0.3 * prior_map.vectors.std(axis=0)
-    for place in _around(math.ceil(max(0, segments - len(prior_map)) / max(len(prior_map), 1))):
-        count = min(len(prior_map), segments - len(merged))
-        turn = geometry.yaw_transform(rng.uniform(-np.pi, np.pi), (*(tile * place), 0.0))
-        moved = image.centroids[:count] - centre
-        moved += rng.uniform(-5, 5, (count, 3)) * [1, 1, 0]
-        vectors = prior_map.vectors[:count] + rng.normal(0, spread, (count, prior_map.dim))
-        quality = None if prior_map.quality is None else prior_map.quality[:count]
-        merged.add(
-            Descriptors(vectors.astype(np.float32), quality),
-            geometry.transform(turn, moved) + middle,
-            prior_map.sizes[:count],
-            session=1,
-            stamp=0.0,
-            cloud=geometry.transform(turn, cloud[: len(cloud) * count // len(prior_map)]) + middle,
-        )
-    return merged
-
-
-def _middle(prior_map: SegmentMap) -> np.ndarray:
-    return np.append(prior_map.centroids[:, :2].mean(axis=0), 0.0)
-
-
-def _around(count: int) -> np.ndarray:
-    """Places of a square lattice around the origin, nearest first, the origin left out."""
-    side = math.ceil(math.sqrt(count + 1)) + 2
-    grid = (
-        np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) - side // 2
-    )
-    order = np.argsort((grid**2).sum(axis=1), kind="stable")
-    return grid[order[1 : count + 1]].astype(np.float64)

@@ -1,28 +1,31 @@
-"""Exact Euclidean clusters against SciPy and scikit-learn.
+"""The benchmark *clustering* of ``segloc bench`` on a local cloud of KITTI 00.
 
-``python benchmarks/bench_clustering.py [KITTI00]`` adds a real local cloud where the folder of
-keyframes with its poses is given.
+python -m segloc_experiments.bench.real_clustering DATA
 """
 
-import sys
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np
 
 from segloc import _native
-from segloc.datasets import open_sequence
 from segloc.local_cloud import Accumulator
 from segloc.segmentation import SegmentationConfig
 from segloc.types import Float32
 
+from ..kitti00 import keyframes
+from ..script import parser
 from .geometric import clustering
 from .harness import in_process
-from .rows import main, show
+from .rows import show
+
+REPEATS = 15
 
 
 def real_cloud(folder: Path) -> Float32:
     """What stands above ground within 50 m of 40 m of travel, voxelised at 0.2 m."""
-    sequence = open_sequence(folder / "keyframes", Path("keyframes.tum"), "400:420")
+    sequence = keyframes(folder, "400:420")
     cloud = Accumulator().gather([sequence.scan(i) for i in range(len(sequence))])
     config = SegmentationConfig()
     points = _native.voxel_grid(cloud.points, config.accumulated.voxel_size)
@@ -32,7 +35,12 @@ def real_cloud(folder: Path) -> Float32:
     return np.ascontiguousarray(points[heights > config.structure_height])
 
 
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("data", type=Path)
+    cloud = real_cloud(options.parse_args().data)
+    show([in_process(1, clustering, 1, REPEATS, cloud)])
+
+
 if __name__ == "__main__":
-    main("clustering")
-    if len(sys.argv) > 1:
-        show([in_process(1, clustering, 1, 15, real_cloud(Path(sys.argv[1])))])
+    main()

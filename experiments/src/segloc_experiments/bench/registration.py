@@ -1,4 +1,4 @@
-"""Aligning a live cloud with a place of the map that is seen for the first time."""
+"""Aligning a query cloud with a place of the map that is seen for the first time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from segloc.types import Float32, Float64, Pose
 from . import inputs
 from .harness import OURS, Row, optional, row
 
-VOXEL_M, REACH_M, RADIUS_M = 0.8, 1.5, 45.0
+VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.8, 1.5, 45.0
 TOLERANCE_M = 0.1
 
 
@@ -24,16 +24,16 @@ def icp(threads: int, repeats: int) -> Row:
     """
     plaza = inputs.Plaza()
     truth = geometry.yaw_transform(0.4, (3.0, -2.0, 1.5))
-    live = _structure(plaza, truth, seed=1)
+    query = _structure(plaza, truth, seed=1)
     mapped = np.concatenate(
         [_placed(plaza, x, y) for x in (-20.0, 0.0, 20.0) for y in (-20.0, 20.0)]
     )
     mapped = mapped[np.hypot(*(mapped[:, :2] - truth[:2, 3]).T) < RADIUS_M]
     guess = truth @ geometry.yaw_transform(0.03, (0.4, -0.3, 0.1))
-    runs: dict[str, Any] = {OURS: lambda: ours(mapped, live, guess, threads)}
+    runs: dict[str, Any] = {OURS: lambda: ours(mapped, query, guess, threads)}
     rival = optional("small_gicp")
     if rival is not None:
-        runs["small_gicp"] = lambda: prepared_and_aligned(rival[0], mapped, live, guess, threads)
+        runs["small_gicp"] = lambda: prepared_and_aligned(rival[0], mapped, query, guess, threads)
     errors = {
         f"{name}, metres off": float(np.linalg.norm((geometry.inverse(truth) @ run())[:3, 3]))
         for name, run in runs.items()
@@ -44,28 +44,28 @@ def icp(threads: int, repeats: int) -> Row:
     return row("icp", threads, repeats, runs, details=errors, skipped=skipped)
 
 
-def ours(mapped: Float32, live: Float32, guess: Pose, threads: int) -> Pose:
-    aligner = Aligner(VOXEL_M, REACH_M, threads)
-    aligned = aligner.align(aligner.surface(mapped), aligner.surface(live), guess)
+def ours(mapped: Float32, query: Float32, guess: Pose, threads: int) -> Pose:
+    aligner = Aligner(VOXEL_M, CORRESPONDENCE_M, threads)
+    aligned = aligner.align(aligner.surface(mapped), aligner.surface(query), guess)
     if aligned is None:
         raise SeglocError("a cloud was not aligned")
     return aligned.T_target_source
 
 
 def prepared_and_aligned(
-    small_gicp: Any, mapped: Float32, live: Float32, guess: Pose, threads: int
+    small_gicp: Any, mapped: Float32, query: Float32, guess: Pose, threads: int
 ) -> Float64:
     target, tree = small_gicp.preprocess_points(
         mapped.astype(np.float64), VOXEL_M, num_threads=threads
     )
-    source, _ = small_gicp.preprocess_points(live.astype(np.float64), VOXEL_M, num_threads=threads)
+    source, _ = small_gicp.preprocess_points(query.astype(np.float64), VOXEL_M, num_threads=threads)
     result = small_gicp.align(
         target,
         source,
         tree,
         guess,
         "GICP",
-        max_correspondence_distance=REACH_M,
+        max_correspondence_distance=CORRESPONDENCE_M,
         num_threads=threads,
     )
     return np.array(result.T_target_source)

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from segloc._native import instruction_set
 from segloc.errors import SeglocError
-from segloc.system import processor
 
 from .harness import Row
-from .suite import run
-
-REPEATS = 15
 
 
 def table_rows(row: Row) -> list[tuple[str, str, str]]:
@@ -44,13 +38,6 @@ def show(rows: Sequence[Row]) -> None:
         print("".join(f"    {name}: {value:.5g}\n" for name, value in row.details.items()), end="")
         if row.skipped:
             print(f"    not installed: {', '.join(row.skipped)}")
-
-
-def main(*names: str) -> None:
-    """What a script of one claim does: measure with one and with two threads, and print."""
-    print(f"{processor()}, {os.cpu_count()} cores, {instruction_set()}")
-    for measured in run(names, (1, 2), REPEATS):
-        show([measured])
 
 
 def write_json(path: Path, rows: Iterable[Row]) -> None:

@@ -1,1 +1,1 @@
-"""TODO."""
+"""How the confidence of a pose is fitted."""

@@ -1,21 +1,20 @@
 r"""Fit the confidence of a pose on simulated worlds, and show how reliable it is.
 
-Every scene is mapped by one sensor in one session and asked for by several in another, in autumn
-and with a fifth of the things replaced, in the map alone and padded with the world before; the same
-queries, asked in the mirror image of that map and in the map of the world before, are negatives; so
-are real recordings, asked in every simulated map and in the mirror image of their own. Each query
-is asked with accumulated scans and with a single one, every second of them thinned, the gates of
-verification open, so that the best candidate is always refined. The logistic model of
-``segloc.verification.confidence.confidence`` is then fitted to the witnesses -> right or wrong. The figure
-shows each world judged by the model that was fitted to all the others.
+Every scene is mapped by one sensor in one session and driven by several in another, in autumn and
+with a fifth of the things replaced. Queries of these are localized in the map alone and padded with
+the world before. The same queries in the mirror image of that map and in the map of the world
+before are negatives; so are real recordings in every simulated map and in the mirror image of their
+own. Each query is made with accumulated scans and with a single one, every second of them thinned,
+the gates of verification open, so that the best candidate is always refined. A logistic model
+(``segloc.verification.confidence``) is then fitted to the candidates' features -> right or wrong.
+The figure shows each world judged by the model that was fitted to all the others.
 
-    python benchmarks/calibrate_confidence.py --real DATA/keyframes=DATA/keyframes.tum \
+    python -m segloc_experiments.calibration.confidence --real DATA/keyframes=DATA/keyframes.tum \
       DATA/scans=DATA/scans.tum --figure docs/images/reliability.svg
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count, pairwise
@@ -30,9 +29,11 @@ from segloc.batch.run import query_positions
 from segloc.datasets import Sequence, open_sequence
 from segloc.local_cloud import window
 from segloc.simulation import SCENES, SENSORS, Conditions, SimulatedSequence, simulate_sessions
-from segloc.verification.confidence import CONFIDENCE, witnesses
+from segloc.verification import shipped_confidence
+from segloc.verification.confidence import FEATURES
 
-from ..protocols.city import padded
+from ..padding import padded
+from ..script import parser
 
 EVERY_M = 10.0
 ELSEWHERE_EVERY_M = 20.0
@@ -46,8 +47,8 @@ OPEN = {
     "min_inliers": 2,
     "min_overlap": 0.0,
     "min_confidence": 0.0,
-    "ambiguity": 1e9,
-    "likeness": 1.0,
+    "rival_support_ratio": 1e9,
+    "rival_overlap_ratio": 1.0,
 }
 LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
@@ -65,11 +66,11 @@ BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 @dataclass(frozen=True)
 class SimulatedWorld:
-    """A session to map, and others, by several sensors, to ask."""
+    """A session to map, and others, by several sensors, to localize."""
 
     name: str
     mapped: SimulatedSequence
-    asked: dict[str, SimulatedSequence]
+    queries: dict[str, SimulatedSequence]
 
 
 def worlds(sensors: list[str], first_seed: int, each: int) -> Iterator[SimulatedWorld]:
@@ -84,8 +85,8 @@ def worlds(sensors: list[str], first_seed: int, each: int) -> Iterator[Simulated
             )
             for sensor in {MAPPED_BY, *sensors}
         }
-        asked = {sensor: drives[sensor][1] for sensor in sensors}
-        yield SimulatedWorld(f"{name} {seed}", drives[MAPPED_BY][0], asked)
+        queries = {sensor: drives[sensor][1] for sensor in sensors}
+        yield SimulatedWorld(f"{name} {seed}", drives[MAPPED_BY][0], queries)
 
 
 def thinned(scan: Scan, seed: int) -> Scan:
@@ -96,30 +97,30 @@ def thinned(scan: Scan, seed: int) -> Scan:
     return Scan(points, stamp=scan.stamp)
 
 
-def ask(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> list[Row]:
-    """Rows (witnesses, inliers, right) of queries along a drive."""
+def candidates(localizer: Localizer, drive: Sequence, known: bool, every_m: float) -> list[Row]:
+    """Rows (features, inliers, right) of queries along a drive."""
     local = localizer.config.local_cloud
     poses = drive.poses
     assert poses is not None
-    rows = []
+    rows: list[Row] = []
     for n, i in enumerate(query_positions(poses, every_m, local.max_gap_m)):
         behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
         single = thinned(drive.scan(i), n) if n % 2 else drive.scan(i)
         for scans in ([drive.scan(k) for k in behind], single):
-            cloud = localizer.accumulator.gather(scans)
-            scene = localizer.segmenter.segment(cloud)
-            described = localizer.descriptor.describe(scene.segments)
-            best = localizer.search(scene, described).verdict.best
-            if best is None:
+            query = localizer.describe(scans)
+            evidence = localizer.search(query).verdict.evidence
+            if evidence is None:
                 continue
-            delta = geometry.inverse(poses[i]) @ best.T_map_local @ cloud.T_local_sensor
+            best, T_local_sensor = evidence.score, query.cloud.T_local_sensor
+            delta = geometry.inverse(poses[i]) @ best.T_map_local @ T_local_sensor
             right = known and np.linalg.norm(delta[:3, 3]) < RIGHT_M
-            rows.append((*witnesses(best), float(best.inliers), float(right)))
+            features = shipped_confidence().features(evidence)
+            rows.append((*features, float(best.inliers), float(right)))
     return rows
 
 
 class Calibration:
-    """Gathers rows (witnesses, inliers, right, world); they are kept in ``out``."""
+    """Gathers rows (features, inliers, right, world); they are kept in ``out``."""
 
     def __init__(self, out: Path) -> None:
         self.config = Config.preset("profile")
@@ -141,36 +142,36 @@ class Calibration:
         )
 
     def real(self, recording: Sequence) -> None:
-        """A recording, asked in the mirror image of its own map."""
-        behind_the_mirror = self.localizer(mirrored(build_map(recording, self.config)))
+        """A recording in the mirror image of its own map."""
+        mirrored_place = self.localizer(mirrored(build_map(recording, self.config)))
         self.add(
             f"{recording.name}, mirrored",
-            ask(behind_the_mirror, recording, False, ELSEWHERE_EVERY_M),
+            candidates(mirrored_place, recording, False, ELSEWHERE_EVERY_M),
         )
 
     def world(
         self, world: SimulatedWorld, before: SegmentMap | None, real: list[Sequence]
     ) -> SegmentMap:
-        """All drives of a world, in its map, behind a mirror, and in the map of another world."""
+        """All drives of a world in its map, in its mirror image, and in another world's map."""
         prior_map = build_map(world.mapped, self.config)
         here, elsewhere = [self.localizer(prior_map)], [self.localizer(mirrored(prior_map))]
         if before is not None:
             here.append(self.localizer(padded(prior_map, [before], PADDED)))
             elsewhere.append(self.localizer(before))
         rows: list[Row] = []
-        for drive in world.asked.values():
+        for drive in world.queries.values():
             for place in here:
-                rows += ask(place, drive, True, EVERY_M)
+                rows += candidates(place, drive, True, EVERY_M)
             for other in elsewhere:
-                rows += ask(other, drive, False, ELSEWHERE_EVERY_M)
+                rows += candidates(other, drive, False, ELSEWHERE_EVERY_M)
         for recording in real:
-            rows += ask(here[0], recording, False, REAL_EVERY_M)
+            rows += candidates(here[0], recording, False, REAL_EVERY_M)
         self.add(world.name, rows)
         return prior_map
 
 
 def fit(rows: np.ndarray) -> np.ndarray:
-    """The constant and the weights of a logistic model of the witnesses.
+    """The constant and the weights of a logistic model of the features.
 
     The penalty keeps it modest: right and wrong poses are nearly separable, which alone would make
     a fit as sure as its data are many.
@@ -215,7 +216,7 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
             print(f"| {low:.2f} to {high:.2f} | {chosen.sum()} | {right[chosen].mean():.3f} |")
     for name, q in (
         ("model of the other worlds", p),
-        ("model of the package", probability(rows, np.array(CONFIDENCE))),
+        ("model of the package", probability(rows, _shipped())),
     ):
         brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
         print(
@@ -225,6 +226,12 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         for column, label in enumerate(COLUMNS):
             q = np.nanpercentile(part[:, column], [0, 1, 50, 99, 100])
             print(f"  {name} {label}: " + " ".join(f"{v:.2f}" for v in q))
+
+
+def _shipped() -> np.ndarray:
+    """The constant and the weights of the model that comes with the package."""
+    model = shipped_confidence()
+    return np.array([model.constant, *(model.weights[name] for name in FEATURES)])
 
 
 def joined(runs: list[np.ndarray]) -> np.ndarray:
@@ -261,17 +268,17 @@ def draw(rows: np.ndarray, p: np.ndarray, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sensors", nargs="*", default=["hdl64e", "os1-64", "vlp16"])
-    parser.add_argument("--each", type=int, default=2, help="worlds of every scene")
-    parser.add_argument("--real", nargs="*", default=[], metavar="SCANS=POSES")
-    parser.add_argument("--first-seed", type=int, default=3000)
-    parser.add_argument("--out", type=Path, default=Path("calibration.npz"))
-    parser.add_argument("--rows", nargs="+", type=Path, help="rows of earlier runs")
-    parser.add_argument("--figure", type=Path)
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--sensors", nargs="*", default=["hdl64e", "os1-64", "vlp16"])
+    options.add_argument("--each", type=int, default=2, help="worlds of every scene")
+    options.add_argument("--real", nargs="*", default=[], metavar="SCANS=POSES")
+    options.add_argument("--first-seed", type=int, default=3000)
+    options.add_argument("--out", type=Path, default=Path("calibration.npz"))
+    options.add_argument("--rows", nargs="+", type=Path, help="rows of earlier runs")
+    options.add_argument("--figure", type=Path)
+    args = options.parse_args()
     if args.rows is None:
-        real = [open_sequence(*map(Path, pair.split("="))) for pair in args.real]
+        real = [open_sequence(*pair.split("=")) for pair in args.real]
         calibration, before = Calibration(args.out), None
         for recording in real:
             calibration.real(recording)

@@ -27,7 +27,7 @@ def bench(
 ) -> None:
     """Time the engine against other software, in turns, and against the processor's own limits.
 
-    Rivals that are not installed are left out; the extra "bench" brings them.
+    Rivals that are not installed are left out; segloc-experiments[bench] brings them.
     """
     import os
 

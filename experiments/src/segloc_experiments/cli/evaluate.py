@@ -35,7 +35,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")
 def register(app: typer.Typer) -> None:
     """Add the studies to ``segloc evaluate``; ``localization`` also runs without recordings."""
     del app
-    group = own.evaluate
+    group = own.app
     group.registered_commands[:] = [
         command for command in group.registered_commands if command.name != "localization"
     ]

@@ -1,1 +1,1 @@
-
+"""The studies of the paper: ``segloc evaluate``."""

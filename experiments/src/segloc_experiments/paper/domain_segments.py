@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from segloc import _native
-from segloc.datasets import Derived, Sequence, Swathes, open_sequence
+from segloc.datasets import Sequence, Swathes
 from segloc.errors import ConfigError, DatasetError
 from segloc.processes import in_parallel
 from segloc.segmentation import SegmentationConfig, Segmenter
@@ -24,7 +24,9 @@ from segloc.simulation.suites import SIX, SWATHE_M, TestSet
 from segloc.training.collect import Posed, collect_recordings
 from segloc.training.extract import ExtractConfig, extract_session
 from segloc.training.shards import INDEX, Session, finish, finished, options_of, write_shard
-from segloc.types import Float64
+
+from .. import kitti00
+from ..recordings import Surveyed
 
 SIMULATED = ("kitti", "burgess", "robotcar")
 RECORDED = "kitti00"
@@ -34,9 +36,9 @@ _EXTRACT = ExtractConfig(lengths_m=(40.0, 16.0), swathe_m=SWATHE_M)
 _PLACES: dict[str, dict[str, tuple[str, ...]]] = {
     "train": {
         "loop": ("169:373", "1414:1600"),
-        "way-655": ("655:947",),
-        "way-1004": ("1004:1360",),
-        "way-1601": ("1601:1820",),
+        "street-655": ("655:947",),
+        "street-1004": ("1004:1360",),
+        "street-1601": ("1601:1820",),
     },
     "test": {
         "square": ("948:999", "1361:1413"),
@@ -68,17 +70,6 @@ class DomainSize:
         return self.train if split == "train" else self.test
 
 
-class _Surveyed(Derived[SimulatedSequence]):
-    """A simulated drive whose clouds are gathered by odometry, and placed by the truth."""
-
-    @property
-    def poses(self) -> Float64:
-        return self.source.truth
-
-    def object_ids(self, i: int) -> object:
-        return self.source.object_ids(i)
-
-
 @dataclass(frozen=True)
 class _Job:
     """One session of one world of a simulated domain."""
@@ -91,7 +82,7 @@ class _Job:
     session: int
 
     def drive(self) -> Sequence:
-        """The session, whose scans are cast when asked for."""
+        """The session, whose scans are cast when they are read."""
         if self.split == "train":
             return _suite(self.domain).training(1, self.scale, seed=self.seed)[self.session]
         return list(_suite(self.domain).sessions(self.scale, seed=self.seed).values())[self.session]
@@ -187,7 +178,7 @@ def _simulate(job: _Job) -> Session:
     assert isinstance(source, SimulatedSequence)  # what test sets are made of
     lengths = (SWATHE_M,) if isinstance(source.sensor, LineLidar) else _EXTRACT.lengths_m
     config = _EXTRACT.model_copy(update={"lengths_m": lengths})
-    extract = extract_session(_Surveyed(source), Segmenter(segmentation).segment, config)
+    extract = extract_session(Surveyed(source), Segmenter(segmentation).segment, config)
     write_shard(job.folder, session, extract, options)
     return session
 
@@ -235,7 +226,7 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
         items = [
             Posed(
                 Session(place, f"{k:02d}-keyframes", "hdl64e"),
-                open_sequence(data / "keyframes", poses, select),
+                kitti00.keyframes(data, select),
             )
             for k, select in enumerate(passes)
         ]

@@ -10,7 +10,7 @@ from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
 from segloc.errors import MissingDependency
 
 from ..bench.harness import in_process, optional
-from ..bench.memory import (
+from .network_memory import (
     has_gpu,
     inference_mb,
     saved_mb,

@@ -227,6 +227,6 @@ def roc(scores: Float64, pairs: Pairs, *, seed: int = 0, points: int = 200) -> R
 
 def _thinned(x: Float64, y: Float64, points: int) -> Int64:
     """Indices of points spread evenly along a curve that rises from (0, 0) to (1, 1)."""
-    way = (x + y) / 2
-    kept = np.searchsorted(way, np.linspace(0.0, 1.0, points) - 1e-12)
+    along = (x + y) / 2
+    kept = np.searchsorted(along, np.linspace(0.0, 1.0, points) - 1e-12)
     return np.unique(np.clip(kept, 0, len(x) - 1)).astype(np.int64)

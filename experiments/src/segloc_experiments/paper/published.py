@@ -72,7 +72,7 @@ def localizations() -> Table:
         tuple((*row[:5], *row[5]) for row in LOCALIZATIONS),
         "On the recordings themselves, which the simulated sets take after in kind, length and "
         "sensor: compare methods with each other, not numbers across the tables. How many clouds "
-        "have a place in the map is not published; there were no false localizations.",
+        "lie within map coverage is not published; there were no false localizations.",
         "paper",
     )
 

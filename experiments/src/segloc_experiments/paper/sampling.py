@@ -39,7 +39,7 @@ same network is trained with each.
 
 Farthest-point sampling is the slowest of the three. The paper reports that sampling all segments \
 as one tensor is 80 times as fast as sampling one after another. How much of that is the tensor, \
-and how much the code, shows where all ways are timed in turns on the same segments."""
+and how much the code, shows where all samplers are timed in turns on the same segments."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Plan:
     Attributes
     ----------
     repeats : int
-        Of each way of sampling; the median counts.
+        Of each sampler; the median counts.
     steps : int
         Of each of the three trainings.
     segments : int
@@ -71,7 +71,7 @@ PLANS = {"small": Plan(5, 600, 8_000, 2_000), "full": Plan(15, 1500, 40_000, 10_
 
 
 def run(workspace: Workspace, plan: Plan | None = None) -> Study:
-    """Time the ways of sampling, and train DSM with each sampler.
+    """Time the samplers, and train DSM with each sampler.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
 
 
 def _speeds(measured: Row) -> Table:
-    """Every way's time against the loop over segments."""
+    """Every sampler's time against the loop over segments."""
     times = {f"{OURS}, this processor's best": measured.ours_ms, **measured.rivals}
     naive = measured.rivals[NAIVE]
     rows: list[tuple[Cell, ...]] = [
@@ -105,7 +105,7 @@ def _speeds(measured: Row) -> Table:
         "runs in turns. All take the farthest point at every step. The paper reports a factor of "
         f"80 for its batched tensor over a segment at a time.{skipped}"
     )
-    columns = ("way", "ms", "times as fast as a segment at a time", "times our time")
+    columns = ("sampler", "ms", "times as fast as a segment at a time", "times our time")
     return Table("sampling_speed", "Farthest-point sampling", columns, tuple(rows), note)
 
 

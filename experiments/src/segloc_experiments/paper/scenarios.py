@@ -11,10 +11,11 @@ import numpy as np
 
 from segloc.batch.run import query_positions
 from segloc.batch.scenario import MAX_GAP_M, Facts, OpenedScenario, QuerySet, Scenario, folder_size
-from segloc.datasets import NO_POSES, Recording, Swathes, open_sequence
+from segloc.datasets import Recording, Swathes
 from segloc.errors import DatasetError
 from segloc.simulation.suites import SIX, TestSet
 
+from .. import kitti00
 from .workspace import Workspace
 
 EVERY_M = 10.0
@@ -65,10 +66,10 @@ def _simulated(recording: Recording) -> QuerySet:
 class KittiScenario:
     """KITTI odometry 00, as keyframes and as full scans with TUM poses.
 
-    "kitti00": the first half of the drive is mapped and all of the rest is asked every 10 m,
+    "kitti00": the first half of the drive is mapped, and queries are all of the rest every 10 m,
     accumulated, and as one thinned keyframe each (sparse). "kitti00-later": the later passes are
-    mapped, and every full scan of the first 827 m is asked by itself. The negative is the simulated
-    town of the test set that has the same sensor.
+    mapped, and every full scan of the first 827 m is a query by itself. The negative is the
+    simulated town of the test set that has the same sensor.
     """
 
     data: Path
@@ -92,29 +93,11 @@ class KittiScenario:
         return {"scenario": self.name, "bytes": sizes, "scale": self.scale, "seed": self.seed}
 
     def open(self) -> OpenedScenario:
-        keyframes, scans = self.data / "keyframes", self.data / "scans"
         town = next(test for test in SIX if test.name == "kitti")
         negative = SuiteScenario(town, self.scale, self.seed).negative()
-        if self.later:
-            prior_map = open_sequence(keyframes, "keyframes.tum", "619:654,988:1003,1361:1600")
-            truths = open_sequence(scans, "scans.tum").poses
-            alone = open_sequence(scans, NO_POSES)
-            positions = np.arange(len(alone), dtype=np.int64)
-            return OpenedScenario(
-                prior_map, negative, {"single": QuerySet(alone, positions, truths)}
-            )
-        prior_map = open_sequence(keyframes, "keyframes.tum", "100:947")
-        accumulated = open_sequence(keyframes, "keyframes.tum", "948:1820")
-        sparse = open_sequence(keyframes, NO_POSES, "948:1820")
-        truths = accumulated.poses
-        assert truths is not None  # it was opened with them
-        positions = query_positions(truths, EVERY_M, MAX_GAP_M)
-        chosen = truths[positions]
-        query_sets = {
-            "accumulated": QuerySet(accumulated, positions, chosen),
-            "sparse": QuerySet(sparse, positions, chosen),
-        }
-        return OpenedScenario(prior_map, negative, query_sets)
+        names = ("single",) if self.later else ("accumulated", "sparse")
+        query_sets = {name: kitti00.query_set(self.data, name) for name in names}
+        return OpenedScenario(kitti00.mapped(self.data, names[0]), negative, query_sets)
 
 
 def scenarios(workspace: Workspace) -> Sequence[Scenario]:

@@ -8,32 +8,30 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from segloc.batch.comparison import build_maps, shared_config
-from segloc.batch.methods import METHODS
+from segloc.batch.comparison import MappedPlace, build_maps, place_of
+from segloc.batch.methods import ready
 from segloc.batch.report.study import Cell, Study, Table
 from segloc.batch.run import query_scans
 from segloc.config import Config
 from segloc.datasets import Recording
-from segloc.descriptors import Descriptor
+from segloc.descriptors import Descriptor, create
 from segloc.local_cloud import Accumulator
+from segloc.localizer import Localizer
 from segloc.map.segment_map import SegmentMap
-from segloc.matching import Matcher
-from segloc.pose import PoseEstimator
 from segloc.segmentation import Segmenter
+from segloc.stage_times import Clock, StageTimes
 from segloc.system import processor
 from segloc.types import LocalCloud
-from segloc.verification.verifier import Verifier
 
-from ..bench.harness import in_process, processor_clock
-from ..bench.query import padded
+from ..bench.harness import in_process
+from ..padding import padded_with_copies
+from ..stages import STAGES, clock_for, single_pass
 from . import published
 from .gpu import GPU_METHODS, gpu_ms
-from .random_weights import any_descriptor
 from .scenarios import KittiScenario, SuiteScenario
 from .workspace import Workspace
 
@@ -45,15 +43,6 @@ voxels); matching finds the nearest descriptors of the map, K for each segment; 
 random forest sort out matches; pose finds the poses that many matches agree on; verification, which
 the paper has not, compares them with the map's own cloud."""
 
-STAGES = (
-    "segmentation",
-    "preprocessing",
-    "descriptor",
-    "matching",
-    "pruning",
-    "pose",
-    "verification",
-)
 _PROSAC = "pose, PROSAC"
 MAP_SEGMENTS = 10_000
 _QUERIES = 5
@@ -88,10 +77,7 @@ def run(workspace: Workspace) -> Study:
         If a recording cannot be read, or results cannot be written.
     """
     start = time.perf_counter()
-    names = workspace.methods or METHODS
-    chosen = {name: any_descriptor(name, 1) for name in names}
-    descriptors = {name: descriptor for name, (descriptor, _) in chosen.items()}
-    random = [name for name, (_, drawn) in chosen.items() if drawn]
+    descriptors = {name: create(name, 1) for name in ready(workspace.methods).names}
     tables = []
     for label, settings, source in _sources(workspace):
         measured = workspace.cached_json(
@@ -105,7 +91,7 @@ def run(workspace: Workspace) -> Study:
             },
             partial(_measured, source, descriptors, workspace),
         )
-        tables.append(time_table(label, measured, descriptors, random))
+        tables.append(time_table(label, measured, descriptors))
     return Study(
         "timing",
         "Time of a query",
@@ -169,13 +155,13 @@ def stage_times(bench: Bench, threads: int, repeats: int) -> Times:
 
     With one thread the time is the processor's, which other work on the machine disturbs less.
     """
-    clock = processor_clock if threads == 1 else time.perf_counter
-    pipelines = {name: _Pipeline(name, bench.maps, threads) for name in bench.maps}
-    samples: dict[str, list[dict[str, float]]] = {name: [] for name in pipelines}
+    clock = clock_for(threads)
+    place = _padded_place(bench.maps, threads)
+    samples: dict[str, list[dict[str, float]]] = {name: [] for name in place.localizers}
     for repeat in range(repeats + 1):
         for cloud in bench.clouds:
-            for name, pipeline in pipelines.items():
-                sample = pipeline.stage_ms(cloud, clock)
+            for name, localizers in place.localizers.items():
+                sample = _stage_ms(localizers, cloud, clock)
                 if repeat:  # the first round warms up
                     samples[name].append(sample)
     medians = {
@@ -186,55 +172,30 @@ def stage_times(bench: Bench, threads: int, repeats: int) -> Times:
     return {name: {**times, "segmentation": shared} for name, times in medians.items()}
 
 
-class _Pipeline:
-    """The stages of one method, in a map padded to :data:`MAP_SEGMENTS`."""
+def _padded_place(maps: Mapping[str, SegmentMap], threads: int) -> MappedPlace:
+    """The place in maps of at least :data:`MAP_SEGMENTS`."""
+    size = max(MAP_SEGMENTS, len(next(iter(maps.values()))))
+    return place_of({name: padded_with_copies(each, size) for name, each in maps.items()}, threads)
 
-    def __init__(self, name: str, maps: Mapping[str, SegmentMap], threads: int) -> None:
-        config = shared_config(name, threads)
-        whole = next(iter(maps.values()))
-        prior_map = padded(maps[name], max(MAP_SEGMENTS, len(whole)))
-        self._descriptor, _ = any_descriptor(name, threads)
-        pruner = self._descriptor.pruner
-        self._matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
-        self._centroids = prior_map.centroids
-        self._segmenter = Segmenter(config.segmentation)
-        prosac = config.pose.model_copy(update={"estimator": "prosac"})
-        self._estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
-        self._prosac = PoseEstimator(prosac, threads=threads, seed=config.seed)
-        self._verifier = Verifier(whole.cloud, whole.origin, config.verification, threads=threads)
 
-    def stage_ms(self, cloud: LocalCloud, clock: Callable[[], float]) -> dict[str, float]:
-        marks = [("", clock())]
-
-        def mark(stage: str) -> None:
-            marks.append((stage, clock()))
-
-        scene = self._segmenter.segment(cloud)
-        mark("segmentation")
-        prepared = self._descriptor.prepare(scene.segments)
-        mark("preprocessing")
-        described = self._descriptor.encode(prepared)
-        mark("descriptor")
-        matches = self._matcher.match(described)
-        mark("matching")
-        matches = self._matcher.prune(described, matches)
-        mark("pruning")
-        found = self._estimator.estimate(scene.segments.centroids, self._centroids, matches)
-        mark("pose")
-        self._verifier.verify(scene, found)
-        mark("verification")
-        self._prosac.estimate(scene.segments.centroids, self._centroids, matches)
-        mark(_PROSAC)
-        return {name: 1e3 * (end - start) for (_, start), (name, end) in pairwise(marks)}
+def _stage_ms(
+    localizers: Mapping[str, Localizer], cloud: LocalCloud, clock: Clock
+) -> dict[str, float]:
+    """Of every stage once with our estimator, and of the pose with the paper's."""
+    watch = StageTimes(clock)
+    scene, matches = single_pass(localizers["consensus"], cloud, watch)
+    prosac = localizers["prosac"]
+    with watch(_PROSAC):
+        prosac.estimator.estimate(scene.segments.centroids, prosac.prior_map.centroids, matches)
+    return watch.ms
 
 
 def time_table(
     label: str,
     measured: Mapping[str, Any],
     descriptors: Mapping[str, Descriptor],
-    random: Sequence[str],
 ) -> Table:
-    """One row a method and processor; ``random`` names the methods whose weights were drawn."""
+    """One row a method and processor."""
     rows = [
         _row(name, processor, descriptors, times)
         for processor, by_method in measured["times"].items()
@@ -255,9 +216,8 @@ def time_table(
         tuple(rows),
         f"Medians over {measured['queries']} clouds of {measured['segments']:g} segments; the map "
         f"has {max(measured['map'], MAP_SEGMENTS)} segments, {measured['map']} of this place, and "
-        "the others of perturbed copies. "
-        + ("" if gpu else "There was no GPU to run the networks on. ")
-        + (f"With random weights, where none are shipped: {', '.join(random)}." if random else ""),
+        "the others of perturbed copies."
+        + ("" if gpu else " There was no GPU to run the networks on."),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from segloc.batch.comparison import QUALITY
 from segloc.batch.methods import METHODS
 from segloc.batch.methods import fingerprint as shipped_fingerprint
 from segloc.descriptors.base import Descriptor
@@ -19,7 +20,6 @@ from .learning import (
     EFFORTS,
     FORESTS,
     NETWORKS,
-    QUALITY,
     Effort,
     Training,
     load_method,
@@ -81,12 +81,12 @@ class Transfer:
     Raises
     ------
     ConfigError
-        If the workspace asks for methods that there are not.
+        If the workspace names methods that there are not.
 
     Attributes
     ----------
     methods : tuple of str
-        Those of :data:`~segloc.batch.methods.METHODS` that the workspace asks for.
+        Those of :data:`~segloc.batch.methods.METHODS` that the workspace names.
     fingerprints : dict of str to str
         Of all weights used so far, by method and training set.
     """

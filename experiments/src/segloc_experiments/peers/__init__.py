@@ -1,1 +1,1 @@
-"""TODO."""
+"""Other systems on the same clouds; each module runs as a script."""

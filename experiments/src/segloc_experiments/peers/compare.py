@@ -1,6 +1,6 @@
 """One table of all answers to a protocol, each peer at its best threshold with no false answer.
 
-    python benchmarks/peers/compare.py OUT/single OUT/town [--curve docs/images/peers_offset.svg]
+    python -m segloc_experiments.peers.compare OUT/single OUT/town [--curve FIGURE.svg]
 
 The threshold of a system without a verdict of its own is the highest score of any of its wrong
 answers to these very queries: no user could know it, so this favours the peers. ``all taken`` is
@@ -9,7 +9,6 @@ what its best answers are worth without a threshold. An answer is right within 3
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..script import parser
 from .exchange import Answers, Clouds
 
 RIGHT_M, RIGHT_DEG = 3.0, 5.0
@@ -32,7 +32,7 @@ class Score:
 
     Attributes
     ----------
-    asked, right, taken : (N,) bool
+    queried, right, taken : (N,) bool
         Taken are the answers above the threshold or, with a verdict, those that it believes.
     scores : (N,) float64
     threshold : float
@@ -40,7 +40,7 @@ class Score:
     """
 
     system: str
-    asked: Bools
+    queried: Bools
     right: Bools
     taken: Bools
     scores: NDArray[np.float64]
@@ -58,7 +58,7 @@ Part: TypeAlias = tuple[Clouds, list[Score]]
 
 def score(path: Path, queries: Clouds) -> Score:
     answers = Answers.load(path)
-    given = answers.asked & np.isfinite(answers.poses).all(axis=(1, 2))
+    given = answers.queried & np.isfinite(answers.poses).all(axis=(1, 2))
     right = given & close(answers.poses, queries.poses)
     threshold = math.nan
     taken = given
@@ -67,8 +67,8 @@ def score(path: Path, queries: Clouds) -> Score:
         threshold = float(answers.scores[wrong].max()) if wrong.any() else -math.inf
         taken = given & (answers.scores > threshold)
     name = path.stem.removeprefix("answers-")
-    ms = float(np.median(answers.ms[answers.asked]))
-    return Score(name, answers.asked, right, taken, answers.scores, threshold, ms)
+    ms = float(np.median(answers.ms[answers.queried]))
+    return Score(name, answers.queried, right, taken, answers.scores, threshold, ms)
 
 
 def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
@@ -76,14 +76,15 @@ def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
     metres = np.linalg.norm(poses[:, :3, 3] - truths[:, :3, 3], axis=1)
     traces = np.einsum("nij,nij->n", poses[:, :3, :3], truths[:, :3, :3])
     degrees = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    return (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
+    right: Bools = (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
+    return right
 
 
 def table(folder: Path) -> Part:
     """Print one protocol's rows, those that find most first."""
     queries = Clouds.load(folder / "queries.npz")
     scores = [score(path, queries) for path in sorted(folder.glob("answers-*.npz"))]
-    scores.sort(key=lambda s: -int((s.right & s.taken & queries.has_place).sum()))
+    scores.sort(key=lambda s: -int((s.right & s.taken & queries.within_coverage).sum()))
     groups = [g for g in dict.fromkeys(queries.group.tolist()) if g != ELSEWHERE]
     print(f"\n### {folder.name}\n")
     print("| system | queries | " + " | ".join(groups) + " | false | all taken | threshold | ms |")
@@ -91,19 +92,19 @@ def table(folder: Path) -> Part:
     for s in scores:
         cells = [found(s, queries, queries.group == group) for group in groups]
         false = int((s.taken & ~s.right).sum())
-        place = s.asked & queries.has_place
+        place = s.queried & queries.within_coverage
         blind = f"{int((s.right & place).sum())} of {int(place.sum())}"
         threshold = "own verdict" if math.isnan(s.threshold) else f"{s.threshold:.3g}"
         blind = "" if math.isnan(s.threshold) else blind
         print(
-            f"| {s.system} | {int(s.asked.sum())} | {' | '.join(cells)} | {false} | {blind} | "
+            f"| {s.system} | {int(s.queried.sum())} | {' | '.join(cells)} | {false} | {blind} | "
             f"{threshold} | {s.ms:.0f} |"
         )
     return queries, scores
 
 
 def found(s: Score, queries: Clouds, member: Bools) -> str:
-    place = s.asked & queries.has_place & member
+    place = s.queried & queries.within_coverage & member
     return f"{int((s.right & s.taken & place).sum())} of {int(place.sum())}"
 
 
@@ -117,14 +118,14 @@ def summary(parts: list[Part]) -> None:
     for system in dict.fromkeys(s.system for _, scores in parts for s in scores):
         own = [(q, s) for q, scores in parts for s in scores if s.system == system]
         highest = max(s.threshold for _, s in own)
-        places = sum(int((s.asked & q.has_place).sum()) for q, s in own)
-        each = sum(int((s.right & s.taken & q.has_place).sum()) for q, s in own)
-        one = sum(int((s.above(highest) & q.has_place).sum()) for q, s in own)
+        places = sum(int((s.queried & q.within_coverage).sum()) for q, s in own)
+        each = sum(int((s.right & s.taken & q.within_coverage).sum()) for q, s in own)
+        one = sum(int((s.above(highest) & q.within_coverage).sum()) for q, s in own)
         print(f"| {system} | {len(own)} | {each} of {places} | {one} of {places} |")
 
 
 def curve(parts: list[Part], systems: list[str], file: Path) -> None:
-    """Draw the share found over the sideways distance from the mapped way."""
+    """Draw the share found over the sideways distance from the mapped path."""
     import matplotlib.pyplot as plt
 
     plt.rcParams["svg.hashsalt"] = "segloc"
@@ -133,23 +134,23 @@ def curve(parts: list[Part], systems: list[str], file: Path) -> None:
         counts: dict[float, list[int]] = {}
         for queries, scores in parts:
             for s in (s for s in scores if s.system == system):
-                for i in np.flatnonzero(s.asked & np.char.endswith(queries.group, "m beside")):
+                for i in np.flatnonzero(s.queried & np.char.endswith(queries.group, "m beside")):
                     offset = float(queries.group[i].split()[0])
                     counts.setdefault(offset, []).append(int(s.right[i] and s.taken[i]))
         x = sorted(counts)
         axes.plot(x, [100 * np.mean(counts[o]) for o in x], marker="o", label=system)
-    axes.set(xlabel="metres beside the mapped way", ylabel="found, %", ylim=(-3, 103))
+    axes.set(xlabel="metres beside the mapped path", ylabel="found, %", ylim=(-3, 103))
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
     figure.savefig(file, metadata={"Date": None})
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--curve", type=Path, help="draw the simulated offsets of all folders")
-    parser.add_argument("--drawn", nargs="*", default=[], help="the systems in the curve")
-    options = parser.parse_args()
+    parsed = parser(__doc__)
+    parsed.add_argument("folders", nargs="+", type=Path)
+    parsed.add_argument("--curve", type=Path, help="draw the simulated offsets of all folders")
+    parsed.add_argument("--drawn", nargs="*", default=[], help="the systems in the curve")
+    options = parsed.parse_args()
     parts = [table(folder) for folder in options.folders]
     summary(parts)
     if options.curve:

@@ -28,7 +28,7 @@ class Clouds:
         T_map_cloud. A level frame where scans were accumulated, and the sensor's where not.
     scans : (N,) int64
         From how many scans each cloud was gathered.
-    has_place : (N,) bool
+    within_coverage : (N,) bool
         Whether the map holds the place of a query.
     group : (N,) str
         What is told apart in the tables; the same for all where nothing is.
@@ -38,7 +38,7 @@ class Clouds:
 
     poses: NDArray[np.float64]
     scans: NDArray[np.int64]
-    has_place: NDArray[np.bool_]
+    within_coverage: NDArray[np.bool_]
     group: NDArray[np.str_]
     points: NDArray[np.float32]
     offsets: NDArray[np.int64]
@@ -71,17 +71,17 @@ class Gathering:
         points: NDArray[np.float32],
         pose: NDArray[np.float64],
         scans: int = 1,
-        has_place: bool = True,
+        within_coverage: bool = True,
         group: str = "all",
     ) -> None:
-        self.items.append((points, pose, scans, has_place, group))
+        self.items.append((points, pose, scans, within_coverage, group))
 
     def clouds(self) -> Clouds:
-        points, poses, scans, has_place, group = zip(*self.items, strict=True)
+        points, poses, scans, within_coverage, group = zip(*self.items, strict=True)
         return Clouds(
             np.stack(poses),
             np.array(scans, dtype=np.int64),
-            np.array(has_place, dtype=bool),
+            np.array(within_coverage, dtype=bool),
             np.array(group),
             np.concatenate(points).astype(np.float32),
             np.cumsum([0, *map(len, points)], dtype=np.int64),
@@ -99,7 +99,7 @@ class Answers:
         self.poses = np.full((count, 4, 4), np.nan)
         self.scores = np.full(count, -np.inf)
         self.ms = np.zeros(count)
-        self.asked = np.zeros(count, dtype=bool)
+        self.queried = np.zeros(count, dtype=bool)
         self.verdict = np.array(verdict)
 
     @contextmanager
@@ -108,7 +108,7 @@ class Answers:
         start = time.process_time()
         yield
         self.ms[query] += 1e3 * (time.process_time() - start)
-        self.asked[query] = True
+        self.queried[query] = True
 
     def give(self, query: int, pose: NDArray[np.float64], score: float) -> None:
         self.poses[query], self.scores[query] = pose, score
@@ -125,10 +125,12 @@ class Answers:
         return answers
 
 
-def run(parser: argparse.ArgumentParser, ask: Callable[[Path, argparse.Namespace], None]) -> None:
-    """Ask the protocols that the command line names, with the options that all systems share."""
+def run(
+    parser: argparse.ArgumentParser, answer: Callable[[Path, argparse.Namespace], None]
+) -> None:
+    """Answer the protocols that the command line names, by options that all systems share."""
     parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--every", type=int, default=1, help="ask every so many queries")
+    parser.add_argument("--every", type=int, default=1, help="one of so many queries")
     options = parser.parse_args()
     for folder in options.folders:
-        ask(folder, options)
+        answer(folder, options)

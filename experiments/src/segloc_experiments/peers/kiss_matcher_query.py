@@ -5,7 +5,7 @@ A query is aligned with the view of such a place, not with the map joined from a
 finds far less. Its best pose is judged by its number of inliers, or as Scan Context's own poses
 are, by GICP and overlap.
 
-    python benchmarks/peers/kiss_matcher_query.py OUT/single --views scan
+    python -m segloc_experiments.peers.kiss_matcher_query OUT/single --views scan
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 
 from segloc import geometry
 
+from ..script import parser
 from .exchange import Answers, Clouds, run
 from .scan_context import ScanContexts, sideways
 from .verification import Places, Query, near
 
-REACH_M = 60.0
+RADIUS_M = 60.0
 
 
 def registered(
@@ -41,11 +42,11 @@ def registered(
     return T, int(matcher.get_num_final_inliers())
 
 
-def ask(folder: Path, options: argparse.Namespace) -> None:
+def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by the number of inliers alone."""
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
-    contexts, places = ScanContexts(views, options.reach), Places(views)
+    contexts, places = ScanContexts(views, options.radius), Places(views)
     # All clouds are level, which its quatro solver makes use of.
     settings = kiss_matcher.KISSMatcherConfig(options.voxel, use_quatro=True)
     matcher = kiss_matcher.KISSMatcher(settings)
@@ -54,12 +55,12 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
         with verified.timed(q), alone.timed(q):
             candidates = contexts.candidates(queries[q], sideways(options.shifts), options.top)
         for candidate in candidates:
-            places.target(candidate.view)  # part of the map: prepared before it is asked
+            places.target(candidate.view)  # part of the map: prepared before it is queried
         with verified.timed(q), alone.timed(q):
-            cloud = near(queries[q], REACH_M)
+            cloud = near(queries[q], RADIUS_M)
             poses = []
             for candidate in candidates:
-                T, inliers = registered(matcher, cloud, near(views[candidate.view], REACH_M))
+                T, inliers = registered(matcher, cloud, near(views[candidate.view], RADIUS_M))
                 poses.append((views.poses[candidate.view] @ T, inliers))
         alone.give(q, *max(poses, key=lambda item: item[1]))
         with verified.timed(q):
@@ -76,13 +77,13 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--views", default="scan", help="long, short or scan")
-    parser.add_argument("--voxel", type=float, default=0.5, help="metres")
-    parser.add_argument("--reach", type=float, default=80.0, help="of a context, metres")
-    parser.add_argument("--top", type=int, default=3, help="places that are tried")
-    parser.add_argument("--shifts", type=float, nargs="+", default=[0.0], help="sideways, metres")
-    run(parser, ask)
+    options = parser(__doc__)
+    options.add_argument("--views", default="scan", help="long, short or scan")
+    options.add_argument("--voxel", type=float, default=0.5, help="metres")
+    options.add_argument("--radius", type=float, default=80.0, help="of a context, metres")
+    options.add_argument("--top", type=int, default=3, help="places that are tried")
+    options.add_argument("--shifts", type=float, nargs="+", default=[0.0], help="sideways, metres")
+    run(options, answer)
 
 
 if __name__ == "__main__":

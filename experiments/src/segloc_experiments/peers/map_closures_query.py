@@ -1,8 +1,8 @@
 """map-closures (Gupta et al., ICRA 2024): ORB features of density images of local maps.
 
-    python benchmarks/peers/map_closures_query.py OUT/accumulated --views long
+    python -m segloc_experiments.peers.map_closures_query OUT/accumulated --views long
 
-Run it in an environment of its own (see README.md). There is no call that asks without
+Run it in an environment of its own (see README.md). There is no call that searches without
 storing, so the time of a query includes storing it, and closures with earlier queries are left out.
 """
 
@@ -14,17 +14,21 @@ from pathlib import Path
 import numpy as np
 from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
+from numpy.typing import NDArray
 
+from ..script import parser
 from .exchange import Answers, Clouds, run
 
-REACH_M = 50.0
+RADIUS_M = 50.0
 
 
-def near(points: np.ndarray) -> np.ndarray:
-    return points[np.hypot(points[:, 0], points[:, 1]) < REACH_M].astype(np.float64)
+def near(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The points near the sensor, which is at the origin."""
+    inside: NDArray[np.bool_] = np.hypot(points[:, 0], points[:, 1]) < RADIUS_M
+    return points[inside].astype(np.float64)
 
 
-def ask(folder: Path, options: argparse.Namespace) -> None:
+def answer(folder: Path, options: argparse.Namespace) -> None:
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
     closures = MapClosures(MapClosuresConfig(density_map_resolution=options.resolution))
@@ -47,11 +51,11 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--views", default="long", help="long, short or scan")
-    parser.add_argument("--resolution", type=float, default=0.5, help="of the images, metres")
-    parser.add_argument("--top", type=int, default=20, help="closures looked at")
-    run(parser, ask)
+    options = parser(__doc__)
+    options.add_argument("--views", default="long", help="long, short or scan")
+    options.add_argument("--resolution", type=float, default=0.5, help="of the images, metres")
+    options.add_argument("--top", type=int, default=20, help="closures looked at")
+    run(options, answer)
 
 
 if __name__ == "__main__":

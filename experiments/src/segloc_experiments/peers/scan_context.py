@@ -5,7 +5,7 @@ rings by 60 sectors; the cosine distance of columns, least over all turns. Every
 so that no ring key can miss one. Queries can be moved sideways (the paper's root shift) to bridge
 lanes.
 
-    python benchmarks/peers/scan_context.py OUT/single --views scan
+    python -m segloc_experiments.peers.scan_context OUT/single --views scan
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from segloc import geometry
 
+from ..script import parser
 from .exchange import Answers, Clouds, run
 from .verification import Places, Query
 
@@ -40,12 +41,12 @@ class Candidate:
     T_map_query: Floats
 
 
-def scan_context(points: NDArray[np.float32], ground_z: float, reach_m: float) -> Floats:
+def scan_context(points: NDArray[np.float32], ground_z: float, radius_m: float) -> Floats:
     """The height of the highest point in every bin, 0 where there is none, (60, 20)."""
     x, y, z = points.astype(np.float64).T
     radius = np.hypot(x, y)
-    inside = radius < reach_m
-    ring = (radius[inside] / reach_m * RINGS).astype(np.int64)
+    inside = radius < radius_m
+    ring = (radius[inside] / radius_m * RINGS).astype(np.int64)
     turn = np.arctan2(y[inside], x[inside]) / (2 * np.pi) % 1.0
     sector = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
     heights = np.zeros(SECTORS * RINGS)
@@ -59,19 +60,25 @@ def ground_below(points: NDArray[np.float32]) -> float:
     return float(np.percentile(close[:, 2], 5)) if len(close) else 0.0
 
 
+def _filled(columns: Floats) -> NDArray[np.bool_]:
+    """Which columns, of which the last axis holds the rings, are not empty."""
+    found: NDArray[np.bool_] = np.logical_or.reduce(columns != 0, axis=-1)
+    return found
+
+
 class ScanContexts:
     """The contexts of a map's views."""
 
-    def __init__(self, views: Clouds, reach_m: float) -> None:
-        self.poses, self.reach_m = views.poses, reach_m
+    def __init__(self, views: Clouds, radius_m: float) -> None:
+        self.poses, self.radius_m = views.poses, radius_m
         contexts = [self.describe(views[i]) for i in range(len(views))]
         self._columns = np.stack([normalised(c) for c in contexts])
-        self._filled = self._columns.any(axis=2)
+        self._filled = _filled(self._columns)
         turns = np.arange(SECTORS)
         self._turned = (turns[None, :] + turns[:, None]) % SECTORS
 
     def describe(self, points: NDArray[np.float32]) -> Floats:
-        return scan_context(points, ground_below(points), self.reach_m)
+        return scan_context(points, ground_below(points), self.radius_m)
 
     def candidates(self, points: NDArray[np.float32], shifts: Floats, top: int) -> list[Candidate]:
         """The most alike places, one of every view at most."""
@@ -91,7 +98,7 @@ class ScanContexts:
         """Each view's distance at its best turn, and that turn."""
         columns = normalised(context)
         alike = np.einsum("vsr,tr->vst", self._columns, columns, optimize=True)
-        both = self._filled[:, :, None] & columns.any(axis=1)[None, None, :]
+        both = self._filled[:, :, None] & _filled(columns)[None, None, :]
         sectors = np.arange(SECTORS)[None, :]
         total = alike[:, sectors, self._turned].sum(axis=2)
         count = both[:, sectors, self._turned].sum(axis=2)
@@ -110,11 +117,11 @@ def sideways(offsets_m: list[float]) -> Floats:
     return np.array([(0.0, offset, 0.0) for offset in offsets_m])
 
 
-def ask(folder: Path, options: argparse.Namespace) -> None:
+def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by Scan Context's own distance alone."""
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
-    contexts, places = ScanContexts(views, options.reach), Places(views)
+    contexts, places = ScanContexts(views, options.radius), Places(views)
     verified, alone = Answers(len(queries)), Answers(len(queries))
     moved = "-shifted" if len(options.shifts) > 1 else ""
     system = f"scan_context{moved}-{options.views}"
@@ -124,7 +131,7 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
             candidates = contexts.candidates(queries[q], shifts, options.top)
         alone.give(q, candidates[0].T_map_query, -candidates[0].distance)
         for candidate in candidates:
-            places.target(candidate.view)  # part of the map: prepared before it is asked
+            places.target(candidate.view)  # part of the map: prepared before it is queried
         with verified.timed(q):
             query = Query(queries[q])
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
@@ -134,12 +141,12 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--views", default="scan", help="long, short or scan")
-    parser.add_argument("--reach", type=float, default=80.0, help="of a context, metres")
-    parser.add_argument("--top", type=int, default=3, help="places that GICP is spent on")
-    parser.add_argument("--shifts", type=float, nargs="+", default=[0.0], help="sideways, metres")
-    run(parser, ask)
+    options = parser(__doc__)
+    options.add_argument("--views", default="scan", help="long, short or scan")
+    options.add_argument("--radius", type=float, default=80.0, help="of a context, metres")
+    options.add_argument("--top", type=int, default=3, help="places that GICP is spent on")
+    options.add_argument("--shifts", type=float, nargs="+", default=[0.0], help="sideways, metres")
+    run(options, answer)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """segloc on the clouds that the other systems get, with its own verdict.
 
-    python benchmarks/peers/segloc_query.py OUT/single
+    python -m segloc_experiments.peers.segloc_query OUT/single
 
 Its map is made as ``segloc map build`` makes one, of long and short views. Its own answer to how
 sure it is stands: no threshold is set afterwards.
@@ -25,6 +25,7 @@ from segloc.map.build import View, add_view, empty_map
 from segloc.segmentation import Segmenter
 from segloc.types import LocalCloud, Scan
 
+from ..script import parser
 from .exchange import Answers, Clouds, run
 
 
@@ -46,7 +47,7 @@ def site_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
     return prior_map
 
 
-def ask(folder: Path, options: argparse.Namespace) -> None:
+def answer(folder: Path, options: argparse.Namespace) -> None:
     config = Config.preset(options.method).model_copy(update={"threads": 1})
     localizer = Localizer(site_of(folder, options.views, config), config)
     queries = Clouds.load(folder / "queries.npz")
@@ -60,10 +61,10 @@ def ask(folder: Path, options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--views", nargs="+", default=["long", "short"])
-    parser.add_argument("--method", default="profile")
-    run(parser, ask)
+    options = parser(__doc__)
+    options.add_argument("--views", nargs="+", default=["long", "short"])
+    options.add_argument("--method", default="profile")
+    run(options, answer)
 
 
 if __name__ == "__main__":

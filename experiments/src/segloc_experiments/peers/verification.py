@@ -13,16 +13,16 @@ from segloc import _native
 
 from .exchange import Clouds
 
-REACH_M = 50.0
+RADIUS_M = 50.0
 """How far from the sensor clouds are compared."""
 
 ICP_VOXEL_M, COARSE_M, FINE_M = 0.5, 4.0, 1.0
 OVERLAP_M, ABOVE_GROUND_M, SAMPLE = 0.4, 0.4, 2000
 
 
-def near(points: NDArray[np.float32], reach_m: float = REACH_M) -> NDArray[np.float32]:
-    """The points within reach of the sensor, which is at the origin."""
-    return np.ascontiguousarray(points[(points[:, :2] ** 2).sum(axis=1) < reach_m**2])
+def near(points: NDArray[np.float32], radius_m: float = RADIUS_M) -> NDArray[np.float32]:
+    """The points near the sensor, which is at the origin."""
+    return np.ascontiguousarray(points[(points[:, :2] ** 2).sum(axis=1) < radius_m**2])
 
 
 def standing(points: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -59,7 +59,7 @@ class Places:
     def target(self, view: int) -> Any:
         """The cloud to align with, with its normals and its search tree."""
         if view not in self._targets:
-            close = self._plan.query_ball_point(self._at[view], REACH_M + 10.0)
+            close = self._plan.query_ball_point(self._at[view], RADIUS_M + 10.0)
             self._targets[view] = small_gicp.preprocess_points(
                 self._cloud[close].astype(np.float64), ICP_VOXEL_M
             )
@@ -72,9 +72,9 @@ class Places:
         T = T_map_query.copy()
         T[:3, 3] -= self.origin
         target, tree = self.target(view)
-        for reach in (COARSE_M, FINE_M):
+        for limit in (COARSE_M, FINE_M):
             result = small_gicp.align(
-                target, query.cloud, tree, T, "GICP", max_correspondence_distance=reach
+                target, query.cloud, tree, T, "GICP", max_correspondence_distance=limit
             )
             T = np.array(result.T_target_source)
         moved = query.above @ T[:3, :3].T + T[:3, 3]

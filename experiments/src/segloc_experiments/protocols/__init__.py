@@ -1,1 +1,1 @@
-"""TODO."""
+"""Protocols on real scans and in simulated worlds; each module runs as a script."""

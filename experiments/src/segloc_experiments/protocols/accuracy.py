@@ -6,24 +6,25 @@ finer resolution (0.3 m) than verification does (0.8 m), from all points within 
 that move farther than 2.5 m, or from another start (0.3 m aside) end elsewhere, are left out and
 counted.
 
-    python benchmarks/accuracy.py DATA OUT --method profile      # OUT as filled by kitti00.sh
+    python -m segloc_experiments.protocols.accuracy DATA OUT   # OUT as filled by kitti00.sh
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import small_gicp
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch.score import distances_to_path, pose_errors
+from segloc.batch.run import query_scans
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.types import Float64, LocalCloud, Pose
 
-from .city import PROTOCOLS, queries
+from ..kitti00 import PROTOCOLS, query_set
+from ..script import head, parser, row
 
-VOXEL_M, REACH_M, RADIUS_M = 0.3, 1.0, 50.0
+VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
 FARTHEST_M, AGREE_M = 2.5, 0.05
 
 
@@ -45,9 +46,9 @@ class Reference:
         ends = []
         for aside in (0.0, 0.3):
             start = T @ geometry.yaw_transform(0.0, (aside, aside, 0.0))
-            for reach in (2.0 * REACH_M, REACH_M):
+            for limit in (2.0 * CORRESPONDENCE_M, CORRESPONDENCE_M):
                 result = small_gicp.align(
-                    target, source, tree, start, "GICP", max_correspondence_distance=reach
+                    target, source, tree, start, "GICP", max_correspondence_distance=limit
                 )
                 start = np.array(result.T_target_source)
             ends.append(start)
@@ -62,9 +63,13 @@ class Reference:
 def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[Float64, int, int]:
     """Metres and degrees of the localized queries (N, 2), references left out, not localized."""
     reference, found, out, lost = Reference(localizer.prior_map), [], 0, 0
-    for scans, truth in queries(data, protocol, localizer.config, step):
-        if distances_to_path(truth[None], localizer.prior_map.trajectory)[0] > 3.0:
-            continue
+    queries = query_set(data, protocol, step)
+    assert queries.truths is not None
+    path = localizer.prior_map.trajectory
+    inside = distances_to_path(queries.truths, path) <= COVERAGE_RADIUS_M
+    config, positions = localizer.config.local_cloud, queries.positions[inside]
+    scans_of = query_scans(queries.recording, positions, config)
+    for scans, truth in zip(scans_of, queries.truths[inside], strict=True):
         cloud = localizer.accumulator.gather(scans)
         answer = localizer.localize(cloud)
         if answer.T_map_sensor is None:
@@ -79,24 +84,21 @@ def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--method", default="profile")
-    parser.add_argument("--step", type=int, default=1, help="ask every so many of the queries")
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("out", type=Path)
+    options.add_argument("--method", default="profile")
+    options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    print("| run | queries | median m | 95 % m | median deg | 95 % deg | no reference | lost |")
-    print("|---|---|---|---|---|---|---|---|")
-    for protocol, (*_, name) in PROTOCOLS.items():
-        prior_map = SegmentMap.load(args.out / f"{name}-{args.method}.segmap")
-        off, out, lost = errors(args.data, protocol, Localizer(prior_map, config), args.step)
-        metres, degrees = off.T
-        print(
-            f"| {protocol} | {len(off)} | {np.median(metres):.3f} | {np.percentile(metres, 95):.3f}"
-            f" | {np.median(degrees):.2f} | {np.percentile(degrees, 95):.2f} | {out} | {lost} |",
-            flush=True,
-        )
+    errors_of = ("median m", "95 % m", "median deg", "95 % deg")
+    print(head("run", "queries", *errors_of, "no reference", "lost"))
+    for name, protocol in PROTOCOLS.items():
+        prior_map = SegmentMap.load(args.out / f"{protocol.map_name}-{args.method}.segmap")
+        off, out, lost = errors(args.data, name, Localizer(prior_map, config), args.step)
+        (m, m95), (deg, deg95) = np.percentile(off, [50, 95], axis=0).T
+        cells = (f"{m:.3f}", f"{m95:.3f}", f"{deg:.2f}", f"{deg95:.2f}")
+        print(row(name, len(off), *cells, out, lost), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Three drifting sessions of KITTI 00 brought into one frame, printed as Markdown.
 
-    python benchmarks/align_kitti00.py DATA
+    python -m segloc_experiments.protocols.align_kitti00 DATA
 
 DATA holds ``keyframes/`` and ``keyframes.tum``. The drive is cut in three; each part gets 1 % of
 drift and a frame of its own. Ground truth is good to a metre only across passes, so pairs of poses
@@ -14,9 +14,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,6 +28,8 @@ from segloc.local_cloud import Accumulator, window
 from segloc.simulation import OdometryNoise
 from segloc.training.session_registration import Registration
 from segloc.types import Float32, Float64, Int64, Pose
+
+from ..script import parser
 
 SESSIONS = ("0:620", "621:1200", "1201:1820")
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
@@ -61,7 +62,8 @@ def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:
     correction = registration.corrected(T_b, cloud_b) @ geometry.inverse(T_b)
     if not registration.accepted:
         return None
-    return geometry.inverse(a.poses[i]) @ correction @ b.poses[j]
+    T_a_b: Pose = geometry.inverse(a.poses[i]) @ correction @ b.poses[j]
+    return T_a_b
 
 
 def pairs_across(a: Reposed, b: Reposed) -> list[tuple[int, int]]:
@@ -108,7 +110,8 @@ def false_loops(truth: list[Reposed], found: Alignment) -> int:
 
 
 @contextmanager
-def timed(label: str) -> Iterator[object]:
+def timed(label: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress that prints how long each part took."""
     began = time.perf_counter()
     yield lambda done, total: None
     print(f"<!-- {label}: {time.perf_counter() - began:.0f} s -->", flush=True)
@@ -128,11 +131,11 @@ def print_table(result: dict[tuple[int, int], Float64]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1)
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--threads", type=int, default=1)
+    args = options.parse_args()
     truth = []
     for selection in SESSIONS:
         part = open_sequence(args.data / "keyframes", "keyframes.tum", selection)

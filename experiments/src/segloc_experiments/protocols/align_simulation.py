@@ -1,6 +1,6 @@
 """Six drifting sessions of a simulated town, in two seasons, against the exact truth: Markdown.
 
-    python benchmarks/align_simulation.py [--scene town]
+    python -m segloc_experiments.protocols.align_simulation [--scene town]
 
 Each session has other lanes, directions, cars and detours, 1 % of drift and a frame of its own;
 every second one is in winter, with a fifth of what can be moved replaced. Needs the extra ``sim``.
@@ -12,7 +12,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import time
 
 import numpy as np
@@ -22,6 +21,7 @@ from segloc.alignment import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.simulation import SCENES, SENSORS, Conditions, SimulatedSequence, simulate_sessions
 from segloc.types import Float64
 
+from ..script import parser
 from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, print_table, timed
 
 
@@ -59,15 +59,15 @@ def false_loops(drives: list[SimulatedSequence], found: Alignment) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", choices=SCENES, default="town")
-    parser.add_argument("--sensor", choices=SENSORS, default="hdl64e")
-    parser.add_argument("--thin", type=int, default=4, help="every n-th firing of the sensor")
-    parser.add_argument("--sessions", type=int, default=6)
-    parser.add_argument("--length", type=float, default=300.0, help="metres of each")
-    parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--threads", type=int, default=1)
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--scene", choices=SCENES, default="town")
+    options.add_argument("--sensor", choices=SENSORS, default="hdl64e")
+    options.add_argument("--thin", type=int, default=4, help="every n-th firing of the sensor")
+    options.add_argument("--sessions", type=int, default=6)
+    options.add_argument("--length", type=float, default=300.0, help="metres of each")
+    options.add_argument("--seed", type=int, default=5)
+    options.add_argument("--threads", type=int, default=1)
+    args = options.parse_args()
     seasons = [Conditions(), Conditions(foliage=0.2, replaced=0.2)]
     drives = simulate_sessions(
         SCENES[args.scene](args.seed),

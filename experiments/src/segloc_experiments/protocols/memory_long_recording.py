@@ -1,6 +1,6 @@
 """Peak memory of mapping and localizing short and long recordings, printed as Markdown.
 
-    python benchmarks/memory_long_recording.py [2000 20000]
+    python -m segloc_experiments.protocols.memory_long_recording [2000 20000]
 
 Each recording is laps around a yard at 1.8 km/h and 10 Hz: 5 cm between scans. The scans of one
 lap are written once and linked as often as they are needed, so that a folder of 20 000 costs no
@@ -14,7 +14,6 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import resource
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,9 @@ from segloc.datasets import open_sequence
 from segloc.io import Trajectory, write_scan, write_tum
 from segloc.map.build import build_map
 from segloc.types import Float64
+
+from ..memory import highest_mb
+from ..script import head, parser, row
 
 STEP_M = 0.05
 RADIUS_M = 15.9  # a lap is 100 m, 2000 scans
@@ -80,48 +82,45 @@ def write_recording(folder: Path, lap: Path, count: int) -> None:
     write_tum(folder / "poses.tum", Trajectory(np.arange(count, dtype=float), poses))
 
 
-def peak_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
 def measure(folder: Path) -> None:
     """Print a row: scans, peaks after opening, mapping and localizing, and the map's size."""
     config = Config(threads=1)
-    before = peak_mb()
+    before = highest_mb()
     recording = open_sequence(folder, "poses.tum")
     assert recording.poses is not None
-    opened, began = peak_mb(), time.process_time()
+    opened, began = highest_mb(), time.process_time()
     prior_map = build_map(recording, config, every_m=EVERY_M)
-    mapped, built = peak_mb(), time.process_time()
+    mapped, built = highest_mb(), time.process_time()
     prior_map.save(folder.with_suffix(".segmap"))
     size = folder.with_suffix(".segmap").stat().st_size / 2**20
     positions = query_positions(recording.poses, EVERY_M, config.local_cloud.max_gap_m)
     results = localize_sequence(Localizer(prior_map, config), recording, positions)
     found = sum(result.localized for result in results)
-    row = [f"{len(recording)}", f"{before:.0f}", f"{opened:.0f}", f"{mapped:.0f}",
-           f"{peak_mb():.0f}", f"{size:.1f}", f"{found} of {len(results)}",
-           f"{built - began:.0f}", f"{time.process_time() - built:.0f}"]  # fmt: skip
-    print("| " + " | ".join(row) + " |", flush=True)
+    peaks = (f"{mb:.0f}" for mb in (before, opened, mapped, highest_mb()))
+    seconds = (f"{s:.0f}" for s in (built - began, time.process_time() - built))
+    localized = f"{found} of {len(results)}"
+    print(row(len(recording), *peaks, f"{size:.1f}", localized, *seconds), flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("counts", type=int, nargs="*", default=[2000, 20000])
-    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("counts", type=int, nargs="*", default=[2000, 20000])
+    options.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
+    args = options.parse_args()
     if args.measure is not None:
         measure(args.measure)
         return
-    print("| scans | at start (MB) | opened | mapped | localized | map's file | localized "
-          "| mapping (s) | localizing (s) |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+    peaks = ("at start (MB)", "opened", "mapped", "localized", "map's file")
+    print(head("scans", *peaks, "localized", "mapping (s)", "localizing (s)"), flush=True)
     with tempfile.TemporaryDirectory() as root:
         lap = Path(root) / "lap"
         write_lap(lap, np.random.default_rng(0))
         for count in args.counts:
             folder = Path(root) / f"scans{count}"
             write_recording(folder, lap, count)
-            subprocess.run([sys.executable, __file__, "--measure", str(folder)], check=True)
+            module = f"{__package__}.memory_long_recording"
+            command = [sys.executable, "-m", module, "--measure", str(folder)]
+            subprocess.run(command, check=True)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,20 @@
-"""Queries beside the mapped lane: how far from the mapped way a robot can be.
+"""Queries beside the mapped lane: how far from the mapped path a robot can be.
 
-Simulated worlds are mapped along a way in one session; in another (other cars and people, a tenth
-of the things replaced), single scans are taken 0 to 15 m to the left and to the right of that way,
+Simulated worlds are mapped along a path in one session; in another (other cars and people, a tenth
+of the things replaced), single scans are taken 0 to 15 m to the left and to the right of that path,
 wherever there is room for a sensor: nothing within 1.5 m of it. Scans behind walls and inside
 houses are among them: nothing says that a query can be found at all.
 
-    python benchmarks/offset.py
+    python -m segloc_experiments.protocols.offset
 
-Real ones: keyframes of the second half of KITTI 00 that lie 3 to 20 m from the way of the first
-half, where the drive crosses it, turns into it or leaves it. Each is asked alone and accumulated.
+Real ones: keyframes of the second half of KITTI 00 that lie 3 to 20 m from the path of the first
+half, where the drive crosses it, turns into it or leaves it; each alone and accumulated.
 
-    python benchmarks/offset.py --real DATA OUT --methods profile geo  # OUT: of kitti00.sh
+    python -m segloc_experiments.protocols.offset --real DATA OUT   # OUT: of kitti00.sh
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,46 +23,30 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc.batch.comparison import MappedPlace, shared_config
+from segloc import Config, Localizer, SegmentMap, build_map
+from segloc.batch.comparison import place_of
+from segloc.batch.scenario import QuerySet
 from segloc.batch.score import distances_to_path, pose_errors
-from segloc.datasets import NO_POSES, open_sequence
 from segloc.descriptors import create
-from segloc.simulation import SCENES, Conditions, SimulatedSequence, hdl64e
-from segloc.simulation.motion.paths import on_ground
-from segloc.types import Float64, Scan
+from segloc.simulation import SCENES, Conditions, hdl64e
+from segloc.types import Float64
 
-from .change import SIZES_M, Scenario, answers, mapped
+from ..kitti00 import SECOND_HALF, keyframes, poses_of
+from ..recordings import beside, has_room
+from ..script import head, parser, row
+from .change import SIZES_M, evaluations, mapped_drive
 
 OFFSETS_M = (0.0, 3.0, 5.0, 7.5, 10.0, 12.5, 15.0)
 WORLDS = {"town": 4, "industrial": 2, "park": 1}
 """How many of each kind."""
-ROOM_M = 1.5
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
 REAL_M = (3.0, 5.0, 10.0, 20.0)
 
 
-def beside(drive: SimulatedSequence, way: Float64, offset_m: float) -> SimulatedSequence:
-    """The session seen from so many metres to the left of a way."""
-    shift = geometry.yaw_transform(0.0, (0.0, offset_m, 0.0))
-    moved = np.stack([T @ shift for T in way])
-    yaw = np.array([geometry.heading(T) for T in moved])
-    poses = on_ground(drive.world.terrain, moved[:, :2, 3], yaw, drive.sensor.mount_height_m)
-    indices = np.arange(len(poses), dtype=np.int64)
-    return replace(drive, indices=indices, truth=poses, poses=poses)
-
-
-def has_room(scan: Scan, mount_height_m: float) -> bool:
-    """Whether nothing stands where the sensor does."""
-    x, y, z = scan.points.T
-    near = (x**2 + y**2 < ROOM_M**2) & (z > 0.4 - mount_height_m)
-    return len(scan) > 1000 and not near.any()
-
-
 def simulated(name: str, seed: int, config: Config, every: int) -> Iterator[tuple[float, str]]:
-    """The offset of each query from the mapped way, and what became of it."""
+    """The offset of each query from the mapped path, and what became of it."""
     world = SCENES[name](seed, size_m=SIZES_M[name])
-    drive = mapped(world, seed, hdl64e(900))
+    drive = mapped_drive(world, seed, hdl64e(900))
     localizer = Localizer(build_map(drive, config), config)
     again = replace(drive, session=1, conditions=Conditions(replaced=0.1), seed=seed + 1)
     for offset in OFFSETS_M:
@@ -71,7 +54,7 @@ def simulated(name: str, seed: int, config: Config, every: int) -> Iterator[tupl
             shifted = beside(again, drive.truth[4::every], side)
             for i in range(len(shifted)):
                 scan = shifted.scan(i)
-                # Beside a bend the sensor may be nearer to another part of the way.
+                # Beside a bend the sensor may be nearer to another part of the path.
                 gap = distances_to_path(shifted.truth[i : i + 1], drive.truth)[0]
                 if gap > offset - 1.0 and has_room(scan, drive.sensor.mount_height_m):
                     T = localizer.localize(scan).T_map_sensor
@@ -86,63 +69,45 @@ def _judged(T: Float64, truth: Float64) -> str:
 def simulation(method: str, worlds: list[str], first_seed: int, every: int) -> None:
     """A row for each kind of world: found of all queries at each offset."""
     config = Config.preset(method).model_copy(update={"threads": 1})
-    print(f"| scene | {' | '.join(f'{o:g} m' for o in OFFSETS_M)} | false |")
-    print("|---" * (len(OFFSETS_M) + 2) + "|", flush=True)
+    print(head("scene", *(f"{o:g} m" for o in OFFSETS_M), "false"), flush=True)
     for name in worlds:
         count = WORLDS[name]
         seen: Counter[tuple[float, str]] = Counter()
         for seed in range(first_seed, first_seed + count):
             seen.update(simulated(name, seed, config, every))
-        cells = [
-            f"{seen[o, 'found']} of {sum(n for (at, _), n in seen.items() if at == o)}"
-            for o in OFFSETS_M
-        ]
+        totals = Counter(offset for offset, _ in seen.elements())
+        cells = [f"{seen[o, 'found']} of {totals[o]}" for o in OFFSETS_M]
         false = sum(n for (_, what), n in seen.items() if what == "false")
-        print(f"| {count} x {name} | {' | '.join(cells)} | {false} |", flush=True)
+        print(row(f"{count} x {name}", *cells, false), flush=True)
 
 
 def real(data: Path, out: Path, methods: list[str]) -> None:
-    """A row for each method: found of all keyframes that lie so far from the mapped way."""
-    folder, select = data / "keyframes", "948:1820"
-    drive = open_sequence(folder, "keyframes.tum", select)
-    truths = drive.poses
-    assert truths is not None
-    prior_map = stored(out, methods)
-    distance = distances_to_path(truths, prior_map.trajectory)
+    """A row for each method: found of all keyframes that lie so far from the mapped path."""
+    drive = keyframes(data, SECOND_HALF)
+    alone = keyframes(data, SECOND_HALF, posed=False)
+    truths = poses_of(drive)
+    mapped = place_of({name: SegmentMap.load(out / f"first-{name}.segmap") for name in methods})
+    distance = distances_to_path(truths, mapped.trajectory)
     positions = np.flatnonzero((distance > REAL_M[0]) & (distance <= REAL_M[-1]))
     spans = [(distance[positions] > a) & (distance[positions] <= b) for a, b in pairwise(REAL_M)]
-    heads = " | ".join(f"{a:g} to {b:g} m" for a, b in pairwise(REAL_M))
-    print(f"| method | clouds | {heads} | false |\n{'|---' * (len(spans) + 3)}|", flush=True)
+    columns = (f"{a:g} to {b:g} m" for a, b in pairwise(REAL_M))
+    print(head("method", "clouds", *columns, "false"), flush=True)
     descriptors = {method: create(method, 1) for method in methods}
-    for name, recording in {
-        "alone": open_sequence(folder, NO_POSES, select),
-        "accumulated": drive,
-    }.items():
-        scenario = Scenario(name, recording, positions, truths)
-        for method, e in answers(prior_map, scenario, descriptors).items():
+    for name, recording in {"alone": alone, "accumulated": drive}.items():
+        query_set = QuerySet(recording, positions, truths[positions])
+        for method, e in evaluations(mapped, query_set, descriptors).items():
             cells = [f"{(e.correct & span).sum()} of {span.sum()}" for span in spans]
-            print(f"| {method} | {name} | {' | '.join(cells)} | {e.false.sum()} |", flush=True)
-
-
-def stored(out: Path, methods: list[str]) -> MappedPlace:
-    """The maps of the first half by all methods, as ``kitti00.sh`` left them."""
-    maps = {method: SegmentMap.load(out / f"first-{method}.segmap") for method in methods}
-    localizers = {
-        method: {"consensus": Localizer(prior_map, shared_config(method, 1))}
-        for method, prior_map in maps.items()
-    }
-    first = maps[methods[0]]
-    return MappedPlace(localizers, first.trajectory, first.cloud + first.origin)
+            print(row(method, name, *cells, e.false.sum()), flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--methods", nargs="+", default=["profile"])
-    parser.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=list(WORLDS))
-    parser.add_argument("--real", nargs=2, type=Path, metavar=("DATA", "OUT"))
-    parser.add_argument("--seed", type=int, default=8000)
-    parser.add_argument("--every", type=int, default=6, help="scans, 2 m apart, between queries")
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--methods", nargs="+", default=["profile"])
+    options.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=list(WORLDS))
+    options.add_argument("--real", nargs=2, type=Path, metavar=("DATA", "OUT"))
+    options.add_argument("--seed", type=int, default=8000)
+    options.add_argument("--every", type=int, default=6, help="scans, 2 m apart, between queries")
+    args = options.parse_args()
     if args.real:
         data, out = args.real
         real(data, out, args.methods)

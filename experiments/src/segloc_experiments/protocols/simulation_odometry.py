@@ -1,6 +1,6 @@
 """LiDAR odometry on simulated drives: how far KISS-ICP drifts, printed as Markdown.
 
-    python benchmarks/simulation_odometry.py
+    python -m segloc_experiments.protocols.simulation_odometry
 
 A car with an HDL-64E drives through a town and scans at the sensor's rate, once with a sensor that
 moves on while it scans (KISS-ICP de-skews) and once with one that stands still for each scan. The
@@ -10,7 +10,6 @@ last row of each drive is the package's own model of odometry. Needs the extras 
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 
@@ -20,16 +19,18 @@ from segloc.geometry import rotation_angle, travelled
 from segloc.simulation import PLATFORMS, SENSORS, Route, SimulatedSequence, simulate_session, town
 from segloc.types import Float64
 
+from ..script import parser
+
 LENGTHS_M = (25.0, 50.0, 100.0, 200.0)
 
 
 def relative_errors(truth: Float64, odometry: Float64) -> tuple[float, float]:
-    """Drift in percent of the way and in degrees a metre: KITTI's mean, over shorter stretches."""
-    way = travelled(truth)
+    """Drift in percent and in degrees a metre: KITTI's mean, over shorter stretches."""
+    distances = travelled(truth)
     metres, degrees = [], []
     for first in range(0, len(truth), 5):
         for length in LENGTHS_M:
-            last = int(np.searchsorted(way, way[first] + length))
+            last = int(np.searchsorted(distances, distances[first] + length))
             if last >= len(truth):
                 continue
             true_step = np.linalg.inv(truth[first]) @ truth[last]
@@ -83,13 +84,13 @@ def print_row(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[7, 8])
-    parser.add_argument("--length", type=float, default=400.0, help="metres")
-    parser.add_argument("--sensor", choices=SENSORS, default="hdl64e")
-    parser.add_argument("--platform", choices=PLATFORMS, default="car")
-    parser.add_argument("--thin", type=int, default=2, help="every n-th firing of the sensor")
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--seeds", type=int, nargs="+", default=[7, 8])
+    options.add_argument("--length", type=float, default=400.0, help="metres")
+    options.add_argument("--sensor", choices=SENSORS, default="hdl64e")
+    options.add_argument("--platform", choices=PLATFORMS, default="car")
+    options.add_argument("--thin", type=int, default=2, help="every n-th firing of the sensor")
+    args = options.parse_args()
     print("| drive | odometry | scans | m | drift (%) | drift (deg / 100 m) | ms a scan |")
     print("|---|---|---|---|---|---|---|")
     for seed in args.seeds:

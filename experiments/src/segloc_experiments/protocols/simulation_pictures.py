@@ -1,11 +1,10 @@
 """Pictures of every simulated world from above, and of one scan of every sensor.
 
-python benchmarks/simulation_pictures.py docs/images
+python -m segloc_experiments.protocols.simulation_pictures docs/images
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,9 @@ from matplotlib import pyplot
 from segloc.datasets.swathes import swathes
 from segloc.simulation import SCENES, SENSORS, Conditions, LineLidar, SimulatedSequence
 from segloc.simulation.drives import simulate_sessions
-from segloc.types import Float32
+from segloc.types import Float32, Float64
+
+from ..script import parser
 
 WORLDS = {"town": 3, "park": 5, "meadow": 2, "forest": 1, "industrial": 4}
 CLOUD_M = 75.0
@@ -83,10 +84,10 @@ def draw_scan(ax: Any, name: str) -> None:
     finish(ax, f"{name}, a {what}, {len(points):,} points", np.zeros(2), SCAN_M)
 
 
-def finish(ax: Any, title: str, middle: np.ndarray, reach: float) -> None:
+def finish(ax: Any, title: str, middle: Float64, radius: float) -> None:
     ax.set_aspect("equal")
-    ax.set_xlim(middle[0] - reach, middle[0] + reach)
-    ax.set_ylim(middle[1] - reach, middle[1] + reach)
+    ax.set_xlim(middle[0] - radius, middle[0] + radius)
+    ax.set_ylim(middle[1] - radius, middle[1] + radius)
     ax.set_xticks([])
     ax.set_yticks([])
     ax.set_title(title, fontsize=9)
@@ -95,9 +96,9 @@ def finish(ax: Any, title: str, middle: np.ndarray, reach: float) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    folder = parser.parse_args().folder
+    options = parser(__doc__)
+    options.add_argument("folder", type=Path)
+    folder = options.parse_args().folder
     figure, axes = pyplot.subplots(1, len(WORLDS), figsize=(17, 3.8))
     for ax, (name, seed) in zip(axes, WORLDS.items(), strict=True):
         draw_world(ax, name, seed)

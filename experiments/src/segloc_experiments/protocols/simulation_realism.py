@@ -1,6 +1,6 @@
 """How much simulated scans are like real ones: a table of both, printed as Markdown.
 
-    python benchmarks/simulation_realism.py SCANS POSES
+    python -m segloc_experiments.protocols.simulation_realism SCANS POSES
 
 SCANS is a folder of full-resolution HDL-64E scans about two metres apart, POSES
 their poses (TUM). Both sides go through the same segmentation.
@@ -8,11 +8,11 @@ their poses (TUM). Both sides go through the same segmentation.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from segloc import _native, datasets
@@ -22,7 +22,9 @@ from segloc.segmentation import Segmenter
 from segloc.simulation import demo_sessions, hdl64e
 from segloc.types import Float32
 
-WAY_M = 20.0
+from ..script import parser
+
+PATH_M = 20.0
 
 
 def scan_figures(points: Float32) -> dict[str, float]:
@@ -59,7 +61,7 @@ def shape_shares(points: Float32) -> dict[str, float]:
 def cloud_figures(sequence: datasets.Sequence, i: int) -> dict[str, float]:
     """Figures of the local cloud gathered over the 20 m before position i."""
     assert sequence.poses is not None
-    span = window(sequence.poses, i, WAY_M, centred=False, max_gap_m=10.0)
+    span = window(sequence.poses, i, PATH_M, centred=False, max_gap_m=10.0)
     cloud = Accumulator().gather([sequence.scan(k) for k in span])
     found = Segmenter().segment(cloud)
     structure = found.structure[np.linalg.norm(found.structure[:, :2], axis=1) < 30.0]
@@ -80,9 +82,11 @@ def cloud_figures(sequence: datasets.Sequence, i: int) -> dict[str, float]:
     return figures | shape_shares(structure)
 
 
-def _car_like(extent: Float32) -> np.ndarray:
+def _car_like(extent: Float32) -> NDArray[np.bool_]:
     long, short = np.sort(extent[:, :2], axis=1)[:, ::-1].T
-    return (long > 2.5) & (long < 6.0) & (short > 1.0) & (short < 3.5) & (extent[:, 2] < 1.9)
+    flat = (long > 2.5) & (long < 6.0) & (short > 1.0) & (short < 3.5)
+    alike: NDArray[np.bool_] = flat & (extent[:, 2] < 1.9)
+    return alike
 
 
 Figures: TypeAlias = Callable[[datasets.Sequence, int], dict[str, float]]
@@ -97,10 +101,11 @@ def quartiles(
         for sequence in sequences
         for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int)
     ]
-    return {
-        name: tuple(float(v) for v in np.percentile([row[name] for row in rows], [50, 25, 75]))
-        for name in rows[0]
-    }
+    found = {}
+    for name in rows[0]:
+        low, middle, high = np.percentile([row[name] for row in rows], [25, 50, 75]).tolist()
+        found[name] = (middle, low, high)
+    return found
 
 
 def _cell(middle: float, low: float, high: float) -> str:
@@ -109,12 +114,12 @@ def _cell(middle: float, low: float, high: float) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scans", help="folder of real scans")
-    parser.add_argument("poses", help="their poses (TUM)")
-    parser.add_argument("--count", type=int, default=24, help="scans and clouds a side")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 5], help="towns to simulate")
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("scans", help="folder of real scans")
+    options.add_argument("poses", help="their poses (TUM)")
+    options.add_argument("--count", type=int, default=24, help="scans and clouds a side")
+    options.add_argument("--seeds", type=int, nargs="+", default=[0, 5], help="towns to simulate")
+    args = options.parse_args()
     real: list[datasets.Sequence] = [FolderSequence(args.scans, args.poses)]
     simulated: list[datasets.Sequence] = [
         demo_sessions(seed, sensor=hdl64e())["map"].with_odometry() for seed in args.seeds

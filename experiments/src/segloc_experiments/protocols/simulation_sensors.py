@@ -1,7 +1,7 @@
-"""Simulated single scans against real ones, sensor by sensor: a table, and a figure.
+r"""Simulated single scans against real ones, sensor by sensor: a table, and a figure.
 
-    python benchmarks/simulation_sensors.py --hdl64e SCANS --hdl32e SCANS --vlp16 SCANS \\
-        --figure docs/images/simulated_segments.png
+    python -m segloc_experiments.protocols.simulation_sensors --hdl64e SCANS --hdl32e SCANS \
+        --vlp16 SCANS --figure docs/images/simulated_segments.png
 
 Each SCANS is a folder of real scans of that sensor. Every scan is segmented by itself; simulated
 ones come from towns and parks. Printed are medians with quartiles, and for each eigenvalue feature
@@ -10,7 +10,6 @@ of the segments the Kolmogorov-Smirnov distance between both sides.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,8 @@ from segloc.segmentation import Segmenter
 from segloc.simulation import SCENES, SENSORS, Conditions
 from segloc.simulation.drives import simulate_sessions
 from segloc.types import Scan
+
+from ..script import parser
 
 FEATURES = (
     "linearity",
@@ -99,7 +100,8 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
     for row, (sensor, (real, simulated)) in zip(axes, sides.items(), strict=True):
         for k, ax in enumerate(row):
             both = np.concatenate([real.features[:, k], simulated.features[:, k]])
-            bins = np.linspace(*np.percentile(both, [0.5, 99.5]), 24)
+            low, high = np.percentile(both, [0.5, 99.5]).tolist()
+            bins = np.linspace(low, high, 24)
             for side, colour, label in (
                 (real, "#c44e52", "real"),
                 (simulated, "#4c72b0", "simulated"),
@@ -115,12 +117,12 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = parser(__doc__)
     for name in ("hdl64e", "hdl32e", "vlp16"):
-        parser.add_argument(f"--{name}", type=Path, help="folder of real scans")
-    parser.add_argument("--count", type=int, default=40, help="scans a side, at most")
-    parser.add_argument("--figure", type=Path)
-    args = parser.parse_args()
+        options.add_argument(f"--{name}", type=Path, help="folder of real scans")
+    options.add_argument("--count", type=int, default=40, help="scans a side, at most")
+    options.add_argument("--figure", type=Path)
+    args = options.parse_args()
     sides = {
         name: (
             measure(real_scans(folder, args.count)),
@@ -130,7 +132,7 @@ def main() -> None:
         if (folder := getattr(args, name)) is not None
     }
     if not sides:
-        parser.error("name at least one folder of scans")
+        options.error("name at least one folder of scans")
     titles = [f"{name}, {side}" for name in sides for side in ("real", "simulated")]
     print("| | " + " | ".join(titles) + " |\n|" + "---|" * (len(titles) + 1))
     first = next(iter(sides.values()))[0]

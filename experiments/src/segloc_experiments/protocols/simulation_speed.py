@@ -1,6 +1,6 @@
 """How fast scans are cast, against trimesh with embreex on the same scene and rays.
 
-    python benchmarks/simulation_speed.py
+    python -m segloc_experiments.protocols.simulation_speed
 
 Both use the same ray caster. trimesh gives the points where rays meet the mesh; segloc's scans also
 have noise, lost and mixed returns, glass and object ids. Needs the extra ``bench``.
@@ -12,7 +12,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process a core is the fastest way to share
 
-import argparse
 import multiprocessing
 import time
 from collections.abc import Callable
@@ -23,6 +22,8 @@ import numpy as np
 
 from segloc.simulation import SENSORS, Lidar, Route, World, town
 from segloc.types import Float64
+
+from ..script import parser
 
 Cast = Callable[[int], int]
 
@@ -45,10 +46,10 @@ def trimesh_rays(world: World, sensor: Lidar, poses: Float64) -> Cast:
     caster = RayMeshIntersector(mesh)
 
     def cast(k: int) -> int:
-        ways = sensor.rays(np.random.default_rng(k).random()).directions @ poses[k, :3, :3].T
-        origins = np.broadcast_to(poses[k, :3, 3], ways.shape)
+        directions = sensor.rays(np.random.default_rng(k).random()).directions @ poses[k, :3, :3].T
+        origins = np.broadcast_to(poses[k, :3, 3], directions.shape)
         _, rays, places = caster.intersects_id(
-            origins, ways, multiple_hits=False, return_locations=True
+            origins, directions, multiple_hits=False, return_locations=True
         )
         points = (places - poses[k, :3, 3]) @ poses[k, :3, :3]
         near = np.linalg.norm(points, axis=1) < sensor.max_range_m
@@ -99,11 +100,11 @@ def measure(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sensors", nargs="+", default=["hdl64e", "vlp16"])
-    parser.add_argument("--scans", type=int, default=40, help="of each process")
-    parser.add_argument("--seed", type=int, default=7, help="of the town")
-    args = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--sensors", nargs="+", default=["hdl64e", "vlp16"])
+    options.add_argument("--scans", type=int, default=40, help="of each process")
+    options.add_argument("--seed", type=int, default=7, help="of the town")
+    args = options.parse_args()
     print("| sensor | processes | by | ms a scan | CPU ms | M rays/s | M points/s | CPU ratio |")
     print("|---|---|---|---|---|---|---|---|")
     for name in args.sensors:

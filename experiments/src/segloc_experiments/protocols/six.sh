@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# The six simulated places: each map, and every session that is asked in it.
+# The six simulated places: each map, and every session that is localized in it.
 #   segloc simulate --suite six --out SETS
-#   benchmarks/six.sh SETS OUT METHOD...
+#   experiments/src/segloc_experiments/protocols/six.sh SETS OUT METHOD...
 set -euo pipefail
 sets=$1 out=$2
 shift 2

@@ -1,26 +1,32 @@
 """Markdown rows from the results of ``segloc localize``.
 
-python benchmarks/table.py out/accumulated-geo out/single-geo
+python -m segloc_experiments.protocols.table out/accumulated-geo out/single-geo
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
-HEAD = (
-    "| run | queries | found at a place | false | error m, median / 95 % | deg | ms |\n"
-    "|---|---|---|---|---|---|---|"
+from ..script import head, parser, row
+
+COLUMNS = (
+    "run",
+    "queries",
+    "found within coverage",
+    "false",
+    "error m, median / 95 %",
+    "deg",
+    "ms",
 )
 
 
-def row(folder: Path) -> str:
+def run_row(folder: Path) -> str:
     """One run as a row of the table."""
     summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     metres, degrees = summary["translation_error_m"], summary["rotation_error_deg"]
-    cells = [
+    return row(
         folder.name,
         summary["queries"],
         f"{summary['within_coverage_correct']} of {summary['within_coverage']}",
@@ -28,8 +34,7 @@ def row(folder: Path) -> str:
         _spread(metres),
         _spread(degrees),
         f"{summary['ms']['total']:.0f}",
-    ]
-    return "| " + " | ".join(map(str, cells)) + " |"
+    )
 
 
 def _spread(values: dict[str, float | None]) -> str:
@@ -38,7 +43,14 @@ def _spread(values: dict[str, float | None]) -> str:
     return f"{values['median']:.2f} / {values['p95']:.2f}"
 
 
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("runs", nargs="+", type=Path)
+    args = options.parse_args()
+    print(head(*COLUMNS))
+    for folder in args.runs:
+        print(run_row(folder))
+
+
 if __name__ == "__main__":
-    print(HEAD)
-    for argument in sys.argv[1:]:
-        print(row(Path(argument)))
+    main()

@@ -1,1 +1,1 @@
-"""TODO."""
+"""How the shipped weights are made, and what is measured of them."""

@@ -1,13 +1,12 @@
 """The losses against each other: the same network, data, seed and steps for each.
 
-    python benchmarks/ablate_losses.py DATASET --steps 1500
+    python -m segloc_experiments.weights.ablate_losses DATASET --steps 1500
 
 Prints a table of ROC area and recall on the validation worlds.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import get_args
@@ -16,16 +15,18 @@ from segloc.training.config import Loss, TrainConfig
 from segloc.training.shards import load_dataset
 from segloc.training.train import train
 
+from ..script import parser
+
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("--network", default="dsm")
-    parser.add_argument("--steps", type=int, default=1500)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--different", type=float, default=20.0, help="metres")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("dataset", type=Path)
+    options.add_argument("--network", default="dsm")
+    options.add_argument("--steps", type=int, default=1500)
+    options.add_argument("--threads", type=int, default=1)
+    options.add_argument("--different", type=float, default=20.0, help="metres")
+    options.add_argument("--seed", type=int, default=0)
+    given = options.parse_args()
     dataset = load_dataset(given.dataset)
     print(f"{given.network}, {given.steps} steps, seed {given.seed}, {len(dataset):,} segments\n")
     print("| loss | AUC | recall@25 | recall@1 |\n|---|---|---|---|")

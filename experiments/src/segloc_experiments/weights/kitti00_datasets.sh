@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Training and test datasets of KITTI odometry 00, by place: no place is in both.
-#   benchmarks/kitti00_datasets.sh DATA OUT
+#   experiments/src/segloc_experiments/weights/kitti00_datasets.sh DATA OUT
 # DATA holds keyframes/, scans/ and their TUM poses. The passes over a place are aligned with each
 # other, since the ground truth is good to about a metre across passes. KITTI is CC BY-NC-SA 3.0:
 # neither these datasets nor weights trained on them are shipped.
@@ -21,7 +21,7 @@ extract() {
 
 extract train loop 169:373 1414:1600
 for range in 655:947 1004:1360 1601:1820; do
-  extract train "way-${range%:*}" "$range"
+  extract train "street-${range%:*}" "$range"
 done
 extract test square 948:999 1361:1413
 extract test start 48:81 619:654

@@ -1,15 +1,14 @@
 """What a descriptor's quality is good for.
 
-    python benchmarks/quality_use.py WEIGHTS DATASET
+    python -m segloc_experiments.weights.quality_use WEIGHTS DATASET
 
-Each session of the dataset is asked against the others. Printed are: how well the quality tells
+Each session of the dataset is matched against the others. Printed are: how well the quality tells
 right from wrong nearest neighbours; the recall of all queries and of the best 80 %; and how much of
 the top of the match list is right when it is ordered by distance, by quality, and by both.
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,8 @@ import numpy as np
 from segloc import _native
 from segloc.training.scoring import describe, load_descriptor
 from segloc.training.shards import load_dataset
+
+from ..script import parser
 
 
 def area(score: np.ndarray, right: np.ndarray) -> float:
@@ -27,11 +28,11 @@ def area(score: np.ndarray, right: np.ndarray) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("weights")
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("--k", type=int, default=25)
-    given = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("weights")
+    options.add_argument("dataset", type=Path)
+    options.add_argument("--k", type=int, default=25)
+    given = options.parse_args()
     dataset = load_dataset(given.dataset)
     vectors, quality = describe(load_descriptor(given.weights, 1), dataset)
     if quality is None:

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Weights from nothing: simulated worlds, a dataset of their segments, the networks and forests.
-#   benchmarks/train_weights.sh OUT
+#   experiments/src/segloc_experiments/weights/train_weights.sh OUT
 # On two cores half an hour for the dataset, and an hour and a half for all networks (`esm` and
 # `segmap` need most of it). What is done stays: started again, it goes on where it was.
 set -euo pipefail

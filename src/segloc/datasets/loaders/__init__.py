@@ -1,1 +1,1 @@
-"""TODO."""
+"""One module a dataset: where its scans, times and poses lie."""

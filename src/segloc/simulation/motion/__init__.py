@@ -1,1 +1,1 @@
-"""TODO."""
+"""How sensors move: routes, platforms, traversals, odometry."""

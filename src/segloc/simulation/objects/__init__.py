@@ -1,1 +1,1 @@
-"""TODO."""
+"""Things that stand in a world, as triangles."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""LiDARs: which rays they cast, and what returns."""

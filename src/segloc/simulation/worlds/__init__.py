@@ -1,1 +1,1 @@
-"""TODO."""
+"""Towns, parks, meadows, forests and industrial sites, drawn from a seed."""

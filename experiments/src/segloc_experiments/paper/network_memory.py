@@ -1,41 +1,26 @@
-"""Memory of inference, and memory and time of training one batch (Linux)."""
+"""Memory of describing segments, and memory and time of training on one batch (Linux)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from segloc.descriptors.pointset import Layer
 
-from .harness import interleaved, optional
-from .network import DIM, build, prepared_segments, random_tensors
+from ..bench.harness import interleaved, optional
+from ..bench.network import DIM, build, prepared_segments, random_tensors
+from ..memory import rise_mb
 
-_RESET_PEAK = "5"
-
-
-def peak_mb(work: Callable[[], object]) -> float:
-    """By how many megabytes the process's memory rises while it works, at its highest."""
-    Path("/proc/self/clear_refs").write_text(_RESET_PEAK)
-    before = _status_kb("VmRSS")
-    work()
-    return (_status_kb("VmHWM") - before) / 1024
-
-
-def _status_kb(field: str) -> int:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(field + ":"):
-            return int(line.split()[1])
-    raise OSError(f"/proc/self/status has no {field}")
+_DISTINCT = 300
 
 
 def inference_mb(layers: Sequence[Layer], segments: int = 300, threads: int = 1) -> float:
     """Peak of describing prepared segments, beyond the segments themselves and the weights."""
-    prepared = np.tile(prepared_segments(), (-(-segments // 300), 1, 1))[:segments]
+    prepared = np.tile(prepared_segments(_DISTINCT), (-(-segments // _DISTINCT), 1, 1))[:segments]
     engine = build(layers, random_tensors(layers))
-    return peak_mb(lambda: engine.describe(prepared, threads))
+    return rise_mb(lambda: engine.describe(prepared, threads))
 
 
 def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
@@ -59,7 +44,7 @@ def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
 def training_peak_mb(layers: Sequence[Layer], batch: int = 100) -> float:
     """Peak of one forward and backward pass, by the memory of the process."""
     _, model, points = _training(layers, batch)
-    return peak_mb(lambda: model(points).square().sum().backward())
+    return rise_mb(lambda: model(points).square().sum().backward())
 
 
 def step_ms(layers: Sequence[Layer], batch: int = 100, repeats: int = 3) -> float:
