@@ -32,6 +32,7 @@ def stages(localizer: Localizer, walk: PlazaSequence) -> set[str]:
     return {case.stage for case in funnel(localizer, walk, walk.poses, [2, 5]).cases}
 
 
+@pytest.mark.slow
 def test_found_queries_pass_through(prior_map: SegmentMap, walk: PlazaSequence) -> None:
     found = funnel(Localizer(prior_map), walk, walk.poses)
     assert found.queries == len(walk) == len(found.cases)
