@@ -17,6 +17,13 @@ PACKAGES = {"torch": "torch", "rosbags": "ros"}
 _SKIPS = re.compile(r'^( *)(?:\w+ = )?pytest\.importorskip\("(\w+)', re.M)
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out modules that import torch where its tests are not wanted: importing takes long."""
+    if "not torch" not in config.option.markexpr or collection_path.suffix != ".py":
+        return None
+    return ("", "torch") in _skips(str(collection_path)) or None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests by what they need; ``slow`` alone is written at the tests themselves."""
     for item in items:

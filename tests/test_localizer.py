@@ -46,6 +46,7 @@ def pose_error(result: Localization, T: np.ndarray) -> tuple[float, float]:
     return float(np.linalg.norm(delta[:3, 3])), math.degrees(geometry.rotation_angle(delta))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("yaw", [0.0, 1.0, math.pi, -2.0])
 @pytest.mark.parametrize("posed", [True, False])
 def test_a_single_scan_is_localized(
@@ -81,6 +82,7 @@ def test_a_tilted_sensor_with_a_pose_is_localized(plaza: Plaza, localizer: Local
     assert pose_error(localizer.localize(plaza.scan(T, seed=5)), T) < (0.1, 0.5)
 
 
+@pytest.mark.slow
 def test_the_map_may_lie_far_from_its_origin(plaza: Plaza) -> None:
     """UTM coordinates: the same answer, moved."""
     shift = geometry.yaw_transform(0.0, (4.5e5, 5.4e6, 300.0))
@@ -105,6 +107,7 @@ def test_another_place_is_not_localized(localizer: Localizer) -> None:
         assert result.reason and result.counts["segments"] > 10
 
 
+@pytest.mark.slow
 def test_a_place_that_fits_twice_is_ambiguous(plaza: Plaza) -> None:
     twice = build_map(PlazaSequence(plaza), GEO)
     copy = PlazaSequence(plaza)
@@ -239,6 +242,7 @@ def test_nothing_that_localizes_imports_torch() -> None:
     assert output.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["geo", "dsm"])
 def test_real_revisits_are_found_and_other_places_are_not(kitti: Path, method: str) -> None:
     """KITTI 00: the second pass over a street, single later scans, and places never mapped."""

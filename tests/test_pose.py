@@ -109,6 +109,7 @@ def reference_votes(
     return sorted(votes, reverse=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("segments", "neighbours", "true"), [(40, 5, 8), (60, 60, 20), (20, 2, 6), (300, 12, 100)]
 )

@@ -43,6 +43,7 @@ def offset(T: Float64) -> float:
     return float(np.linalg.norm((geometry.inverse(T_MAP_ODOM) @ T)[:3, 3]))
 
 
+@pytest.mark.slow
 def test_a_view_that_passes_all_gates_is_believed_at_once(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
@@ -52,6 +53,7 @@ def test_a_view_that_passes_all_gates_is_believed_at_once(
     assert tracks[-1].confidence >= tracks[0].confidence
 
 
+@pytest.mark.slow
 def test_views_below_the_gates_are_believed_once_they_agree(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
@@ -62,6 +64,7 @@ def test_views_below_the_gates_are_believed_once_they_agree(
         assert track.localized and offset(track.T_map_odom) < 0.3
 
 
+@pytest.mark.slow
 def test_standing_still_is_no_second_witness(prior_map: SegmentMap, plaza: Plaza) -> None:
     tracker = Tracker(gated(prior_map, min_confidence=1.0))
     assert not any(track.localized for track in walk(tracker, plaza, step=0.0))
@@ -98,6 +101,7 @@ def test_a_track_survives_what_shows_nothing_but_not_for_ever(
         assert track.localized == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_walk_elsewhere_is_never_localized(prior_map: SegmentMap, seed: int) -> None:
     tracks = walk(Tracker(Localizer(prior_map)), Plaza(seed), count=8, step=4.0)
@@ -109,6 +113,7 @@ def test_odometry_must_be_a_pose(prior_map: SegmentMap, plaza: Plaza) -> None:
         Tracker(Localizer(prior_map)).update(plaza.scan(np.eye(4)), np.zeros((4, 4)))
 
 
+@pytest.mark.slow
 def test_a_street_that_goes_on_past_the_map_is_not_the_mapped_one(kitti: Path) -> None:
     """From view to view, too, facades agree with the mapped ones, a hundred metres off."""
     poses = "keyframes.tum"

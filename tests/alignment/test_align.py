@@ -24,6 +24,8 @@ from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
 from segloc.simulation import Conditions, OdometryNoise, hdl64e, simulate_sessions, town
 from segloc.types import Float64
 
+pytestmark = pytest.mark.slow
+
 CONFIG = Config(threads=1)
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
 

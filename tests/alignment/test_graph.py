@@ -101,6 +101,7 @@ def test_finds_the_exact_poses_again_and_leaves_the_fixed_one() -> None:
     np.testing.assert_allclose(found, truth, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0, 5, 15])
 def test_right_loops_win_against_wrong_ones_in_spite_of_drift(wrong: int) -> None:
     rng = np.random.default_rng(3)

@@ -39,6 +39,7 @@ def stages(localizer: Localizer, walk: PlazaSequence) -> set[str]:
     return {case.stage for case in funnel(localizer, queries(walk, [2, 5])).cases}
 
 
+@pytest.mark.slow
 def test_found_queries_pass_through(prior_map: SegmentMap, walk: PlazaSequence) -> None:
     found = funnel(Localizer(prior_map), queries(walk, range(len(walk))))
     assert found.queries == len(walk) == len(found.cases)

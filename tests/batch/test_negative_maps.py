@@ -16,6 +16,7 @@ from segloc.types import Float64, Scan
 METHODS = ("profile", "geo", "dsm")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_mirrored_and_shuffled_maps_of_real_scans(kitti: Path, method: str) -> None:
     poses = kitti / "keyframes.tum"
@@ -60,6 +61,7 @@ def grid(nx: int, ny: int, dx: float, dy: float) -> Float64:
     return np.asarray(flat - flat.mean(axis=0) * (1, 1, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     "positions", [grid(24, 8, 7.0, 12.0), grid(24, 2, 7.0, 8.0)], ids=["car park", "corridor"]

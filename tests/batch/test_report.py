@@ -76,6 +76,7 @@ def text() -> str:
     return report.page(studies())
 
 
+@pytest.mark.slow
 def test_the_page_is_well_formed_and_stands_alone(text: str) -> None:
     page = Page(text)
     assert page.open == []
@@ -89,6 +90,7 @@ def test_the_page_is_well_formed_and_stands_alone(text: str) -> None:
     assert clips <= set(page.ids)
 
 
+@pytest.mark.slow
 def test_the_page_says_everything(text: str) -> None:
     words = Page(text).words
     for part in ("One & only", "Second <p>.", "Note <i>.", "x<y", "segloc evaluate 'a&b' <c>"):
@@ -97,6 +99,7 @@ def test_the_page_says_everything(text: str) -> None:
     assert "geo-1" in words and "A note & more." in words and "<dsm> & co" in words
 
 
+@pytest.mark.slow
 def test_drawings_repeat_and_take_the_colour_of_the_page() -> None:
     for one in studies()[0].figures[:5]:  # one of a kind
         first = drawing.svg(one)
@@ -112,6 +115,7 @@ def test_a_figure_of_nothing_can_be_drawn(kind: Kind) -> None:
     assert drawing.svg(Figure("f", "F", kind, {})).startswith("<svg")
 
 
+@pytest.mark.slow
 def test_tables_lie_beside_the_report(text: str, tmp_path: Path) -> None:
     report.write(tmp_path / "out", studies())
     names = sorted(path.name for path in (tmp_path / "out" / "tables").iterdir())

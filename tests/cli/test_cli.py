@@ -117,6 +117,7 @@ def localize_toy(toy: Toy, out: Path, *more: Any) -> dict[str, Any]:
     return summary
 
 
+@pytest.mark.slow
 def test_a_second_traversal_is_localized(
     toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,6 +140,7 @@ def test_a_second_traversal_is_localized(
         assert entry["translation_error_m"] == pytest.approx(error)
 
 
+@pytest.mark.slow
 def test_the_same_command_gives_the_same_bytes(toy: Toy, tmp_path: Path) -> None:
     def without_times(out: Path) -> list[str]:
         lines = (out / "localizations.jsonl").read_text().splitlines()
@@ -163,6 +165,7 @@ def test_scans_alone_without_poses_or_truth(toy: Toy, tmp_path: Path) -> None:
     assert json.loads((out / "summary.json").read_text())["false"] is None
 
 
+@pytest.mark.slow
 def test_a_blind_scan_among_others_is_not_an_error(toy: Toy, tmp_path: Path) -> None:
     run_2 = tmp_path / "run_2"
     shutil.copytree(toy.run_2, run_2)
@@ -181,6 +184,7 @@ def test_a_blind_scan_among_others_is_not_an_error(toy: Toy, tmp_path: Path) -> 
     assert run("map", "build", run_2, "--poses", "poses.tum", "--out", tmp_path / "m.segmap") == 0
 
 
+@pytest.mark.slow
 def test_map_info_and_merge(toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     second, both = tmp_path / "second.segmap", tmp_path / "both.segmap"
     arguments = ["--poses", "poses.tum", "--select", ":20", "--every", 10, "--out", second]
@@ -198,6 +202,7 @@ def test_map_info_and_merge(toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixt
     assert str(sizes[both]["segments"]) in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_path: Path) -> None:
     assert run("config") == 0
     text = capsys.readouterr().out
@@ -209,6 +214,7 @@ def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_pa
     assert re.fullmatch(r"segloc \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_help_needs_nothing_heavy() -> None:
     code = (
         "import sys; from segloc import cli; "
@@ -218,6 +224,7 @@ def test_help_needs_nothing_heavy() -> None:
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
+@pytest.mark.slow
 def test_recordings_that_cannot_be_used(
     toy: Toy, tmp_path: Path, refused: Callable[..., None]
 ) -> None:
@@ -347,6 +354,7 @@ def test_bugs_show_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
         run("map", "info", "x.segmap")
 
 
+@pytest.mark.slow
 def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
     arguments = ["localize", str(toy.run_2), "--map", str(toy.map), "--out", str(tmp_path / "out")]
     code = (
@@ -363,6 +371,7 @@ def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_demo_tells_right_from_elsewhere(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -371,7 +380,7 @@ def test_the_demo_tells_right_from_elsewhere(
 
     full = simulation.demo_sessions
     lidar = simulation.hdl32e(700)
-    short = {"sensor": lidar, "size_m": 230.0, "length_m": 130.0}
+    short = {"sensor": lidar, "size_m": 180.0, "length_m": 100.0}
     monkeypatch.setattr(simulation, "demo_sessions", lambda seed: full(seed, **short))
     assert run("demo", "--out", tmp_path / "out", "--seed", 3) == 0
     again, other = (

@@ -18,7 +18,7 @@ from segloc.io import read_trajectory
 from segloc.simulation import suites
 from segloc.simulation.suites import SIX, SUMMER
 
-TINY = ["--size", "150", "--length", "24", "--thin", "24", "--workers", "1"]
+TINY = ["--size", "130", "--length", "24", "--thin", "24", "--workers", "1"]
 
 
 def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
@@ -28,6 +28,7 @@ def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
     return int(left.value.code or 0)
 
 
+@pytest.mark.slow
 def test_sessions_are_recorded_with_poses_and_objects(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -56,11 +57,12 @@ def test_sessions_are_recorded_with_poses_and_objects(
     assert houses & set(np.unique(ids).tolist())
 
 
+@pytest.mark.slow
 def test_a_push_broom_sensor_is_gathered_to_swathes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("laspy")
-    options = ["--size", "150", "--length", "40", "--sessions", "1", "--spacing", "0.5"]
+    options = ["--size", "130", "--length", "40", "--sessions", "1", "--spacing", "0.5"]
     options += ["--sensor", "lms151", "--swathe", "15", "--format", "laz", "--workers", "1"]
     assert segloc(monkeypatch, "simulate", "industrial", "--out", tmp_path, *options) == 0
     sequence = open_sequence(tmp_path / "session_0", "poses.tum")
@@ -68,6 +70,7 @@ def test_a_push_broom_sensor_is_gathered_to_swathes(
     assert np.ptp(sequence.scan(0).points, axis=0).min() > 2.0
 
 
+@pytest.mark.slow
 def test_a_suite_is_a_folder_a_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = {"small": 150.0}
     sets = tuple(
@@ -99,7 +102,7 @@ def test_a_suite_is_a_folder_a_set(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (["town", "--thin", "0"], "factor must be at least 1"),
         (["town", "--format", "doc"], "--format must be one of npy"),
         (["town", "--size", "3"], "size_m must be in"),
-        (["town", "--size", "150", "--length", "-4"], "length_m must be positive"),
+        (["town", "--size", "150", "--length", "-4"], "--length must be a positive number"),
         (["town", "--size", "150", "--spacing", "0"], "spacing_m must be positive"),
         (["town", "--sessions", "1", "--season", "monsoon"], "--season must be one of"),
         (["town", "--sessions", "1", "--foliage", "7"], "foliage must be in 0..1, not 7.0"),

@@ -59,6 +59,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_from_recordings_to_scores(recording: Path, tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     torch.set_num_threads(1)
@@ -130,6 +131,7 @@ def test_training_without_torch_says_so(monkeypatch: pytest.MonkeyPatch, tmp_pat
         run("train", "dsm", tmp_path, "--out", tmp_path / "w.safetensors")
 
 
+@pytest.mark.slow
 def test_help_needs_neither_torch_nor_numpy_to_be_quick() -> None:
     code = "import sys, segloc.cli; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -145,6 +147,7 @@ def test_worlds_are_drawn_the_same_again() -> None:
     assert worlds != draw_worlds(text, 4, length_m=24.0, sensors=("vlp16", "lms151"), thin=4)
 
 
+@pytest.mark.slow
 def test_simulation_knows_the_objects(tmp_path: Path) -> None:
     pytest.importorskip("embreex")
     world = town(11, size_m=130.0)

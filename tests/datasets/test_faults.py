@@ -112,6 +112,7 @@ def test_one_scan_of_another_sensor(name: str, tmp_path: Path) -> None:
     assert any(f"{place.format(5)}: another sensor from here on: 2D" in line for line in found)
 
 
+@pytest.mark.slow
 @each_format
 def test_bursts_of_nan_are_counted_and_left_out(name: str, tmp_path: Path, plaza: Plaza) -> None:
     """Some scans are only partly there, some not at all: named, and a map is made of the rest."""

@@ -118,6 +118,7 @@ def sample(
     return path, {file: file.read_bytes() for file in places if file.is_file()}
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(harm=harms, which=st.integers(0, 10**6))
 def test_damage_anywhere(

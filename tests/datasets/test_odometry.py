@@ -86,6 +86,7 @@ def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
     return int(left.value.code or 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_gives_the_same_clouds_as_its_folder(
     kind: str, simulated: Simulated, tmp_path: Path
@@ -100,6 +101,7 @@ def test_a_bag_gives_the_same_clouds_as_its_folder(
         np.testing.assert_allclose(ours.points, theirs.points, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_bag_localizes_as_its_folder_does(simulated: Simulated, tmp_path: Path) -> None:
     config = Config.load(None, "geo").model_copy(update={"threads": 1})
     folder = open_sequence(simulated.folder, "poses.tum")
@@ -116,6 +118,7 @@ def test_a_bag_localizes_as_its_folder_does(simulated: Simulated, tmp_path: Path
         np.testing.assert_allclose(ours.T_map_sensor, simulated.truth[position], atol=0.2)
 
 
+@pytest.mark.slow
 def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> None:
     """Times of points are used; stamps of poses are where they hold, the scans' ends."""
     bag = open_sequence(simulated.bag("sqlite3", tmp_path, posed=False))
@@ -143,6 +146,7 @@ def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> Non
     assert error.max() < 0.5
 
 
+@pytest.mark.slow
 def test_verbs_take_a_bag_without_poses(
     simulated: Simulated,
     tmp_path: Path,
@@ -175,6 +179,7 @@ def test_verbs_take_a_bag_without_poses(
         assert fact in shown
 
 
+@pytest.mark.slow
 def test_two_bags_without_poses_map_and_localize(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -306,6 +311,7 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
     assert len(found.problems) == 6
 
 
+@pytest.mark.slow
 def test_odometry_of_a_real_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It moves on, never backwards, and neither speed nor heading jump."""
     pytest.importorskip("laspy")

@@ -197,6 +197,7 @@ def test_presets_stand_beside_the_methods() -> None:
     assert Config.preset("dsm").matching.neighbours == Config().matching.neighbours == 25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["segmatch-eigen", "segmatch-esf", "nsm"])
 def test_localizes_and_times_the_stage(method: str, plaza: Plaza) -> None:
     walk = PlazaSequence(plaza, steps=8)

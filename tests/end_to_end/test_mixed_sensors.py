@@ -24,6 +24,8 @@ from segloc.simulation import (
 )
 from segloc.types import Float64
 
+pytestmark = pytest.mark.slow
+
 LENGTH_M = 80.0
 
 

@@ -32,6 +32,8 @@ from segloc.simulation import Conditions, lms151, simulate_sessions, town
 from segloc.training.shards import load_dataset
 from segloc.types import Float64
 
+pytestmark = pytest.mark.slow
+
 LENGTH_M = 110.0
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "robotcar.sh"
 

@@ -80,12 +80,14 @@ def reference_thin(points: np.ndarray, origin: np.ndarray, voxel: float) -> np.n
 coordinates = st.integers(-40, 40).map(lambda i: i / 16)  # coarse, so that distances tie
 
 
+@pytest.mark.slow
 @given(hnp.arrays(np.float32, st.tuples(st.integers(0, 60), st.just(3)), elements=coordinates))
 def test_thinning_keeps_the_point_nearest_to_each_voxel_centre(points: np.ndarray) -> None:
     for origin in (np.zeros(3), np.array([1000.25, -7.5, 3.0])):
         assert np.array_equal(thin(points, origin, 0.5), reference_thin(points, origin, 0.5))
 
 
+@pytest.mark.slow
 @given(
     hnp.arrays(np.float32, st.tuples(st.integers(1, 60), st.just(3)), elements=coordinates),
     st.permutations(range(4)),

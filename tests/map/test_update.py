@@ -28,6 +28,8 @@ from segloc.simulation import (
 from segloc.simulation.drives import mapped_way
 from segloc.types import Descriptors, Float64
 
+pytestmark = pytest.mark.slow
+
 CONFIG = Config(threads=1)
 REPLACED = Conditions(replaced=0.6)
 

@@ -26,6 +26,8 @@ from segloc.simulation.worlds.industrial import mesh_fence
 from segloc.simulation.worlds.roads import street_network
 from segloc.simulation.worlds.world import World
 
+pytestmark = pytest.mark.slow
+
 SIZE = 150.0
 LATER = Conditions(foliage=0.3, replaced=0.4, scaffolding=0.5)
 

@@ -34,6 +34,8 @@ from segloc.simulation.objects.species import EVERGREEN, SPECIES
 from segloc.simulation.objects.terrain import Terrain
 from segloc.simulation.objects.trees import grow
 
+pytestmark = pytest.mark.slow
+
 SIZES = {"park": 160.0, "meadow": 140.0, "forest": 120.0}
 MAKERS: dict[str, Callable[..., World]] = {"park": park, "meadow": meadow, "forest": forest}
 EXPECTED = {

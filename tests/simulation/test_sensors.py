@@ -207,6 +207,7 @@ def around_a_corner(radius: float = 0.8) -> np.ndarray:
     return np.concatenate([[[20.0, 40.0]], arc, [arc[-1] + [0.0, 25.0]]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLATFORMS)
 def test_platforms_keep_their_height_and_their_limits(name: str, small: World) -> None:
     platform = PLATFORMS[name]()
@@ -244,6 +245,7 @@ def test_a_walker_bobs_once_a_step(small: World) -> None:
     assert np.abs(bob).max() == pytest.approx(0.05, rel=0.02)
 
 
+@pytest.mark.slow
 def test_by_rate_scans_are_as_far_apart_as_the_platform_is_fast(small: World, route: Route) -> None:
     drive = simulate_session(small, 0, route, vlp16(60), 5, platform=car(), by_rate=True)
     assert drive.stamps is not None
@@ -406,6 +408,7 @@ def test_recordings_of_moving_sensors_keep_times_and_stamps(
     np.testing.assert_allclose(stored.points, scan.points, atol=6e-4 if suffix else 0)
 
 
+@pytest.mark.slow
 def test_swathes_are_recorded_like_any_sequence(small: World, route: Route, tmp_path: Path) -> None:
     drive = simulate_session(small, 0, route, lms151(91), 5, by_rate=True).with_odometry()
     rows = swathes(drive)

@@ -65,6 +65,7 @@ def route_in(world: World, metres: float = 40.0) -> Route:
 # --- worlds ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_town_depends_on_its_seed_alone(small: World) -> None:
     town.cache_clear()
     again = town(3, size_m=SIZE)
@@ -87,6 +88,7 @@ def test_ground_is_uneven_but_a_vehicle_can_drive_on_it(small: World) -> None:
     assert tilt.max() < 8.0
 
 
+@pytest.mark.slow
 def test_nothing_stands_where_vehicles_drive(small: World) -> None:
     line = np.concatenate([street.line for street in small.roads.streets])
     height = small.terrain.height(line[:, 0], line[:, 1])
@@ -110,6 +112,7 @@ def test_no_two_objects_of_a_kind_are_alike(small: World) -> None:
     assert {"house", "tree", "hedge", "lamp", "bush"} <= counts.keys()
 
 
+@pytest.mark.slow
 def test_sessions_redraw_cars_and_keep_the_rest(small: World) -> None:
     first, second = small.changing(0), small.changing(1)
     assert set(first.kinds.values()) >= {"car", "person"}
@@ -148,6 +151,7 @@ def test_points_lie_on_the_box_and_on_the_ground(box_scene: Scene) -> None:
     assert not behind.any()
 
 
+@pytest.mark.slow
 def test_points_of_a_town_lie_on_its_terrain(small: World) -> None:
     sensor = vlp16(200).ideal()
     pose = route_in(small, 20.0).poses(small, 1.73)[2]
@@ -291,6 +295,7 @@ def test_drive_keeps_its_spacing_lane_and_heading(small: World) -> None:
     )
 
 
+@pytest.mark.slow
 def test_recording_is_the_same_on_two_processes_and_reads_back(
     small: World, tmp_path: Path
 ) -> None:
@@ -318,6 +323,7 @@ def test_recording_is_the_same_on_two_processes_and_reads_back(
     assert len(chosen.object_ids(1)) == len(scan)
 
 
+@pytest.mark.slow
 def test_odometry_drifts_and_starts_level(small: World) -> None:
     sequence = simulate_session(small, 0, route_in(small, 60.0), hdl64e(30), seed=5)
     exact = sequence.with_odometry(OdometryNoise(0, 0, 0, 0, 0))
@@ -336,6 +342,7 @@ def test_odometry_drifts_and_starts_level(small: World) -> None:
     np.testing.assert_array_equal(noisy.select(parse_select("4:6")).poses, noisy.poses[4:7])
 
 
+@pytest.mark.slow
 def test_a_pickled_sequence_is_small_and_casts_the_same(small: World) -> None:
     sequence = simulate_session(small, 0, route_in(small, 20.0), hdl64e(30), seed=5)
     expected = sequence.scan(4).points
@@ -345,8 +352,9 @@ def test_a_pickled_sequence_is_small_and_casts_the_same(small: World) -> None:
     assert not np.array_equal(sequence.scan(3).points[:5], sequence.scan(4).points[:5])
 
 
+@pytest.mark.slow
 def test_demo_sessions_share_streets_turn_back_and_leave_the_map() -> None:
-    drives = demo_sessions(1, sensor=hdl64e(30))
+    drives = demo_sessions(1, sensor=hdl64e(30), size_m=250.0)
     assert list(drives) == ["map", "revisit", "elsewhere"]
     mapped, again = drives["map"].poses, drives["revisit"].poses
     distance = np.linalg.norm(again[:, None, :2, 3] - mapped[None, :, :2, 3], axis=2)
@@ -364,6 +372,7 @@ def test_demo_sessions_share_streets_turn_back_and_leave_the_map() -> None:
 # --- wrong input ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [

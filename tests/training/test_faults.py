@@ -52,6 +52,7 @@ def test_an_older_checkpoint_goes_on_where_new_settings_have_their_defaults() ->
     assert not _agrees(json.dumps({**saved, "forgotten": 1}), QUICK)
 
 
+@pytest.mark.slow
 def test_a_state_that_is_not_of_this_run_is_refused(
     shapes: SegmentDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

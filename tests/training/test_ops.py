@@ -26,6 +26,7 @@ def leaves(*shapes: tuple[int, ...]) -> tuple[list[torch.Tensor], list[torch.Ten
     return [t.float().requires_grad_() for t in double], [t.requires_grad_() for t in double]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(64, 16), (37, 8), (50, 100), (3, 5), (1000, 144), (2, 1)])
 @pytest.mark.parametrize("activate", [True, False])
 def test_elu_norm(shape: tuple[int, int], activate: bool) -> None:

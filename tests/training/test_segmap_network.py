@@ -29,6 +29,7 @@ def test_size_and_shapes() -> None:
     assert occupancy.shape == (2, 32, 32, 16)
 
 
+@pytest.mark.slow
 def test_weights_for_inference_compute_the_same(tmp_path: Path) -> None:
     dataset = shapes_dataset(6, 2, seed=3)
     task = create_task(CONFIG)

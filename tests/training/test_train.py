@@ -49,6 +49,7 @@ def quiet(_: str) -> None:
     pass
 
 
+@pytest.mark.slow
 def test_training_learns_and_exports(shapes: SegmentDataset, tmp_path: Path) -> None:
     out = tmp_path / "net.safetensors"
     before = train(shapes, tmp_path / "start.safetensors", QUICK.model_copy(update={"steps": 1}),
@@ -66,6 +67,7 @@ def test_training_learns_and_exports(shapes: SegmentDataset, tmp_path: Path) -> 
     assert ((quality > 0) & (quality < 1)).all()
 
 
+@pytest.mark.slow
 def test_a_run_that_was_cut_off_goes_on_exactly(shapes: SegmentDataset, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole.safetensors", tmp_path / "parts.safetensors"
     config = QUICK.model_copy(update={"hard_share": 0.5})
@@ -283,6 +285,7 @@ def test_validation_gets_places_that_were_visited_twice() -> None:
     assert not set(training.places) & set(held.places)
 
 
+@pytest.mark.slow
 def test_two_processes_train_one_network(shapes: SegmentDataset, tmp_path: Path) -> None:
     shapes.save(tmp_path / "shapes.safetensors")
     (tmp_path / "small.yaml").write_text("classes: 8\nvalidate_every: 2\nvalidation_limit: 60\n")

@@ -260,6 +260,7 @@ def twice(prior_map: SegmentMap, by: float) -> SegmentMap:
     return both
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["geo", "profile"])
 def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str) -> None:
     config = Config.preset(method)

@@ -134,6 +134,8 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
     from ..simulation import PLATFORMS, SCENES, SENSORS, LineLidar, simulate_sessions
     from .console import busy
 
+    if not 0 < order.length_m < float("inf"):  # before a world is built
+        raise ConfigError(f"--length must be a positive number of metres, not {order.length_m}")
     make = _choice(SCENES, order.scene, "the scene")
     lidar = _choice(SENSORS, order.sensor, "--sensor")().thinned(order.thin)
     carrier = None

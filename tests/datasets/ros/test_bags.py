@@ -41,6 +41,7 @@ def times(step: float = 0.02) -> Float64:
     return np.arange(START - 0.05, DRIVE.stamps[-1] + 0.05, step)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_clouds_stamps_and_odometry(kind: str, tmp_path: Path) -> None:
     """Poses are those at the stamps, though messages are recorded 30 ms later."""
