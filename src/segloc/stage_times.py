@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Clock = Callable[[], float]
-"""Returns seconds: of the wall, ``time.perf_counter``, or of the processor, ``time.process_time``."""
+"""Returns seconds: ``time.perf_counter`` (wall) or ``time.process_time`` (processor)."""
 
 
 class StageTimes:
