@@ -168,11 +168,11 @@ class Localizer:
         of the verdicts counts.
         """
         times = times or StageTimes(self._clock)
-        centroids, neighbours = query.scene.segments.centroids, None
+        centroids = query.scene.segments.centroids
+        neighbours = self.matcher.neighbours(query.descriptors)
         best: Search | None = None
         for count in self.matcher.schedule:
             with times("matching"):
-                neighbours = neighbours or self.matcher.neighbours(query.descriptors)
                 proposed = neighbours.matches(count)
             with times("pruning"):
                 matches = self.matcher.prune(query.descriptors, proposed)
