@@ -157,13 +157,15 @@ def test_refuses_wrong_input() -> None:
         Surface(np.full((3, 3), np.nan, np.float32), REACH, SUPPORT)
     with pytest.raises(ValueError, match="shape"):
         Surface(np.zeros((3, 2), np.float32), REACH, SUPPORT)
-    with pytest.raises(ValueError, match="positive"):
+    with pytest.raises(ValueError, match="reach must be from"):
         Surface(points, 0.0, SUPPORT)
     surface = Surface(points, REACH, SUPPORT)
     with pytest.raises(ValueError, match="shape"):
         surface.align(surface, np.eye(3))
-    T, *_ = surface.align(surface, np.full((4, 4), np.nan))
-    assert not np.isfinite(T).all()
+    with pytest.raises(ValueError, match="T_target_source has values that are not finite"):
+        surface.align(surface, np.full((4, 4), np.nan))
+    with pytest.raises(ValueError, match="does not turn"):
+        surface.align(surface, np.diag([1.0, 1.0, 2.0, 1.0]))
     assert Aligner(0.3, REACH).align(surface, surface, np.full((4, 4), np.nan)) is None
 
 

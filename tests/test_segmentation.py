@@ -158,7 +158,7 @@ def test_degenerate_clouds_give_few_or_no_segments(points: np.ndarray, num_scans
 
 def test_kernels_refuse_what_they_cannot_use() -> None:
     points = np.zeros((4, 3), np.float32)
-    with pytest.raises(ValueError, match="positive"):
+    with pytest.raises(ValueError, match="size must be from 1e-06"):
         _native.voxel_grid(points, 0.0)
     with pytest.raises(ValueError, match=r"\(N, 3\)"):
         _native.voxel_grid(np.zeros((4, 2), np.float32), 0.1)

@@ -9,6 +9,8 @@
 
 #include <cmath>
 #include <cstdint>
+#include <cstdio>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -47,8 +49,48 @@ inline void require_usable(const float* values, std::size_t count, const char* n
           std::string(name) + " has values that are not finite or beyond 1e15");
 }
 
-inline void require_points(const In2<float>& points) {
-  require(points.shape(1) == 3, "points must have shape (N, 3)");
+inline void require_usable(const double* values, std::size_t count, const char* name) {
+  bool usable = true;
+  for (std::size_t i = 0; i < count; ++i) usable &= std::fabs(values[i]) < double{kLargest};
+  require(usable, std::string(name) + " has values that are not finite or beyond 1e15");
+}
+
+inline std::string number_text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%g", value);
+  return text;
+}
+
+// NaN lies nowhere.
+inline void require_between(double value, double low, double high, const char* name) {
+  require(value >= low && value <= high, std::string(name) + " must be from " + number_text(low) +
+                                             " to " + number_text(high) + ", not " +
+                                             number_text(value));
+}
+
+// Radii, edges and tolerances, in metres: shorter or longer ones measure nothing.
+constexpr double kShortest = 1e-6, kLongest = 1e9;
+inline void require_length(double metres, const char* name) {
+  require_between(metres, kShortest, kLongest, name);
+}
+
+// Numbers of columns: whatever is multiplied with them stays far below the largest size.
+constexpr std::size_t kMostColumns = std::size_t{1} << 20;
+inline void require_columns(std::size_t columns, const char* name) {
+  require(columns <= kMostColumns, std::string(name) + " has too many columns");
+}
+
+inline void require_points(const In2<float>& points, const char* name = "points") {
+  require(points.shape(1) == 3, std::string(name) + " must have shape (N, 3)");
+  // Their places are numbered in 32 bits.
+  require(points.shape(0) <= std::numeric_limits<std::uint32_t>::max(),
+          std::string(name) + " has too many rows");
+}
+
+// A matrix (4, 4) of finite values; its last row is not read.
+inline void require_transform(const In2<double>& T, const char* name) {
+  require(T.shape(0) == 4 && T.shape(1) == 4, std::string(name) + " must have shape (4, 4)");
+  require_usable(T.data(), T.size(), name);
 }
 
 inline void check_offsets(const In1<int64_t>& offsets, std::size_t points) {

@@ -40,7 +40,7 @@ Out<float> shape_functions(In2<float> points, In1<int64_t> offsets, std::size_t 
 
 Out<float> gestalt_(In2<float> points, In1<int64_t> offsets, double radius, int threads) {
   check_segments(points, offsets);
-  require(radius > 0 && std::isfinite(radius), "radius must be positive");
+  require_length(radius, "radius");
   const std::size_t P = offsets.size() - 1;
   std::vector<float> output(P * kGestaltSize);
   {
@@ -104,11 +104,15 @@ nb::tuple shapes(In2<float> points, In1<int64_t> offsets, int threads) {
                         to_numpy(std::move(result.scales), {P, 3}));
 }
 
+constexpr std::size_t kMostPrepared = 65535;  // points, so that no sum of squares overflows
+
 Out<float> profiles(In3<float> prepared, In1<float> heights, int threads) {
   const std::size_t P = prepared.shape(0), N = prepared.shape(1);
   require(prepared.shape(2) == 3, "prepared must have shape (P, N, 3)");
   require(N >= kPairedPoints,
           "prepared segments need at least " + std::to_string(kPairedPoints) + " points");
+  require(N <= kMostPrepared,
+          "prepared segments have at most " + std::to_string(kMostPrepared) + " points");
   require(heights.size() == P, "heights must have shape (P,)");
   std::vector<float> output(P * profile_size());
   {

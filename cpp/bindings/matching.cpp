@@ -1,4 +1,7 @@
 // Search among descriptors, and random forests over pairs of them.
+#include <algorithm>
+#include <cmath>
+
 #include "bindings/bindings.h"
 #include "matching/knn.h"
 #include "matching/match_order.h"
@@ -12,6 +15,7 @@ nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int thread
   const std::size_t Q = queries.shape(0), M = database.shape(0), dim = database.shape(1);
   require(queries.shape(1) == dim, "queries and database differ in their number of columns");
   require(dim > 0, "descriptors must have at least one column");
+  require_columns(dim, "database");
   require(M < (std::size_t{1} << 31), "the database is too large");
   const Isa chosen = parse_isa(isa);
   const std::size_t columns = std::min(k, M);
@@ -41,7 +45,8 @@ struct BoundIndex {
 void construct_index(BoundIndex* self, In2<float> database, std::size_t lists, int threads,
                      const std::string& isa) {
   require(database.shape(1) > 0, "descriptors must have at least one column");
-  require(lists > 0, "there must be at least one list");
+  require_columns(database.shape(1), "database");
+  require(lists > 0, "lists: there must be at least one list");
   require(database.shape(0) < (std::size_t{1} << 31), "the database is too large");
   require_usable(database.data(), database.size(), "database");
   new (self) BoundIndex(database, lists, threads, isa);
@@ -68,6 +73,8 @@ Out<int64_t> order_matches_(In1<int64_t> query, In1<int64_t> map, In1<float> sco
   const std::size_t n = score.size();
   require(query.size() == n && map.size() == n, "query, map and score must have the same length");
   require(n < (std::size_t{1} << 32), "there are too many matches");
+  require(std::none_of(score.data(), score.data() + n, [](float s) { return std::isnan(s); }),
+          "score has values that are not numbers");
   std::vector<int64_t> order;
   {
     nb::gil_scoped_release release;
@@ -80,6 +87,7 @@ using LayoutRow = std::tuple<std::size_t, bool, std::size_t>;
 
 PairLayout checked_layout(const LayoutRow& row, std::size_t dim) {
   const PairLayout layout = {std::get<0>(row), std::get<1>(row), std::get<2>(row)};
+  require_columns(dim, "query");
   require(layout.plain <= dim, "the layout has more plain values than the descriptors");
   const std::size_t rest = dim - layout.plain;
   require(layout.histogram == 0 ? rest == 0 : rest % layout.histogram == 0,
@@ -108,6 +116,8 @@ Out<float> pair_features_(In2<float> query, In2<float> map, In1<int64_t> rows, I
   std::vector<float> output(task.pairs * F);
   {
     nb::gil_scoped_release release;
+    require_usable(query.data(), query.size(), "query");
+    require_usable(map.data(), map.size(), "site");
     pair_features(task, layout, threads, output.data());
   }
   return to_numpy(std::move(output), {task.pairs, F});

@@ -82,6 +82,7 @@ Out<float> describe_voxels(const VoxelNetwork& network, In1<int32_t> voxels, In1
   check_offsets(offsets, voxels.size());
   const std::size_t P = offsets.size() - 1;
   require(scales.shape(0) == P && scales.shape(1) == 3, "scales must have shape (P, 3)");
+  require_usable(scales.data(), scales.size(), "scales");
   for (std::size_t i = 0; i < voxels.size(); ++i) {
     const int32_t v = voxels.data()[i];
     require(v >= 0 && static_cast<std::size_t>(v) < kShapeVoxels, "a voxel is outside the grid");
@@ -96,7 +97,7 @@ Out<float> describe_voxels(const VoxelNetwork& network, In1<int32_t> voxels, In1
 
 void construct_perceptron(Perceptron* self, const TensorArrays& tensors, float limit,
                           const std::string& isa) {
-  require(limit > 0, "limit must be positive");
+  require_between(limit, 1e-6, 1e15, "limit");
   new (self) Perceptron(views_of(tensors), limit, parse_isa(isa));
 }
 

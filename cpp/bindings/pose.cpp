@@ -1,5 +1,9 @@
 // Poses from matches.
+#include <algorithm>
+#include <limits>
+
 #include "bindings/bindings.h"
+#include "common/portability.h"
 #include "common/rigid.h"
 #include "pose/consensus.h"
 #include "pose/match_table.h"
@@ -9,25 +13,45 @@
 namespace segloc::bindings {
 namespace {
 
-void require_matches(const In1<std::int64_t>& match_query, std::size_t queries,
-                     const In1<std::int64_t>& match_map, std::size_t segments) {
-  require(match_map.shape(0) == match_query.shape(0),
-          "match_query and match_map must have the same length");
-  for (std::size_t k = 0; k < match_query.shape(0); ++k) {
-    const std::int64_t q = match_query.data()[k], m = match_map.data()[k];
-    require(q >= 0 && static_cast<std::size_t>(q) < queries && m >= 0 &&
-                static_cast<std::size_t>(m) < segments,
-            "a match names a segment that does not exist");
+// A match's name must exist, and so must its place: a query has few segments, and of a map's only
+// those are looked at that are matched. They are all over the map, so they are prefetched.
+void require_matches(const In2<double>& query, const In2<double>& map,
+                     const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map) {
+  constexpr std::size_t kAhead = 24;
+  require(query.shape(1) == 3, "query must have shape (N, 3)");
+  require(map.shape(1) == 3, "map must have shape (N, 3)");
+  const std::size_t n = match_query.shape(0);
+  require(match_map.shape(0) == n, "match_query and match_map must have the same length");
+  require(n <= std::numeric_limits<std::uint32_t>::max(), "there are too many matches");
+  const auto inside = [](std::int64_t i, std::size_t count) {
+    return i >= 0 && static_cast<std::size_t>(i) < count;
+  };
+  for (std::size_t k = 0; k < n; ++k) {
+    require(
+        inside(match_query.data()[k], query.shape(0)) && inside(match_map.data()[k], map.shape(0)),
+        "a match names a segment that does not exist");
+  }
+  require_usable(query.data(), query.size(), "query");
+  for (std::size_t k = 0; k < n; ++k) {
+    prefetch(map.data() + 3 * match_map.data()[std::min(k + kAhead, n - 1)]);
+    require_usable(map.data() + 3 * match_map.data()[k], 3, "map");
   }
 }
+
+// Tolerances below this would make more cells than there are places.
+constexpr double kLeastTolerance = 1e-3;
+constexpr std::size_t kMostDraws = 1'000'000'000;
 
 auto consensus_(const In2<double>& query, const In2<double>& map,
                 const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
                 double inlier_tolerance, double height_tolerance, double distinct_radius,
                 double separation, std::size_t max_refined, std::size_t max_hypotheses,
                 int threads) {
-  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
-  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  require_matches(query, map, match_query, match_map);
+  require_between(inlier_tolerance, kLeastTolerance, 1e6, "inlier_tolerance");
+  require_between(height_tolerance, 0.0, kLongest, "height_tolerance");
+  require_between(distinct_radius, 0.0, kLongest, "distinct_radius");
+  require_between(separation, 0.0, kLongest, "separation");
   const std::size_t n = match_query.shape(0);
   ConsensusOptions options;
   options.inlier_tolerance = inlier_tolerance;
@@ -57,8 +81,9 @@ auto consensus_(const In2<double>& query, const In2<double>& map,
 auto pose_votes_(const In2<double>& query, const In2<double>& map,
                  const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
                  double tolerance, double distinct_radius, std::size_t max_cells, int threads) {
-  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
-  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  require_matches(query, map, match_query, match_map);
+  require_between(tolerance, 0.0, 1e6, "tolerance");
+  require_between(distinct_radius, 0.0, kLongest, "distinct_radius");
   const MatchInput input = {query.data(),       query.shape(0),   map.data(),
                             match_query.data(), match_map.data(), match_query.shape(0)};
   VoteOptions options;
@@ -86,8 +111,13 @@ auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::in
              const In1<std::int64_t>& match_map, bool ordered, bool yaw_only, double edge_tolerance,
              double inlier_tolerance, double min_edge, double chance, double separation,
              std::size_t max_draws, std::size_t max_hypotheses, std::uint64_t seed) {
-  require(query.shape(1) == 3 && map.shape(1) == 3, "centroids must have shape (N, 3)");
-  require_matches(match_query, query.shape(0), match_map, map.shape(0));
+  require_matches(query, map, match_query, match_map);
+  require_between(edge_tolerance, 0.0, kLongest, "edge_tolerance");
+  require_between(inlier_tolerance, 0.0, kLongest, "inlier_tolerance");
+  require_between(min_edge, 0.0, kLongest, "min_edge");
+  require_between(chance, 0.0, 1.0, "chance");
+  require_between(separation, 0.0, kLongest, "separation");
+  require(max_draws <= kMostDraws, "max_draws must be at most " + std::to_string(kMostDraws));
   ProsacOptions options;
   options.ordered = ordered;
   options.yaw_only = yaw_only;

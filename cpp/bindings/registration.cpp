@@ -1,4 +1,7 @@
 // Registration: surfaces and generalised ICP.
+#include <algorithm>
+#include <array>
+
 #include "bindings/bindings.h"
 #include "registration/gicp.h"
 #include "registration/surface.h"
@@ -6,13 +9,26 @@
 namespace segloc::bindings {
 namespace {
 
+// Up to a rounding that no one writes down.
+bool is_rotation(const std::array<double, 9>& R) {
+  double off = 0.0;
+  for (int a = 0; a < 3; ++a) {
+    for (int b = 0; b < 3; ++b) {
+      const double dot = R[a] * R[b] + R[3 + a] * R[3 + b] + R[6 + a] * R[6 + b];
+      off = std::max(off, std::fabs(dot - (a == b ? 1.0 : 0.0)));
+    }
+  }
+  return off < 0.01;
+}
+
 Rigid rigid_of(const In2<double>& T) {
-  require(T.shape(0) == 4 && T.shape(1) == 4, "T_target_source must have shape (4, 4)");
+  require_transform(T, "T_target_source");
   Rigid result;
   for (std::size_t r = 0; r < 3; ++r) {
     for (std::size_t c = 0; c < 3; ++c) result.R[3 * r + c] = T.data()[4 * r + c];
     result.t[r] = T.data()[4 * r + 3];
   }
+  require(is_rotation(result.R), "T_target_source does not turn as a rotation does");
   return result;
 }
 
@@ -25,6 +41,7 @@ Out<double> matrix_of(const Rigid& T) {
 auto align_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
             int max_iterations, int threads) {
   const Rigid start = rigid_of(T_target_source);
+  require_between(max_iterations, 0, 10'000, "max_iterations");
   GicpOptions options;
   options.max_iterations = max_iterations;
   GicpResult result;
@@ -55,10 +72,10 @@ void bind_registration(nb::module_& m) {
           "__init__",
           [](Surface* self, const In2<float>& points, double max_correspondence_distance,
              double support) {
-            require(points.shape(1) == 3, "points must have shape (N, 3)");
+            require_points(points);
             require_usable(points.data(), points.size(), "points");
-            require(max_correspondence_distance > 0 && support > 0,
-                    "reach and support must be positive");
+            require_length(max_correspondence_distance, "reach");
+            require_length(support, "support");
             nb::gil_scoped_release release;
             new (self)
                 Surface(points.data(), points.shape(0), max_correspondence_distance, support);

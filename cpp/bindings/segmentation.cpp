@@ -9,6 +9,7 @@ namespace {
 
 Out<float> voxel_grid_(const In2<float>& points, double size) {
   require_points(points);
+  require_length(size, "size");
   std::vector<float> means;
   {
     nb::gil_scoped_release release;
@@ -22,6 +23,9 @@ Out<float> voxel_grid_(const In2<float>& points, double size) {
 Out<float> heights_above_ground_(const In2<float>& points, double cell, double max_slope,
                                  double outlier) {
   require_points(points);
+  require_length(cell, "cell");
+  require_between(max_slope, 0.0, 1e6, "max_slope");
+  require_between(outlier, 0.0, kLongest, "outlier");
   std::vector<float> heights;
   {
     nb::gil_scoped_release release;
@@ -34,6 +38,7 @@ Out<float> heights_above_ground_(const In2<float>& points, double cell, double m
 auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t min_points,
                          std::size_t max_points) {
   require_points(points);
+  require_length(radius, "radius");
   Clusters clusters;
   {
     nb::gil_scoped_release release;

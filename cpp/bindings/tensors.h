@@ -14,10 +14,11 @@ namespace segloc::bindings {
 
 using TensorArrays = std::map<std::string, In<float>>;
 
-// Views that are good for as long as the arrays are.
+// Views that are good for as long as the arrays are. Throws where a value is not finite.
 inline Tensors views_of(const TensorArrays& tensors) {
   Tensors views;
   for (const auto& [name, array] : tensors) {
+    require_usable(array.data(), array.size(), ("tensor '" + name + "'").c_str());
     TensorView view{array.data(), {}};
     for (std::size_t i = 0; i < array.ndim(); ++i) view.shape.push_back(array.shape(i));
     views.emplace(name, std::move(view));

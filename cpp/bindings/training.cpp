@@ -1,4 +1,7 @@
 // The operations of training.
+#include <algorithm>
+#include <iterator>
+
 #include "bindings/bindings.h"
 #include "training/train_ops.h"
 
@@ -12,6 +15,9 @@ void require_size(const Array& array, std::size_t size, const char* name) {
   require(array.size() == size, std::string(name) + " has the wrong size");
 }
 
+// Of whatever is multiplied before memory is taken.
+constexpr std::size_t kMostOnAxis = 65536, kMostNeighbors = 256;
+
 struct Apply {
   ApplyShape shape;
   ApplyInputs in;
@@ -22,6 +28,11 @@ struct Apply {
               lift.shape(3),      features.shape(2),  depthwise.shape(0)},
         in{x.data(), lift.data(), features.data(), neighbors.data(), depthwise.data()} {
     const std::size_t rows = neighbors.size();
+    const std::size_t axes[] = {shape.points, shape.sources, shape.neighbors,
+                                shape.lifted, shape.inputs,  shape.depth};
+    require(*std::max_element(std::begin(axes), std::end(axes)) <= kMostOnAxis,
+            "an axis is too long");
+    require(shape.neighbors <= kMostNeighbors, "there are too many neighbors");
     require(features.shape(0) == shape.clouds, "features and neighbors differ in clouds");
     require(shape.neighbors > 0 && shape.depth > 0 && shape.lifted > 0, "an axis is empty");
     require_size(x, rows * shape.neighbors, "x");
@@ -69,6 +80,7 @@ void backward(In<float, nb::ndim<4>> x, In<float, nb::ndim<4>> lift, In3<float> 
 std::size_t checked_columns(In3<float> x, In3<float> weight) {
   const std::size_t K = x.shape(2);
   require(K > 0 && x.shape(1) == K, "x must have shape (R, K, K)");
+  require(K <= kMostNeighbors, "there are too many neighbors");
   require(weight.shape(0) == K && weight.shape(1) == K && weight.shape(2) == K,
           "weight must have shape (K, K, K)");
   return K;
@@ -100,6 +112,8 @@ void norm_forward(In2<float> input, bool activate, In1<float> weight, In1<float>
                   const std::string& isa) {
   const std::size_t rows = input.shape(0), columns = input.shape(1);
   require(rows > 0 && columns > 0, "input is empty");
+  require_columns(columns, "input");
+  require_between(eps, 1e-30, 1e15, "eps");
   require_size(weight, columns, "weight");
   require_size(bias, columns, "bias");
   require_size(z, input.size(), "z");
@@ -117,6 +131,8 @@ void norm_backward(In2<float> gradient, In2<float> z, bool activate, In1<float> 
                    Result grad_bias, int threads, const std::string& isa) {
   const std::size_t rows = z.shape(0), columns = z.shape(1);
   require(rows > 0 && columns > 0, "z is empty");
+  require_columns(columns, "z");
+  require_between(eps, 1e-30, 1e15, "eps");
   require_size(gradient, z.size(), "gradient");
   require_size(weight, columns, "weight");
   require_size(mean, columns, "mean");

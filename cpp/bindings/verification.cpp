@@ -10,12 +10,13 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
               double radius) {
   require_points(points);
   require(poses.shape(1) == 4 && poses.shape(2) == 4, "poses must have shape (H, 4, 4)");
-  require(radius > 0 && radius <= index.radius(),
-          "radius must be positive and at most the index's");
+  require_usable(poses.data(), poses.size(), "poses");
+  require_between(radius, kShortest, index.radius(), "radius");
   std::vector<double> share(poses.shape(0)), rmse(poses.shape(0));
   {
     nb::gil_scoped_release release;
     const std::size_t m = points.shape(0);
+    require_usable(points.data(), points.size(), "points");
     for (std::size_t h = 0; h < share.size(); ++h) {
       const auto found = index.overlap(points.data(), m, poses.data() + 16 * h, radius);
       share[h] = found.judged == 0 ? 0.0 : double(found.near) / double(found.judged);
@@ -27,12 +28,12 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
 
 auto count_visible(const VisibilityCheck& check, const In2<float>& map,
                    const In2<double>& T_query_map, double radius, double margin) {
-  require_points(map);
-  require(T_query_map.shape(0) == 4 && T_query_map.shape(1) == 4,
-          "T_local_site must have shape (4, 4)");
-  require(radius > 0 && radius <= check.radius(), "radius must be positive and at most the view's");
-  require(margin >= 0, "margin must not be negative");
+  require_points(map, "site");
+  require_transform(T_query_map, "T_local_site");
+  require_between(radius, kShortest, check.radius(), "radius");
+  require_between(margin, 0.0, kLongest, "margin");
   nb::gil_scoped_release release;
+  require_usable(map.data(), map.size(), "site");
   const VisibilityCheck::Counts counts =
       check.count(map.data(), map.shape(0), T_query_map.data(), radius, margin);
   return std::make_tuple(counts.confirmed, counts.violations);
@@ -46,12 +47,13 @@ void bind_verification(nb::module_& m) {
           "__init__",
           [](VisibilityCheck* self, const In2<float>& structure, const In2<float>& ground,
              double range, double bin_deg, double radius) {
-            require_points(structure);
-            require_points(ground);
+            require_points(structure, "structure");
+            require_points(ground, "ground");
             require_usable(structure.data(), structure.size(), "structure");
             require_usable(ground.data(), ground.size(), "ground");
-            require(range > 0 && range <= 1000 && radius > 0, "range and radius must be positive");
-            require(bin_deg >= 0.1 && bin_deg <= 10, "bin_deg must be between 0.1 and 10");
+            require_between(range, kShortest, 1000.0, "range");
+            require_between(bin_deg, 0.1, 10.0, "bin_deg");
+            require_length(radius, "radius");
             new (self) VisibilityCheck(structure.data(), structure.shape(0), ground.data(),
                                        ground.shape(0), range, bin_deg, radius);
           },
@@ -65,6 +67,7 @@ void bind_verification(nb::module_& m) {
           "__init__",
           [](PointIndex* self, const In2<float>& points, double radius) {
             require_points(points);
+            require_length(radius, "radius");
             require_usable(points.data(), points.size(), "points");
             new (self) PointIndex(points.data(), points.shape(0), radius);
           },
@@ -75,6 +78,9 @@ void bind_verification(nb::module_& m) {
       .def(
           "sample",
           [](const PointIndex& index, double x, double y, double radius, std::size_t count) {
+            const double place[2] = {x, y};
+            require_usable(place, 2, "x, y");
+            require_between(radius, 0.0, kLongest, "radius");
             require(count > 0, "count must be positive");
             std::vector<float> points = index.sample(x, y, radius, count);
             const std::size_t rows = points.size() / 3;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <exception>
@@ -10,8 +11,19 @@
 #include <thread>
 #include <vector>
 
+#include "common/processors.h"
+
+#if defined(__unix__) || defined(__APPLE__)
+#include <pthread.h>
+#endif
+
 namespace segloc {
 namespace {
+
+constexpr int kMostThreads = 256;
+// How long a caller looks for the end of the last chunks before it sleeps. To be woken takes as
+// long, and on a busy machine a thousand times that.
+constexpr std::chrono::microseconds kWatched{50};
 
 // One call of parallel_for: workers take chunks from `next` until none is left.
 struct Job {
@@ -20,63 +32,78 @@ struct Job {
   std::size_t grain;
   std::atomic<std::size_t> next{0};
   std::atomic<int> next_worker{1};  // the caller is worker 0
-  int active = 0;                   // helpers inside run(); guarded by the pool's mutex
+  std::atomic<int> busy{0};         // helpers that may be in the body
   std::exception_ptr error;
   std::mutex error_mutex;
 
-  void run(int worker) {
-    for (;;) {
-      const std::size_t begin = next.fetch_add(grain);
-      if (begin >= count) return;
-      try {
-        (*body)(begin, std::min(begin + grain, count), worker);
-      } catch (...) {
-        const std::lock_guard<std::mutex> lock(error_mutex);
-        if (!error) error = std::current_exception();
-        next.store(count);
-      }
+  // Takes one chunk; false where none is left.
+  bool step(int worker) {
+    const std::size_t begin = next.fetch_add(grain);
+    if (begin >= count) return false;
+    try {
+      (*body)(begin, std::min(begin + grain, count), worker);
+    } catch (...) {
+      const std::lock_guard<std::mutex> lock(error_mutex);
+      if (!error) error = std::current_exception();
+      next.store(count);
     }
+    return true;
   }
+  // A helper that has come too late is not waited for: it finds no chunk and leaves.
+  bool help(int worker) {
+    ++busy;
+    const bool taken = step(worker);
+    --busy;
+    return taken;
+  }
+  // For the caller, once no chunk is left.
+  bool done() const { return busy.load() == 0; }
 };
 
 class Pool {
  public:
-  // Leaked on purpose: joining threads while the interpreter unloads the library can deadlock.
-  static Pool& instance() {
-    static Pool* pool = new Pool();
-    return *pool;
-  }
+  static Pool& instance();
 
   void execute(const std::shared_ptr<Job>& job, int helpers) {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
+    call(job, helpers);
+    for (int i = 0; i < helpers; ++i) wake_.notify_one();
+    while (job->step(0)) {
+    }
+    const auto limit = std::chrono::steady_clock::now() + kWatched;
+    while (!job->done() && std::chrono::steady_clock::now() < limit) {
+    }
+    std::unique_lock<std::mutex> lock(mutex_);
+    // Tickets that nobody took are withdrawn, so a busy pool never delays a finished job.
+    queue_.erase(std::remove(queue_.begin(), queue_.end(), job), queue_.end());
+    done_.wait(lock, [&] { return job->done(); });
+  }
+
+ private:
+  // Threads or memory that the system does not give are done without.
+  void call(const std::shared_ptr<Job>& job, int helpers) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    try {
       while (size_ < helpers) {
         std::thread([this] { serve(); }).detach();
         ++size_;
       }
       for (int i = 0; i < helpers; ++i) queue_.push_back(job);
+    } catch (const std::exception&) {
     }
-    wake_.notify_all();
-    job->run(0);
-    std::unique_lock<std::mutex> lock(mutex_);
-    // Tickets that nobody took are withdrawn, so a busy pool never delays a finished job.
-    queue_.erase(std::remove(queue_.begin(), queue_.end(), job), queue_.end());
-    done_.wait(lock, [&] { return job->active == 0; });
   }
 
- private:
   void serve() {
     std::unique_lock<std::mutex> lock(mutex_);
     for (;;) {
       wake_.wait(lock, [this] { return !queue_.empty(); });
       const std::shared_ptr<Job> job = queue_.front();
       queue_.pop_front();
-      ++job->active;
-      const int worker = job->next_worker.fetch_add(1);
       lock.unlock();
-      job->run(worker);
+      const int worker = job->next_worker.fetch_add(1);
+      while (job->help(worker)) {
+      }
       lock.lock();
-      if (--job->active == 0) done_.notify_all();
+      if (job->done()) done_.notify_all();
     }
   }
 
@@ -86,17 +113,33 @@ class Pool {
   int size_ = 0;
 };
 
+// Leaked on purpose: joining threads while the interpreter unloads the library can deadlock. No
+// function's static variable: its guard could be locked when another thread forks.
+std::atomic<Pool*> pool{nullptr};
+
+Pool& Pool::instance() {
+  Pool* known = pool.load();
+  if (known != nullptr) return *known;
+  auto made = std::make_unique<Pool>();
+  return pool.compare_exchange_strong(known, made.get()) ? *made.release() : *known;
+}
+
+#if defined(__unix__) || defined(__APPLE__)
+// A child has none of its parent's threads, and may have locks that one of them held: it gets a
+// pool of its own when it needs one.
+const int kForgets = pthread_atfork(nullptr, nullptr, [] { pool.store(nullptr); });
+#endif
+
 }  // namespace
 
 int resolve_threads(int threads) {
-  if (threads > 0) return threads;
-  return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  return std::min(threads > 0 ? threads : usable_processors(), kMostThreads);
 }
 
 void parallel_for(std::size_t count, std::size_t grain, int threads,
                   const std::function<void(std::size_t, std::size_t, int)>& body) {
   if (count == 0) return;
-  grain = std::max<std::size_t>(grain, 1);
+  grain = std::clamp<std::size_t>(grain, 1, count);
   const std::size_t chunks = (count + grain - 1) / grain;
   const int workers = static_cast<int>(std::min<std::size_t>(resolve_threads(threads), chunks));
   const auto job = std::make_shared<Job>();
@@ -104,7 +147,8 @@ void parallel_for(std::size_t count, std::size_t grain, int threads,
   job->count = count;
   job->grain = grain;
   if (workers <= 1) {
-    job->run(0);
+    while (job->step(0)) {
+    }
   } else {
     Pool::instance().execute(job, workers - 1);
   }

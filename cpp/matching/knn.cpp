@@ -15,6 +15,8 @@ constexpr std::size_t kGroup = 4;          // queries that a scan takes together
 constexpr std::size_t kQueryBatch = 16;    // queries that share a tile while it is in cache
 constexpr std::size_t kTileFloats = 2048;  // 8 KiB: thresholds fall soon, and all stays in L1
 
+constexpr std::size_t kSelectedBytes = std::size_t{1} << 28;  // of a worker's selections, at most
+
 constexpr std::size_t kSampled = 32;  // points a centre that k-means looks at
 constexpr int kRounds = 8;            // of k-means
 
@@ -140,8 +142,10 @@ void DescriptorIndex::search(const float* queries, std::size_t query_count, std:
   const Points points{database_, count_, dim_, ids_.data()};
   const auto workers = static_cast<std::size_t>(resolve_threads(threads));
   // Queries that probe the same list share its tiles while they are in cache.
-  const std::size_t batch =
+  const std::size_t wanted =
       lists() == 1 ? kQueryBatch : std::max(kQueryBatch, (query_count + workers - 1) / workers);
+  const std::size_t fits = kSelectedBytes / Selection::bytes(columns, tile_points);
+  const std::size_t batch = std::clamp<std::size_t>(wanted, 1, std::max<std::size_t>(fits, 1));
   parallel_for(query_count, batch, threads, [&](std::size_t begin, std::size_t end, int) {
     std::vector<Selection> selections(end - begin, Selection(columns, tile_points));
     // For each list who probes it: those that are nearest to it, in a first pass, so that later

@@ -57,6 +57,12 @@ class Selection {
         sorted_(indices_.size()),
         ranked_(indices_.size()) {}
 
+  // What one takes, about.
+  static std::size_t bytes(std::size_t columns, std::size_t tile_points) {
+    constexpr std::size_t kEach = sizeof(uint32_t) + 2 * sizeof(float) + sizeof(Candidate);
+    return (3 * columns + 2 * tile_points) * kEach;
+  }
+
   void start(const float* query) {
     query_ = query;
     count_ = 0;

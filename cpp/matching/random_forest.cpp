@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "common/parallel.h"
@@ -12,7 +13,10 @@ namespace {
 constexpr std::size_t kBlock = 64;  // pairs whose features stay in cache while all trees see them
 constexpr std::size_t kLanes = 8;   // pairs that descend a tree together: each hides others' waits
 
-float quotient(float a, float b) { return b > 0 ? a / b : 0.0f; }
+// Finite: a tree asks whether it is larger than a threshold, and so it is.
+float quotient(float a, float b) {
+  return b > 0 ? std::min(a / b, std::numeric_limits<float>::max()) : 0.0f;
+}
 
 float intersection(const float* a, const float* b, std::size_t bins) {
   constexpr std::size_t kSums = 8;

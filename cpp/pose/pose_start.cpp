@@ -78,7 +78,11 @@ class FineVotes {
     std::uint32_t votes = 0, group = 0, match = 0;  // the last voter
   };
 
-  int cell(double offset) const { return static_cast<int>(std::floor(offset / width_)); }
+  // -2 for whatever lies beside the votes, however far.
+  int cell(double offset) const {
+    const double at = std::floor(offset / width_);
+    return at >= -2.0 && at < static_cast<double>(side_) ? static_cast<int>(at) : -2;
+  }
 
   double x_, y_, width_;
   int side_;

@@ -118,7 +118,8 @@ PoseVotes vote_for_poses(const MatchTable& f, const VoteOptions& o, int threads)
   const Voters v = voters_of(f, o.max_votes);
   if (v.index.empty()) return {};
   const double fine = 2.0 * kPi * std::max(v.radius, 1.0) / (2.0 * kSlack);
-  const int steps = std::clamp(static_cast<int>(std::ceil(fine)), kMinSteps, kMaxSteps);
+  const auto steps = static_cast<int>(
+      std::clamp(std::ceil(fine), static_cast<double>(kMinSteps), static_cast<double>(kMaxSteps)));
   const double turn = 2.0 * kPi / steps;
   PoseVotes result;
   result.turn = turn;

@@ -12,6 +12,8 @@ namespace {
 
 constexpr double kFlat = 1.0 - 1e-3;  // how much less a point is uncertain across its surface
 constexpr std::size_t kChunk = 256;   // source points that are summed together
+// Fewer points than these are not worth a second thread: to call it takes as long.
+constexpr std::size_t kFewPairs = 1024, kFewErrors = 16384;
 constexpr double kFirstDamping = 1e-3, kDampingFactor = 10.0;
 constexpr int kTries = 10;
 
@@ -77,7 +79,7 @@ class Problem {
   // Pairs at this pose, and the quadratic form of the error about it.
   Sums linearized(const Rigid& T) {
     frame_ = T;
-    return summed([&](std::size_t i, Sums& sums) {
+    return summed(kFewPairs, [&](std::size_t i, Sums& sums) {
       Pair& pair = pairs_[i];
       find(T, i, pair);
       if (pair.target == Surface::kNone) return;
@@ -89,22 +91,24 @@ class Problem {
 
   // The error of the same pairs at another pose.
   double error(const Rigid& T) const {
-    return summed([&](std::size_t i, Sums& sums) {
-             const Pair& pair = pairs_[i];
-             if (pair.target == Surface::kNone) return;
-             const auto e = residual(T, i, pair);
-             const auto We = times(pair.W, e);
-             sums.error += 0.5 * (e[0] * We[0] + e[1] * We[1] + e[2] * We[2]);
-           })
+    return summed(kFewErrors,
+                  [&](std::size_t i, Sums& sums) {
+                    const Pair& pair = pairs_[i];
+                    if (pair.target == Surface::kNone) return;
+                    const auto e = residual(T, i, pair);
+                    const auto We = times(pair.W, e);
+                    sums.error += 0.5 * (e[0] * We[0] + e[1] * We[1] + e[2] * We[2]);
+                  })
         .error;
   }
 
  private:
   // Chunks are fixed and added up in order: no sum depends on who took which.
   template <typename Body>
-  Sums summed(const Body& body) const {
-    std::vector<Sums> parts((pairs_.size() + kChunk - 1) / kChunk);
-    parallel_for(pairs_.size(), kChunk, threads_, [&](std::size_t begin, std::size_t end, int) {
+  Sums summed(std::size_t few, const Body& body) const {
+    const std::size_t n = pairs_.size();
+    std::vector<Sums> parts((n + kChunk - 1) / kChunk);
+    parallel_for(n, kChunk, n < few ? 1 : threads_, [&](std::size_t begin, std::size_t end, int) {
       for (std::size_t i = begin; i < end; ++i) body(i, parts[begin / kChunk]);
     });
     Sums total;

@@ -10,6 +10,7 @@ namespace segloc {
 namespace {
 
 constexpr double kMaxCells = 6.4e7;
+constexpr double kMostCells = 1e12;  // from the origin: beyond it a quotient is not a cell any more
 constexpr std::int64_t kSupportRadius = 10;  // cells
 constexpr double kSupportSlope = 0.05;       // how fast the band of support widens with distance
 constexpr int kEnoughSupport = 24;           // cells
@@ -35,6 +36,10 @@ Grid lowest_points(const float* points, std::size_t n, double cell) {
       high[a] = std::max<double>(high[a], points[3 * i + a]);
     }
   }
+  for (const double v : {low[0], low[1], high[0], high[1]}) {
+    if (!(std::abs(v) / cell < kMostCells))
+      throw std::invalid_argument("the cloud is too far from the origin for this ground cell");
+  }
   const double nx = std::floor(high[0] / cell) - std::floor(low[0] / cell) + 1;
   const double ny = std::floor(high[1] / cell) - std::floor(low[1] / cell) + 1;
   if (!(nx * ny <= kMaxCells))
@@ -49,7 +54,8 @@ Grid lowest_points(const float* points, std::size_t n, double cell) {
   for (std::size_t i = 0; i < n; ++i) {
     const auto ix = static_cast<std::int64_t>((points[3 * i] - grid.x0) / cell);
     const auto iy = static_cast<std::int64_t>((points[3 * i + 1] - grid.y0) / cell);
-    float& z = grid.at(std::min(ix, grid.nx - 1), std::min(iy, grid.ny - 1));
+    float& z = grid.at(std::clamp<std::int64_t>(ix, 0, grid.nx - 1),
+                       std::clamp<std::int64_t>(iy, 0, grid.ny - 1));
     z = std::min(z, points[3 * i + 2]);
   }
   return grid;

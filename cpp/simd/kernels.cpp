@@ -27,15 +27,13 @@ struct IsaRow {
 
 constexpr std::size_t kIsas = std::size(kIsaNames);
 
-// In the order of the enumeration.
-const IsaRow* rows() {
+// In the order of the enumeration. Not a function's static variable, whose guard could be locked
+// when another thread forks.
 #define SEGLOC_BUILT(name, runs) IsaRow{#name, &name::kTable, runs},
 #define SEGLOC_MISSING(name) IsaRow{#name, nullptr, false},
-  static const IsaRow all[] = {SEGLOC_ISAS(SEGLOC_BUILT, SEGLOC_MISSING)};
+const IsaRow kRows[] = {SEGLOC_ISAS(SEGLOC_BUILT, SEGLOC_MISSING)};
 #undef SEGLOC_BUILT
 #undef SEGLOC_MISSING
-  return all;
-}
 
 // "portable, avx2 or avx512"
 std::string all_names() {
@@ -50,15 +48,14 @@ std::string all_names() {
 }  // namespace
 
 const Kernels& kernels(Isa isa) {
-  const Kernels* table = rows()[static_cast<std::size_t>(isa)].table;
+  const Kernels* table = kRows[static_cast<std::size_t>(isa)].table;
   return table != nullptr ? *table : portable::kTable;
 }
 
 Isa parse_isa(const std::string& name) {
-  const IsaRow* all = rows();
   for (std::size_t i = kIsas; i-- > 0;) {
-    if (name == "auto" ? all[i].runs : name == all[i].name) {
-      if (!all[i].runs) throw std::invalid_argument("this machine does not run " + name);
+    if (name == "auto" ? kRows[i].runs : name == kRows[i].name) {
+      if (!kRows[i].runs) throw std::invalid_argument("this machine does not run " + name);
       return static_cast<Isa>(i);
     }
   }

@@ -18,6 +18,7 @@ class ObservedHeight {
     std::unordered_map<std::uint64_t, Span> own;
     for (std::size_t i = 0; i < n; ++i) {
       const float* p = points + 3 * i;
+      if (!near(p[0], p[1])) continue;
       own[key(cell(p[0]), cell(p[1]))].add(p[2], p[2]);
     }
     for (const auto& [at, span] : own) {
@@ -31,7 +32,7 @@ class ObservedHeight {
   // Whether a point is no higher than the cloud is around it. Near the ground it always is, and so
   // it is where the cloud has nothing at all.
   bool contains(float x, float y, float z) const {
-    if (!(std::abs(x) < kLimit && std::abs(y) < kLimit)) return true;
+    if (!near(x, y)) return true;
     const auto found = around_.find(key(cell(x), cell(y)));
     if (found == around_.end()) return true;
     return z <= std::max(found->second.high, found->second.low + kAlways) + kSlack;
@@ -39,7 +40,7 @@ class ObservedHeight {
 
  private:
   static constexpr float kCell = 4.0f, kAlways = 3.0f, kSlack = 0.5f;  // metres
-  static constexpr float kLimit = 4e9f;
+  static constexpr float kLimit = 4e9f;  // metres; the numbers of cells fit 32 bits
 
   struct Span {
     float low = std::numeric_limits<float>::infinity(), high = -low;
@@ -49,6 +50,7 @@ class ObservedHeight {
     }
   };
 
+  static bool near(float x, float y) { return std::abs(x) < kLimit && std::abs(y) < kLimit; }
   static std::int64_t cell(float v) { return static_cast<std::int64_t>(std::floor(v / kCell)); }
   static std::uint64_t key(std::int64_t x, std::int64_t y) {
     return (static_cast<std::uint64_t>(x) << 32) | (static_cast<std::uint64_t>(y) & 0xFFFFFFFFull);

@@ -51,25 +51,33 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
 std::vector<std::uint32_t> PointIndex::within(double x, double y, double radius) const {
   std::vector<std::uint32_t> found;
   if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
-  // Tiles run fastest along x: each row of tiles is one range of the sorted ones.
-  for (std::int64_t ty = tile_of(y - radius); ty <= tile_of(y + radius); ++ty) {
-    auto tile = std::lower_bound(
-        tiles_.begin(), tiles_.end(), std::make_pair(ty, tile_of(x - radius)),
+  const std::int64_t first = tile_of(x - radius), last = tile_of(x + radius);
+  const std::int64_t bottom = tile_of(y - radius), top = tile_of(y + radius);
+  const auto next = [&](auto from, std::int64_t row) {
+    return std::lower_bound(
+        from, tiles_.end(), std::make_pair(row, first),
         [](const Tile& t, const auto& at) { return std::make_pair(t.y, t.x) < at; });
-    for (; tile != tiles_.end() && tile->y == ty && tile->x <= tile_of(x + radius); ++tile) {
-      for (const std::uint32_t i : tile->points) {
-        const double dx = grid_[i][0] - x, dy = grid_[i][1] - y;
-        if (dx * dx + dy * dy <= radius * radius) found.push_back(i);
-      }
+  };
+  // Tiles run fastest along x: each row of tiles is one range of the sorted ones. Rows without any
+  // are skipped.
+  for (auto tile = next(tiles_.begin(), bottom); tile != tiles_.end() && tile->y <= top;) {
+    if (tile->x < first || tile->x > last) {
+      tile = next(tile, tile->x < first ? tile->y : tile->y + 1);
+      continue;
     }
+    for (const std::uint32_t i : tile->points) {
+      const double dx = grid_[i][0] - x, dy = grid_[i][1] - y;
+      if (dx * dx + dy * dy <= radius * radius) found.push_back(i);
+    }
+    ++tile;
   }
   return found;
 }
 
 std::vector<float> PointIndex::sample(double x, double y, double radius, std::size_t count) const {
   const std::vector<std::uint32_t> found = within(x, y, radius);
-  const std::size_t step =
-      std::max<std::size_t>(1, (found.size() + count - 1) / std::max<std::size_t>(1, count));
+  if (found.empty()) return {};
+  const std::size_t step = (found.size() - 1) / std::max<std::size_t>(1, count) + 1;
   std::vector<float> points;
   for (std::size_t k = 0; k < found.size(); k += step) {
     points.insert(points.end(), grid_[found[k]].begin(), grid_[found[k]].end());

@@ -113,7 +113,9 @@ class Aligner:
     def align(
         self, target: _native.Surface, source: _native.Surface, T_target_source: Pose
     ) -> Aligned | None:
-        """Align from a first guess; None where the clouds share too little to hold a pose."""
+        """Align from a first guess; None where it is not finite, or the clouds share too little."""
+        if not np.isfinite(T_target_source).all():
+            return None
         T, H, error, inliers, _ = target.align(
             source, np.ascontiguousarray(T_target_source), threads=self._threads
         )
