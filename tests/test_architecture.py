@@ -34,6 +34,7 @@ LAYERS = (
     Layer("descriptors"),
     Layer("io"),
     Layer("motion processes system files tensor_file stage_times"),
+    Layer("locks"),
     Layer("geometry types localization checks errors _native", together=True),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""
