@@ -33,7 +33,8 @@ LAYERS = (
     Layer("local_cloud segmentation matching pose registration verification map", together=True),
     Layer("descriptors"),
     Layer("io"),
-    Layer("motion processes system files stage_times"),
+    Layer("motion processes system files tensor_file stage_times"),
+    Layer("locks"),
     Layer("geometry types localization checks section errors _native", together=True),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""

@@ -44,6 +44,8 @@ FOR_USERS = (
 )
 """What users may want to set. The confidence was fitted under the others."""
 
+_MOST_TEXT = 1 << 16  # characters of the configuration in a map; there are about 3000
+
 
 class Config(Section):
     """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
@@ -104,10 +106,12 @@ def map_config(prior_map: SegmentMap) -> Config:
     method. One that was merged of maps built differently keeps several: the first counts.
     """
     text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
+    if len(text) > _MOST_TEXT:  # maps come from strangers, and YAML is read slowly
+        return Config.preset(prior_map.descriptor)
     try:
         values = yaml.safe_load(text) or {}
         stored = Config.model_validate({**values, "threads": 0})
-    except (yaml.YAMLError, ValidationError, TypeError):
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError):
         return Config.preset(prior_map.descriptor)
     if stored.method != prior_map.descriptor:
         return Config.preset(prior_map.descriptor)

@@ -1,8 +1,21 @@
-"""Writing files so that a crash or a full disk never leaves half of one."""
+"""Writing files so that a crash or a full disk never leaves half of one.
+
+The order, which :func:`replacing` keeps to:
+
+1. a temporary file ``.NAME.PID-RANDOM.tmp`` is made in the same folder and locked;
+2. the bytes are written, and flushed to the disk (fsync of the file);
+3. it is renamed to NAME, which takes the place of the old file at once;
+4. the rename is flushed to the disk (fsync of the folder).
+
+So NAME is the old file or the whole new one, after a kill at any moment and after a loss of power
+too, and once the save has returned it is the new one. What a killed save leaves is removed by the
+next save of that file.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -10,15 +23,22 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import SeglocError
+from .locks import locked, process_lives
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[BinaryIO]:
+def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
     """Open a temporary file that takes the place of ``path`` when the block ends well.
 
-    The bytes are on the disk before the rename and the rename is before the return, so at any
-    moment ``path`` is either the old file or the whole new one. If the block or the disk fails,
-    the temporary file is removed and ``path`` is as it was.
+    At any moment ``path`` is either the old file or the whole new one. If the block or the disk
+    fails, the temporary file is removed and ``path`` is as it was.
+
+    Parameters
+    ----------
+    path : path
+    sweep : bool
+        Whether to look for what killed saves of that file left, which lists the folder: not worth
+        it for each of many files.
 
     Raises
     ------
@@ -26,9 +46,12 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         If the file cannot be written; names it and the fault.
     """
     target = checked_target(Path(path))
+    if sweep:
+        _remove_stale(target)
     temporary = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("xb") as stream:
+            locked(stream.fileno())  # until it is closed: says that its writer lives
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -64,6 +87,26 @@ def checked_target(path: Path) -> Path:
     if not target.parent.is_dir():
         raise SeglocError(f"{path}: cannot be written: there is no folder {target.parent}")
     return target
+
+
+def _remove_stale(target: Path) -> None:
+    """Remove the temporary files of saves of ``target`` that were killed.
+
+    Their processes are gone, and so are the locks that these held; on a folder that several
+    machines or containers share the lock alone tells.
+    """
+    pattern = re.compile(re.escape(f".{target.name}.") + r"(\d{1,9})-[0-9a-f]{8}\.tmp")
+    with suppress(OSError):
+        for path in target.parent.iterdir():
+            found = pattern.fullmatch(path.name)
+            if found and not process_lives(int(found[1])):
+                _remove_unlocked(path)
+
+
+def _remove_unlocked(path: Path) -> None:
+    with suppress(OSError), path.open("rb") as stream:
+        if locked(stream.fileno()) is not False:
+            path.unlink()
 
 
 def _sync_folder(folder: Path) -> None:

@@ -127,11 +127,13 @@ def _suffix(component: int) -> str:
 def _write_maps(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
     from ..alignment.merged_map import build_merged_map
     from .console import progress
+    from .saving import writing
 
     for c, members in enumerate(alignment.components):
         with progress("Building the map") as update:
             prior_map = build_merged_map([aligned[k] for k in members], config, update)
-        prior_map.save(out / f"site{_suffix(c)}.segmap")
+        with writing(out / f"site{_suffix(c)}.segmap"):
+            prior_map.save(out / f"site{_suffix(c)}.segmap")
 
 
 def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:

@@ -46,6 +46,7 @@ def build(
     from .console import progress
     from .map_info import show
     from .recording import open_recording
+    from .saving import writing
 
     check_every(every)
     checked_target(out)
@@ -60,5 +61,6 @@ def build(
         )
     with progress("Building the map") as update:
         prior_map = build_map(recording, settings, every_m=every, progress=update)
-    prior_map.save(out)
+    with writing(out):
+        prior_map.save(out)
     show(prior_map, str(out))

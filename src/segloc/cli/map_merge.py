@@ -2,28 +2,48 @@
 
 from __future__ import annotations
 
-from functools import reduce
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import MapOut
+from .options import Elsewhere, MapOut
+
+if TYPE_CHECKING:
+    from ..map.segment_map import SegmentMap
 
 
 def merge(
     maps: Annotated[list[Path], typer.Argument(metavar="MAP MAP...", help="Two or more maps.")],
     out: MapOut,
+    elsewhere: Elsewhere = False,
 ) -> None:
     """Merge maps of one place that share their frame; what they have in common is kept once."""
     from ..errors import ConfigError
-    from ..files import checked_target
     from ..map.segment_map import SegmentMap
     from .map_info import show
+    from .saving import writing
 
     if len(maps) < 2:
         raise ConfigError("merging needs two maps or more")
-    checked_target(out)
-    prior_map = reduce(SegmentMap.merge, map(SegmentMap.load, maps))
-    prior_map.save(out)
+    with writing(out):
+        prior_map = _merged([SegmentMap.load(path) for path in maps], maps, elsewhere)
+        prior_map.save(out)
     show(prior_map, str(out))
+
+
+def _merged(maps: list[SegmentMap], paths: list[Path], elsewhere: bool) -> SegmentMap:
+    """The union, joined in an order in which each meets what was joined before, if there is one."""
+    from ..errors import MapMismatch
+    from ..map.same_place import check_same_place, meets
+
+    merged, waiting = maps[0], list(zip(maps[1:], paths[1:], strict=True))
+    while waiting:
+        chosen = next((each for each in waiting if meets(merged, each[0])), waiting[0])
+        waiting.remove(chosen)
+        try:
+            check_same_place(merged, chosen[0], elsewhere=elsewhere)
+        except MapMismatch as error:
+            raise MapMismatch(f"{chosen[1]}: {error}") from error
+        merged = merged.merge(chosen[0])
+    return merged

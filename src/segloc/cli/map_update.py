@@ -10,6 +10,7 @@ import typer
 from .options import (
     ConfigFile,
     Deskew,
+    Elsewhere,
     MapOut,
     Recording,
     Select,
@@ -33,6 +34,7 @@ def update(
     ] = 2,
     max_views: Annotated[int, typer.Option(min=0, help="Newest views of an object; 0: all.")] = 0,
     max_segments: Annotated[int, typer.Option(min=0, help="Size of the map; 0: any.")] = 0,
+    elsewhere: Elsewhere = False,
     topic: Topic = None,
     deskew: Deskew = True,
     config: ConfigFile = None,
@@ -44,20 +46,22 @@ def update(
     An object that the session's rays passed through is remembered as missed; what was not in view
     stays.
     """
-    from ..files import checked_target
     from ..map.segment_map import SegmentMap
     from ..map.update import UpdateConfig, update_map
     from .console import progress, table
     from .recording import open_recording
+    from .saving import writing
 
-    checked_target(out)
-    prior = SegmentMap.load(prior_map)
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
-    chosen = map_settings(prior, config, threads, weights)
-    recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew)
-    with progress("Looking at the map") as bar:
-        updated, counts = update_map(prior, recording, chosen, settings, bar)
-    updated.save(out)
+    with writing(out):
+        prior = SegmentMap.load(prior_map)
+        chosen = map_settings(prior, config, threads, weights)
+        recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew)
+        with progress("Looking at the map") as bar:
+            updated, counts = update_map(
+                prior, recording, chosen, settings, bar, elsewhere=elsewhere
+            )
+        updated.save(out)
     rows = [
         ("segments before", str(len(prior))),
         ("  seen again", str(counts.seen)),

@@ -51,8 +51,9 @@ ConfigFile = Annotated[
 ]
 Threads = Annotated[int, typer.Option(min=0, help="0: all cores. Results do not depend on it.")]
 MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
-
-
+Elsewhere = Annotated[
+    bool, typer.Option("--elsewhere", help="What is added may be of another place in the frame.")
+]
 Weights = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Trained weights, in place of the shipped ones."),

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from .. import tensor_file
 from ..errors import WeightsError
 from ..files import replacing
+from ..tensor_file import TensorFile, TensorFileError
 
 _VERSION = "2"
 
@@ -94,7 +95,7 @@ def read_weights(
             raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
     try:
         settings, card = json.loads(metadata["settings"]), json.loads(metadata["card"])
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path}: the metadata is damaged ({error})") from error
     if not isinstance(settings, dict) or not isinstance(card, dict):
         raise WeightsError(f"{path}: the metadata is damaged")
@@ -111,13 +112,12 @@ def shipped_weights(file: str) -> Path:
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
     with opened(path) as file:
-        names = list(file.keys())
-        return file.metadata() or {}, {name: file.get_tensor(name) for name in names}
+        return file.metadata, {name: file.read(name) for name in sorted(file.tensors)}
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """A safetensors file, open for reading.
+def opened(path: Path) -> Iterator[TensorFile]:
+    """A safetensors file, open for reading; it is read, not mapped, since it may shrink meanwhile.
 
     Raises
     ------
@@ -127,12 +127,12 @@ def opened(path: Path) -> Iterator[Any]:
     if path.is_dir():
         raise WeightsError(f"{path}: is a directory")
     try:
-        with safe_open(path, framework="np") as file:
+        with tensor_file.opened(path) as file:
             yield file
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
-    except (OSError, SafetensorError, TypeError) as error:  # TypeError: a dtype NumPy has not
-        raise WeightsError(f"{path}: {error}") from error
+    except (OSError, TensorFileError) as error:
+        raise WeightsError(f"{path}: not a weights file, or a damaged one ({error})") from error
 
 
 def _digest(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:

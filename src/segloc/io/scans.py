@@ -152,5 +152,5 @@ def write_scan(path: str | Path, points: ArrayLike, times: ArrayLike | None = No
             data = _FORMATTERS[suffix](scan.points)
     except DatasetError as error:
         raise DatasetError(f"{path}: {error}") from error
-    with replacing(path) as stream:
+    with replacing(path, sweep=False) as stream:
         stream.write(data)

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 
-from ..errors import MapFormatError
+from ..errors import MapFormatError, SeglocError
 from ..files import replacing
+from ..tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
+from .contents import MAX_DIM, Extremes, arrays_fault, texts_fault, voxel_fault
 
 FORMAT_VERSION = 1
 """Raised whenever an older reader would misread a newer file."""
@@ -67,6 +68,14 @@ class Contents:
     cloud_voxel: float
     metadata: Mapping[str, str]
 
+    def fault(self, extremes: Mapping[str, Extremes] | None = None) -> str | None:
+        """What is wrong with the values, with field and row; None if nothing is."""
+        return (
+            texts_fault(self.descriptor, self.fingerprint, self.metadata)
+            or voxel_fault(self.cloud_voxel)
+            or arrays_fault(self.arrays, self.cloud_voxel, extremes)
+        )
+
     def fields(self) -> dict[str, str]:
         """The text fields of ``REQUIRED_FIELDS``."""
         return {
@@ -83,8 +92,10 @@ def write(path: str | Path, contents: Contents) -> None:
     Raises
     ------
     SeglocError
-        If the file cannot be written.
+        If the file cannot be written, or :func:`read` would refuse what it holds.
     """
+    if fault := contents.fault():
+        raise SeglocError(f"{path}: not written: {fault}")
     data = {
         name: np.ascontiguousarray(contents.arrays[name], dtype=_DTYPES[dtype])
         for name, (dtype, _) in SCHEMA.items()  # widest first, which keeps every buffer aligned
@@ -94,8 +105,11 @@ def write(path: str | Path, contents: Contents) -> None:
     texts = {**contents.fields(), _VERSION: str(FORMAT_VERSION)}
     texts |= {f"{_CHECKSUM}.{name}": _digest(array) for name, array in data.items()}
     texts[_CHECKSUM] = _header_digest(texts, shapes)
+    header = _header(texts, shapes, {name: array.nbytes for name, array in data.items()})
+    if len(header) > MAX_HEADER_BYTES:
+        raise SeglocError(f"{path}: not written: metadata of {len(header)} bytes are too long")
     with replacing(path) as stream:
-        stream.write(_header(texts, shapes, {name: array.nbytes for name, array in data.items()}))
+        stream.write(header)
         for array in data.values():
             stream.write(array.reshape(-1).view(np.uint8).data)
 
@@ -103,54 +117,62 @@ def write(path: str | Path, contents: Contents) -> None:
 def read(path: str | Path) -> Contents:
     """Read a map file.
 
-    Sizes are checked against the length of the file before any array is allocated.
+    Sizes are checked against the length of the file before any array is allocated, and values
+    when the checksums have been. The file is read, not mapped: cut short meanwhile it is refused.
 
     Raises
     ------
     MapFormatError
-        If there is no such file, or it is truncated, corrupt, newer, or no map; one line.
+        If there is no such file, or it is truncated, corrupt, newer, or no map, or a value in it
+        is not finite or absurd; one line, which names file, field and row.
     """
     try:
         if not Path(path).is_file():
             kind = "is not a regular file" if Path(path).exists() else "no such file"
             raise MapFormatError(f"{path}: {kind}")
-        # The package checks that header and buffers cover the file exactly, without a gap.
-        with safe_open(path, framework="numpy") as file:
+        with opened(path) as file:
             return _read_checked(path, file)
-    except SafetensorError as error:
-        fault = str(error).splitlines()[0] if str(error) else "unreadable header"
-        raise MapFormatError(f"{path}: not a map, or a damaged one ({fault})") from error
+    except TensorFileError as error:
+        raise MapFormatError(f"{path}: not a map, or a damaged one ({error})") from error
     except OSError as error:
         raise MapFormatError(f"{path}: cannot be read: {error}") from error
 
 
-def _read_checked(path: str | Path, file: Any) -> Contents:
-    texts: dict[str, str] = file.metadata() or {}
+def _read_checked(path: str | Path, file: TensorFile) -> Contents:
+    texts = file.metadata
     _check_version(path, texts)
-    shapes: dict[str, tuple[str, list[int]]] = {}
-    for name in file.keys():  # noqa: SIM118 (not a mapping)
-        part = file.get_slice(name)
-        shapes[name] = (part.get_dtype(), part.get_shape())
+    shapes = {name: (tensor.dtype, list(tensor.shape)) for name, tensor in file.tensors.items()}
     if texts.get(_CHECKSUM) != _header_digest(texts, shapes):
         raise MapFormatError(f"{path}: damaged: the header does not match its checksum")
     _check_shapes(path, shapes)
     _check_fields(path, texts)
     arrays: dict[str, Array] = {}
+    extremes: dict[str, Extremes] = {}
     for name in shapes:
-        arrays[name] = file.get_tensor(name)
-        if texts.get(f"{_CHECKSUM}.{name}") != _digest(arrays[name]):
+        digest, extremes[name] = hashlib.blake2b(digest_size=16), Extremes()
+        arrays[name] = file.read(name, _both(digest.update, extremes[name].see))
+        if texts.get(f"{_CHECKSUM}.{name}") != digest.hexdigest():
             raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
-    return _contents(path, arrays, texts)
+    contents = _contents(path, arrays, texts)
+    if fault := contents.fault(extremes):
+        raise MapFormatError(f"{path}: damaged: {fault}")
+    return contents
+
+
+def _both(first: Callable[[Array], None], second: Callable[[Array], None]) -> Any:
+    def look(part: Array) -> None:
+        first(part)
+        second(part)
+
+    return look
 
 
 def _contents(path: str | Path, arrays: dict[str, Array], texts: Mapping[str, str]) -> Contents:
     try:
         voxel = float(texts["cloud_voxel"])
-        metadata = {str(k): str(v) for k, v in json.loads(texts["metadata"]).items()}
+        metadata = dict(json.loads(texts["metadata"]).items())
     except (ValueError, AttributeError, RecursionError) as error:
         raise MapFormatError(f"{path}: damaged: unreadable text fields") from error
-    if not (np.isfinite(voxel) and voxel > 0 and arrays["vectors"].shape[1] > 0):
-        raise MapFormatError(f"{path}: damaged: dim or cloud_voxel is not positive")
     return Contents(arrays, texts["descriptor"], texts["fingerprint"], voxel, metadata)
 
 
@@ -186,6 +208,8 @@ def _check_shapes(path: str | Path, shapes: Mapping[str, tuple[str, list[int]]])
         for d, size in zip(wanted, shape, strict=True):
             if isinstance(d, str):
                 lengths[d] = size
+    if not 0 < lengths["D"] <= MAX_DIM:
+        raise MapFormatError(f"{path}: vectors have {lengths['D']} numbers, not 1 to {MAX_DIM}")
 
 
 def _check_fields(path: str | Path, texts: Mapping[str, str]) -> None:

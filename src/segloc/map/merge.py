@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -83,14 +84,17 @@ def _twins(mine: list[Key], theirs: list[Key]) -> Int64:
 
 
 def _renumbered(mine: Array, theirs: Array, twin: Int64) -> Array:
-    free = int(mine.max()) + 1
+    free = _free_numbers(mine)
     renumbered = np.empty_like(theirs)
     for session in np.unique(theirs):
         rows = theirs == session
         twins = twin[rows & (twin >= 0)]
-        if len(twins):
-            renumbered[rows] = mine[twins].min()
-        else:
-            renumbered[rows] = free
-            free += 1
+        renumbered[rows] = mine[twins].min() if len(twins) else next(free)
     return renumbered
+
+
+def _free_numbers(taken: Array) -> Iterator[int]:
+    """Those above the largest, as long as they fit; then those from zero that are left."""
+    yield from range(int(taken.max()) + 1, int(np.iinfo(taken.dtype).max) + 1)
+    numbers = set(taken.tolist())
+    yield from (number for number in itertools.count() if number not in numbers)

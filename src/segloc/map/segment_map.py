@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import checked_pose
 from ..errors import MapMismatch, SeglocError
 from ..types import Descriptors, Float32, Float64
 from . import file as mapfile
+from .contents import column_fault, voxel_fault
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .segment_table import SEGMENT_DTYPES, Array, SegmentTable, checked, joined, no_segments
 from .voxel_cloud import VoxelCloud
@@ -66,9 +66,9 @@ class SegmentMap(SegmentTable):
         """A map of nothing yet."""
         if dim < 1:
             raise SeglocError(f"dim must be positive, not {dim}")
-        if not (np.isfinite(cloud_voxel) and cloud_voxel > 0):
-            raise SeglocError(f"cloud_voxel must be positive, not {cloud_voxel}")
         where = checked(origin, "origin", (3,), np.float64)
+        if fault := voxel_fault(cloud_voxel) or column_fault("origin", where):
+            raise SeglocError(fault)
         cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
         return cls(descriptor_name, fingerprint, no_segments(dim), cloud, np.empty((0, 4, 4)))
 
@@ -97,7 +97,6 @@ class SegmentMap(SegmentTable):
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes held by the arrays."""
         return sum(array.nbytes for array in self._arrays().values())
 
     def info(self) -> dict[str, Any]:
@@ -168,10 +167,11 @@ class SegmentMap(SegmentTable):
             If the shape is wrong or a pose is not a rigid transform.
         """
         array = np.asarray(poses)
-        if array.ndim != 3 or array.shape[1:] != (4, 4):
-            raise SeglocError(f"poses must have shape (V, 4, 4), not {array.shape}")
-        checked = [checked_pose(T, f"poses[{i}]") for i, T in enumerate(array)]
-        self._trajectory.append(np.array(checked, dtype=np.float64).reshape(-1, 4, 4))
+        if array.ndim != 3 or array.shape[1:] != (4, 4) or array.dtype.kind not in "iuf":
+            raise SeglocError(f"poses must be numbers (V, 4, 4), not {array.dtype} {array.shape}")
+        if fault := column_fault("trajectory", array):
+            raise SeglocError(fault)
+        self._trajectory.append(array.astype(np.float64))
 
     def merge(self, other: SegmentMap) -> SegmentMap:
         """A new map of everything that either map holds.

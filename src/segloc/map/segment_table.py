@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MapMismatch, SeglocError
 from ..types import Descriptors, Float32, Float64
+from .contents import column_fault
 
 Array = NDArray[Any]
 Int32 = NDArray[np.int32]
@@ -156,6 +157,9 @@ class SegmentTable:
             for name, value in values.items()
             if value is not None
         }
+        for name, column in columns.items():
+            if fault := column_fault(name, column):
+                raise SeglocError(fault)
         if count and len(self) and ("quality" in columns) != ("quality" in self._columns):
             raise MapMismatch("either all views of a map have descriptor quality or none")
         return columns

@@ -15,6 +15,7 @@ from ..errors import SeglocError
 from ..section import Section
 from ..types import Float64, Recording
 from .build import build_map
+from .same_place import check_same_place
 from .segment_map import SegmentMap
 from .visibility import Visibility, VisibilityConfig, visibility
 
@@ -76,6 +77,8 @@ def update_map(
     config: Config | None = None,
     update: UpdateConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    elsewhere: bool = False,
 ) -> tuple[SegmentMap, UpdateCounts]:
     """Add what a session saw to a map, and let go what it passed through.
 
@@ -94,6 +97,9 @@ def update_map(
     update : UpdateConfig, optional
     progress : callable, optional
         Called with (scans done, scans in all) while visibility is judged.
+    elsewhere : bool
+        Whether the session may be of another place in the map's frame, which meets the map's path
+        nowhere; see :func:`~segloc.map.same_place.check_same_place`.
 
     Returns
     -------
@@ -104,7 +110,8 @@ def update_map(
     DatasetError
         If the recording has no poses, or nothing that could be segmented.
     MapMismatch
-        If the map was described by something else.
+        If the map was described by something else, the session meets the map nowhere, or their
+        clouds disagree where they meet.
     SeglocError
         If far more of what should be in view is gone than changes in a place: then the poses are
         not in the map's frame.
@@ -117,11 +124,12 @@ def update_map(
     missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
         np.int32
     )
+    fresh = build_map(recording, config)
+    check_same_place(prior_map, fresh, elsewhere=elsewhere)
     stay = missed < update.max_missed
     waiting = stay & gone
     points = ~judged.gone | _within_segments(prior_map, waiting)
     old = prior_map.kept(stay, points, missed)
-    fresh = build_map(recording, config)
     merged = old.merge(fresh)
     keep = _newest_views(merged, update)
     bounded = merged.kept(keep, np.ones(len(merged.cloud), dtype=bool))

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from ..errors import SeglocError
 from ..types import Float32, Float64, Int64
+from .contents import MAX_VOXELS, relative_fault
 
-_BITS = 21  # a voxel index packs into 63 bits
+_BITS = MAX_VOXELS.bit_length() - 1
 _MIN_PENDING = 1 << 18
 
 
@@ -42,18 +43,20 @@ class VoxelCloud:
         Raises
         ------
         SeglocError
-            If the shape or dtype is wrong or a point is not finite; the cloud is then unchanged.
+            If the shape or dtype is wrong or a point is not finite or too far from the origin; the
+            cloud is then unchanged.
         """
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
             raise SeglocError(
                 f"cloud must be (N, 3) floating point, not {points.shape} {points.dtype}"
             )
-        self.add_relative((points - self.origin).astype(np.float32))
+        with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
+            self.add_relative((points - self.origin).astype(np.float32))
 
     def add_relative(self, points: Float32) -> None:
         """Add (N, 3) points that are relative to the origin."""
-        if not np.isfinite(points).all():
-            raise SeglocError("the cloud has points that are not finite")
+        if fault := relative_fault(points):
+            raise SeglocError(fault)
         self._pending.append(points)
         self._pending_count += len(points)
         if self._pending_count > max(_MIN_PENDING, len(self._thinned)):

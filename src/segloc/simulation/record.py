@@ -130,6 +130,6 @@ def _write_scans(
         name = f"{sequence.indices[i]:06d}"
         write_scan(folder / f"{name}{suffix}", scan.points, scan.times)
         if objects and isinstance(sequence, SimulatedSequence):
-            with replacing(folder / "objects" / f"{name}.npy") as file:
+            with replacing(folder / "objects" / f"{name}.npy", sweep=False) as file:
                 np.save(file, sequence.object_ids(i))
     return len(indices)

@@ -55,7 +55,7 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
             return create(name, threads)
         raise WeightsError(f"{name}: no such file, and no descriptor of that name")
     with opened(path) as file:
-        kind = (file.metadata() or {}).get("format", "")
+        kind = file.metadata.get("format", "")
     if kind == "segloc network":
         return PointSetDescriptor(path.stem, path, True, threads)
     if kind == "segloc profile network":

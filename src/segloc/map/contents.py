@@ -1,0 +1,159 @@
+"""What the values of a map must be: a checksum finds damage, and says nothing of them.
+
+The same rules hold where a map is filled, written and read, so that what could be saved loads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..types import Float32, Float64
+
+Array = NDArray[Any]
+
+MAX_COORDINATE_M = 1e8
+"""Of origin, centroids and poses: UTM and earth-centred frames stay below a tenth of it."""
+
+MAX_CLOUD_M = 1e6
+"""From the cloud's origin: farther out float32 is coarser than 6 cm."""
+
+CLOUD_VOXELS_M = (1e-3, 1e3)
+MAX_VOXELS = 1 << 21
+"""Along an axis of the cloud: three indices pack into 63 bits."""
+
+MAX_DIM = 1 << 20
+_LARGEST = float(np.finfo(np.float64).max)
+_MOST_TEXT = 1000  # characters of a name
+
+RANGES: dict[str, tuple[float, float]] = {
+    "origin": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "centroids": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "stamps": (-_LARGEST, _LARGEST),
+    "trajectory": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "vectors": (-1e15, 1e15),  # so that squares of distances are finite
+    "quality": (0, 1),
+    "cloud": (-MAX_CLOUD_M, MAX_CLOUD_M),
+    "sizes": (0, 2**31 - 1),
+    "missed": (0, 2**30),
+}
+"""What is in no range is refused, and so is what is not finite. Sessions may have any number."""
+
+
+class Extremes:
+    """Least and largest of the numbers seen so far, both NaN if one of them is; zeros of none."""
+
+    def __init__(self) -> None:
+        self._lows: list[float] = []
+        self._highs: list[float] = []
+
+    def see(self, numbers: Array) -> None:
+        with np.errstate(invalid="ignore"):
+            self._lows.append(numbers.min())
+            self._highs.append(numbers.max())
+
+    @property
+    def low(self) -> float:
+        return float(np.min(self._lows)) if self._lows else 0.0
+
+    @property
+    def high(self) -> float:
+        return float(np.max(self._highs)) if self._highs else 0.0
+
+
+def extremes_of(array: Array) -> Extremes:
+    """Of all numbers of an array."""
+    extremes = Extremes()
+    if array.size:
+        extremes.see(array)
+    return extremes
+
+
+def arrays_fault(
+    arrays: Mapping[str, Array], cloud_voxel: float, extremes: Mapping[str, Extremes] | None = None
+) -> str | None:
+    """What is wrong with the arrays of a map, with field and row; None if nothing is.
+
+    ``extremes`` are those of the arrays, where they are known.
+    """
+    known = extremes or {name: extremes_of(array) for name, array in arrays.items()}
+    for name, array in arrays.items():
+        if fault := column_fault(name, array, known[name]):
+            return fault
+    if known["cloud"].high - known["cloud"].low <= cloud_voxel * MAX_VOXELS:
+        return None  # which is sooner known than the span of each axis
+    return _span_fault(arrays["cloud"], cloud_voxel)
+
+
+def column_fault(name: str, array: Array, extremes: Extremes | None = None) -> str | None:
+    """What is wrong with one array, with the first row that is; None if nothing is."""
+    if name not in RANGES or not array.size:
+        return None
+    extremes = extremes or extremes_of(array)
+    low, high = RANGES[name]
+    if not (low <= extremes.low and extremes.high <= high):
+        return _outside(name, array)
+    return _pose_fault(array) if name == "trajectory" else None
+
+
+def texts_fault(descriptor: Any, fingerprint: Any, metadata: Mapping[Any, Any]) -> str | None:
+    """What is wrong with the texts of a map; None if nothing is."""
+    for name, text in (("descriptor", descriptor), ("fingerprint", fingerprint)):
+        if not (isinstance(text, str) and len(text) <= _MOST_TEXT and text.isprintable()):
+            return f"{name}: not a line of text"
+    for key, text in metadata.items():
+        if not (_is_text(key) and _is_text(text)):
+            return f"metadata: {str(key)[:40]!r} is not text"
+    return None
+
+
+def voxel_fault(cloud_voxel: float) -> str | None:
+    """What is wrong with the voxel of a cloud; None if nothing is."""
+    low, high = CLOUD_VOXELS_M
+    if low <= cloud_voxel <= high:
+        return None
+    return f"cloud_voxel must be from {low:g} to {high:g} m, not {cloud_voxel:g}"
+
+
+def relative_fault(points: Float32) -> str | None:
+    """What is wrong with points relative to a cloud's origin; None if nothing is."""
+    if not (fault := column_fault("cloud", points)):
+        return None
+    if not np.isfinite(points).all():
+        return "the cloud has points that are not finite"
+    return f"{fault} m from its origin"
+
+
+def _is_text(value: Any) -> bool:
+    try:
+        return isinstance(value, str) and value.encode() is not None
+    except UnicodeEncodeError:  # half of a surrogate pair
+        return False
+
+
+def _outside(name: str, array: Array) -> str:
+    low, high = RANGES[name]
+    flat = array.reshape(len(array), -1)
+    bad = ~((flat >= low) & (flat <= high))
+    row = int(np.argmax(bad.any(axis=1)))
+    value = float(flat[row][np.argmax(bad[row])])
+    what = f"outside {low:g} to {high:g}" if np.isfinite(value) else "not finite"
+    return f"{name}: row {row} has {value:g}: {what}"
+
+
+def _pose_fault(poses: Float64) -> str | None:
+    R = poses[:, :3, :3]
+    skewed = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > 1e-3
+    skewed |= np.linalg.det(R) < 0
+    skewed |= np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9
+    return f"trajectory: row {int(np.argmax(skewed))} is no rigid pose" if skewed.any() else None
+
+
+def _span_fault(cloud: Float32, voxel: float) -> str | None:
+    span = float(np.ptp(cloud, axis=0).max())
+    if span <= voxel * MAX_VOXELS:
+        return None
+    return f"cloud: it spans {span:g} m, more than {MAX_VOXELS} voxels of {voxel:g} m"

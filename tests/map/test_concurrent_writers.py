@@ -1,0 +1,212 @@
+"""Several processes that write one map: nothing is lost, and no killed one blocks the others."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.maps import make_map
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, SegmentMap, build_map
+from segloc.files import replacing
+from segloc.io import Trajectory, write_scan, write_tum
+from segloc.locks import exclusive
+
+SEGLOC = [sys.executable, "-c", "from segloc.cli import main; main()"]
+HOLD = """
+import sys, time
+from segloc.locks import exclusive
+with exclusive(sys.argv[1]):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+HALF = """
+import sys, time
+from segloc.files import replacing
+with replacing(sys.argv[1]) as stream:
+    stream.write(b"half")
+    stream.flush()
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
+    """A map of a plaza, and the walk as a folder of scans with poses."""
+    folder, run = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=8)
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    build_map(run, config).save(folder / "site.segmap")
+    for name, seed in (("one", 100), ("two", 200)):
+        (folder / name).mkdir()
+        for i in range(len(run)):
+            scan = plaza.scan(run.poses[i], seed=seed + i)
+            write_scan(folder / name / f"{i:04d}.npy", scan.points)
+        write_tum(folder / name / "poses.tum", Trajectory(run.indices.astype(float), run.poses))
+    return folder
+
+
+def started(code: str, path: Path) -> subprocess.Popen[str]:
+    child = subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout and child.stdout.readline() == "held\n"
+    child.stdout.close()
+    return child
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.is_file())
+
+
+@pytest.mark.slow
+def test_of_two_updates_at_once_both_sessions_are_there(place: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site.segmap"
+    site.write_bytes((place / "site.segmap").read_bytes())
+    command = [*SEGLOC, "map", "update", site, "--out", site, "--threads", "1", "--poses"]
+    running = [
+        subprocess.Popen(
+            [*map(str, command), str(place / name / "poses.tum"), str(place / name)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for name in ("one", "two")
+    ]
+    said = [process.communicate(timeout=200)[1] for process in running]
+    assert [process.returncode for process in running] == [0, 0], said
+    assert len(np.unique(SegmentMap.load(site).session)) == 3
+    assert sum("waiting for another process" in text for text in said) <= 1
+    assert names(tmp_path) == ["site.segmap"]
+
+
+@pytest.mark.slow
+def test_of_two_merges_onto_one_map_both_are_there(place: Path, tmp_path: Path) -> None:
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    for seed in (1, 2):
+        run = PlazaSequence(Plaza(0), steps=6)
+        run.poses[:, 0, 3] += seed
+        build_map(run, config).save(tmp_path / f"{seed}.segmap")
+    site = tmp_path / "site.segmap"
+    site.write_bytes((place / "site.segmap").read_bytes())
+    merges = [
+        subprocess.Popen(
+            [*SEGLOC, "map", "merge", site, tmp_path / f"{seed}.segmap", "--out", site],
+            stdout=subprocess.DEVNULL,
+        )
+        for seed in (1, 2)
+    ]
+    assert [process.wait(200) for process in merges] == [0, 0]
+    assert len(np.unique(SegmentMap.load(site).session)) == 3
+    assert names(tmp_path) == ["1.segmap", "2.segmap", "site.segmap"]
+
+
+def test_a_killed_holder_blocks_nobody(tmp_path: Path) -> None:
+    path = tmp_path / "site.segmap"
+    child = started(HOLD, path)
+    assert names(tmp_path) == [".site.segmap.lock"]
+    waited: list[float] = []
+
+    def wait() -> None:
+        with exclusive(path, lambda: waited.append(0.0)):
+            waited.append(time.monotonic())
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    time.sleep(0.3)
+    assert len(waited) == 1  # told that it waits, and waiting
+    child.send_signal(signal.SIGKILL)
+    thread.join(20)
+    assert len(waited) == 2
+    child.wait()
+    assert names(tmp_path) == []
+
+
+def test_locks_are_passed_on_one_at_a_time(tmp_path: Path) -> None:
+    inside, most = [0], [0]
+
+    def work() -> None:
+        for _ in range(25):
+            with exclusive(tmp_path / "a"):
+                inside[0] += 1
+                most[0] = max(most[0], inside[0])
+                time.sleep(0.0005)
+                inside[0] -= 1
+
+    threads = [threading.Thread(target=work) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (inside, most) == ([0], [1])
+    assert names(tmp_path) == []
+
+
+def test_what_a_killed_save_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "site.segmap"
+    killed, other = started(HALF, path), started(HALF, tmp_path / "other.segmap")
+    running = started(HALF, path)
+    for child in (killed, other):
+        child.kill()
+        child.wait()
+    assert len(names(tmp_path)) == 3
+    kept = {name for name in names(tmp_path) if f".{killed.pid}-" not in name}
+    make_map().save(path)
+    assert set(names(tmp_path)) == kept | {"site.segmap"}  # another file's, and a live writer's
+    running.kill()
+    running.wait()
+    with replacing(path) as stream:
+        stream.write(b"new")
+    assert [n for n in names(tmp_path) if n.startswith(".site")] == []
+
+
+def test_a_writer_that_cannot_be_seen_but_holds_its_lock_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a folder that several containers share."""
+    monkeypatch.setattr("segloc.files.process_lives", lambda _: False)
+    running = started(HALF, tmp_path / "site.segmap")
+    make_map().save(tmp_path / "site.segmap")
+    assert len(names(tmp_path)) == 2
+    running.kill()
+    running.wait()
+    make_map().save(tmp_path / "site.segmap")
+    assert names(tmp_path) == ["site.segmap"]
+
+
+def test_many_writers_of_one_file_never_break_it(tmp_path: Path) -> None:
+    path, failures = tmp_path / "a.segmap", []
+    make_map(1).save(path)
+
+    def write(seed: int) -> None:
+        try:
+            for k in range(10):
+                make_map(1, seed=10 * seed + k).save(path)
+        except Exception as error:  # whatever it is
+            failures.append(error)
+
+    threads = [threading.Thread(target=write, args=(seed,)) for seed in range(4)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        assert len(SegmentMap.load(path)) == 3
+    assert not failures
+    assert names(tmp_path) == ["a.segmap"]
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_is_said_in_a_line(tmp_path: Path) -> None:
+    from segloc.errors import SeglocError
+
+    tmp_path.chmod(0o500)
+    with pytest.raises(SeglocError, match="cannot be written"), exclusive(tmp_path / "a"):
+        pass
+    tmp_path.chmod(0o700)
