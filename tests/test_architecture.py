@@ -34,11 +34,11 @@ LAYERS = (
     Layer("descriptors"),
     Layer("io"),
     Layer("motion processes system files stage_times"),
-    Layer("geometry types localization checks errors _native", together=True),
+    Layer("geometry types localization checks errors budget _native", together=True),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""
 
-ONLY = {"datasets": "io motion files geometry types checks errors _native"}
+ONLY = {"datasets": "io motion files geometry types checks errors budget _native"}
 """Rooms that may import no other than these: datasets stand beside the stages."""
 
 PACKAGES = {

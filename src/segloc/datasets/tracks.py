@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..io.fields import one_line
 from ..io.scans import read_file
-from ..io.trajectory import read_trajectory_and_kind
+from ..io.trajectory import FARTHEST_M, LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
 from ..motion import interpolated
 from ..types import Float64, Int64, Pose
 
@@ -88,18 +89,33 @@ def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
     Raises
     ------
     DatasetError
-        If none is left.
+        If none is left, or a position is beyond all reason; names ``source`` and the pose.
     """
     finite = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
     good = finite.copy()
     good[finite] = rising(stamps[finite])
     if not good.any():
         raise DatasetError(f"{source}: no poses")
+    _check_positions(source, poses, good)
     lost = len(good) - int(good.sum())
     note = (
         f"{source}: {lost} of {len(good)} poses left out: not finite, or not later" if lost else ""
     )
     return Track(source, stamps[good], poses[good], note=note)
+
+
+def _check_positions(source: str, poses: Float64, good: NDArray[np.bool_]) -> None:
+    numbers = np.flatnonzero(good) + 1
+    far, broken = too_far(poses[good]), torn(poses[good])
+    if far.any():
+        number = numbers[int(far.argmax())]
+        raise DatasetError(f"{source}: pose {number}: a position beyond {FARTHEST_M:.0e} m")
+    if broken.any():
+        number = numbers[int(broken.argmax())]
+        raise DatasetError(
+            f"{source}: pose {number}: a position more than {LONGEST_STEP_M / 1000:.0f} km from "
+            "the one before"
+        )
 
 
 def rising(stamps: Float64) -> NDArray[np.bool_]:
@@ -161,12 +177,13 @@ def read_table(
         rows = [line for line in lines[header:] if line.strip() and not line.startswith("#")]
         if not rows:
             raise DatasetError("no rows")
+        check_points(len(rows), "rows")
         for column in columns:
             if isinstance(column, str) and column not in names:
                 raise DatasetError(f"no column {column!r} in its first line")
         chosen = [names.index(c) if isinstance(c, str) else c for c in columns]
         return np.loadtxt(rows, delimiter=separator, usecols=chosen, ndmin=2)
-    except (DatasetError, ValueError) as error:
+    except (DatasetError, ValueError, MemoryError) as error:
         raise DatasetError(f"{path}: {one_line(error)}") from error
 
 
