@@ -33,7 +33,7 @@ LAYERS = (
     Layer("local_cloud segmentation matching pose registration verification map", together=True),
     Layer("descriptors"),
     Layer("io"),
-    Layer("motion processes system files stage_times"),
+    Layer("motion processes system files stage_times yamlfile"),
     Layer("geometry types localization checks errors budget _native", together=True),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""
@@ -48,10 +48,11 @@ PACKAGES = {
     "torch": "training",
     "sklearn": "training",
     "safetensors": "descriptors map training",
-    "yaml": "config",
+    "yaml": "config yamlfile",
     "laspy": "io",
     "lazrs": "io",
     "rosbags": "datasets.ros",
+    "lz4": "datasets.ros",
     "velodyne_decoder": "datasets.packets",
     "kiss_icp": "datasets.odometry",
     "embreex": "simulation",

@@ -19,6 +19,7 @@ from .matching import MatchingConfig
 from .pose import PoseConfig
 from .segmentation import SegmentationConfig
 from .verification import VerificationConfig, shipped_confidence
+from .yamlfile import parse_yaml, read_yaml
 
 DEFAULT_METHOD = "profile"
 
@@ -106,9 +107,9 @@ def map_config(prior_map: SegmentMap) -> Config:
     """
     text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
     try:
-        values = yaml.safe_load(text) or {}
+        values = parse_yaml(text, "the map") or {}
         stored = Config.model_validate({**values, "threads": 0})
-    except (yaml.YAMLError, ValidationError, TypeError):
+    except (ConfigError, ValidationError, TypeError):
         return Config.preset(prior_map.descriptor)
     if stored.method != prior_map.descriptor:
         return Config.preset(prior_map.descriptor)
@@ -197,29 +198,6 @@ def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Mode
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{where}: {key}: {first['msg']}") from error
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """What a YAML file maps names to; nothing if it is empty.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or is no YAML mapping.
-    """
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not YAML ({str(error).splitlines()[0]})") from error
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: expected a mapping of sections")
-    return values
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -40,6 +40,11 @@ class Track:
         What the keys are, "seconds" or "numbers".
     note : str
         What had to be left out, if anything.
+
+    Raises
+    ------
+    DatasetError
+        If a position is beyond all reason; names the source and the pose, counted from 1.
     """
 
     source: str
@@ -47,6 +52,18 @@ class Track:
     poses: Float64
     clock: Literal["seconds", "numbers"] = "seconds"
     note: str = ""
+
+    def __post_init__(self) -> None:
+        far, broken = too_far(self.poses), torn(self.poses)
+        if far.any():
+            raise DatasetError(
+                f"{self.source}: pose {int(far.argmax()) + 1}: a position beyond {FARTHEST_M:.0e} m"
+            )
+        if broken.any():
+            raise DatasetError(
+                f"{self.source}: pose {int(broken.argmax()) + 1}: a position more than "
+                f"{LONGEST_STEP_M / 1000:.0f} km from the one before"
+            )
 
     def at(self, indices: Int64, stamps: Float64 | None) -> Float64:
         """T_world_sensor (N, 4, 4) of scans with these numbers and stamps; NaN where unknown.
@@ -89,33 +106,18 @@ def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
     Raises
     ------
     DatasetError
-        If none is left, or a position is beyond all reason; names ``source`` and the pose.
+        If none is left, or as a :class:`Track`.
     """
     finite = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
     good = finite.copy()
     good[finite] = rising(stamps[finite])
     if not good.any():
         raise DatasetError(f"{source}: no poses")
-    _check_positions(source, poses, good)
     lost = len(good) - int(good.sum())
     note = (
         f"{source}: {lost} of {len(good)} poses left out: not finite, or not later" if lost else ""
     )
     return Track(source, stamps[good], poses[good], note=note)
-
-
-def _check_positions(source: str, poses: Float64, good: NDArray[np.bool_]) -> None:
-    numbers = np.flatnonzero(good) + 1
-    far, broken = too_far(poses[good]), torn(poses[good])
-    if far.any():
-        number = numbers[int(far.argmax())]
-        raise DatasetError(f"{source}: pose {number}: a position beyond {FARTHEST_M:.0e} m")
-    if broken.any():
-        number = numbers[int(broken.argmax())]
-        raise DatasetError(
-            f"{source}: pose {number}: a position more than {LONGEST_STEP_M / 1000:.0f} km from "
-            "the one before"
-        )
 
 
 def rising(stamps: Float64) -> NDArray[np.bool_]:
@@ -212,12 +214,21 @@ def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
     return _assembled(xyz, Rotation.from_quat(xyzw))
 
 
-def matrix_poses(rows: Float64) -> Float64:
+def matrix_poses(rows: Float64, where: str) -> Float64:
     """Poses (N, 4, 4) from their upper three rows, (N, 12); rotations made exact.
 
     Positions of the size of UTM coordinates come with rotations that were rounded.
+
+    Raises
+    ------
+    DatasetError
+        If one is far from a rotation; names ``where`` and the row.
     """
     matrices = rows.reshape(-1, 3, 4)
+    with np.errstate(all="ignore"):
+        good = np.abs(np.linalg.det(matrices[:, :, :3]) - 1) < 0.1
+    if not good.all():
+        raise DatasetError(f"{where}: row {int(good.argmin()) + 1} is not a rotation")
     return _assembled(matrices[:, :, 3], Rotation.from_matrix(matrices[:, :, :3]))
 
 

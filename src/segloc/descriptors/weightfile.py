@@ -15,10 +15,13 @@ from numpy.typing import DTypeLike, NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from ..errors import WeightsError
+from ..budget import check_bytes
+from ..errors import DatasetError, WeightsError
 from ..files import replacing
 
 _VERSION = "2"
+_OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionError, LookupError)
+"""By what NumPy and the networks refuse contents; TypeError: a dtype that NumPy has not."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,10 @@ def read_weights(
             raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
     try:
         settings, card = json.loads(metadata["settings"]), json.loads(metadata["card"])
-    except (KeyError, ValueError) as error:
+        texts = isinstance(settings, dict) and all(isinstance(v, str) for v in settings.values())
+    except (KeyError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path}: the metadata is damaged ({error})") from error
-    if not isinstance(settings, dict) or not isinstance(card, dict):
+    if not texts or not isinstance(card, dict):
         raise WeightsError(f"{path}: the metadata is damaged")
     digest = _digest(tensors, settings)
     if digest != metadata.get("sha256"):
@@ -126,12 +130,36 @@ def opened(path: Path) -> Iterator[Any]:
     """
     if path.is_dir():
         raise WeightsError(f"{path}: is a directory")
+    if path.exists() and not path.is_file():  # a pipe might never end
+        raise WeightsError(f"{path}: not a file")
     try:
+        check_bytes(path.stat().st_size, "a file")
         with safe_open(path, framework="np") as file:
             yield file
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
-    except (OSError, SafetensorError, TypeError) as error:  # TypeError: a dtype NumPy has not
+    except MemoryError as error:
+        raise WeightsError(f"{path}: not enough memory to read it") from error
+    except (OSError, SafetensorError, DatasetError, *_OF_CONTENT) as error:
+        raise WeightsError(f"{path}: {error}") from error
+
+
+@contextmanager
+def faults_of_weights(path: Path) -> Iterator[None]:
+    """What settings and tensors that make no network are refused by.
+
+    Raises
+    ------
+    WeightsError
+        Naming the file.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise WeightsError(f"{path}: there is no {error}") from error
+    except MemoryError as error:
+        raise WeightsError(f"{path}: not enough memory for such a network") from error
+    except _OF_CONTENT as error:
         raise WeightsError(f"{path}: {error}") from error
 
 

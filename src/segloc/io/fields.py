@@ -45,6 +45,8 @@ def faults_of(where: object) -> Iterator[None]:
     try:
         yield
     except DatasetError as error:
+        if str(error).startswith(f"{where}: "):
+            raise
         raise DatasetError(f"{where}: {error}") from error
     except MemoryError as error:
         raise DatasetError(f"{where}: not enough memory to read it") from error

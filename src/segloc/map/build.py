@@ -146,8 +146,7 @@ def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tupl
     way = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []
     for view in config.mapping.views:
-        marks = np.arange(0.0, way[-1] + 1e-9, every_m or view.every_m)
-        for index in np.unique(np.searchsorted(way, marks - 1e-9)):
+        for index in geometry.stations(way, every_m or view.every_m):
             gap = config.local_cloud.max_gap_m
             scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
             plan.append((int(index), scans))

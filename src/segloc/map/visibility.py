@@ -80,8 +80,7 @@ def visibility(
     if poses is None or not len(poses):
         raise DatasetError(f"{recording.name}: needs a pose in the map for every scan")
     way = geometry.travelled(poses)
-    marks = np.arange(0.0, way[-1] + 1e-9, config.every_m)
-    chosen = np.unique(np.searchsorted(way, marks - 1e-9))
+    chosen = geometry.stations(way, config.every_m)
     passes = np.zeros(len(points), np.int32)
     cloud = VoxelCloud(np.empty((0, 3), np.float32), origin, config.near_m / 2)
     for done, i in enumerate(map(int, chosen)):
