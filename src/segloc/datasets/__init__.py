@@ -62,6 +62,11 @@ def open_sequence(
     where = Path(path)
     try:
         return _opened(where, poses, select, topic, deskew)
+    except DatasetError as error:
+        text = str(error)
+        if any(str(file) in text for file in (where, poses) if file is not None):
+            raise
+        raise DatasetError(f"{where}: {text}") from error
     except MemoryError as error:
         raise DatasetError(f"{where}: not enough memory to open it") from error
     except OSError as error:

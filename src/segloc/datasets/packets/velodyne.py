@@ -131,6 +131,10 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
     except ImportError as error:
         raise MissingDependency("velodyne-decoder", "packets", "Velodyne packets") from error
     check_packets(len(packets))
+    if not packets:  # of none, the decoder ends the process
+        raise DatasetError(f"{where}: no packets")
+    if any(len(data) != PACKET for _, data in packets):
+        raise DatasetError(f"{where}: cut off: packets of other than {PACKET} bytes")
     try:
         decoder = velodyne_decoder.ScanDecoder(
             velodyne_decoder.Config(timestamp_first_packet=True, cut_angle=None)
