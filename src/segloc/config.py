@@ -20,6 +20,7 @@ from .pose import PoseConfig
 from .section import Section
 from .segmentation import SegmentationConfig
 from .verification import VerificationConfig, shipped_confidence
+from .yamlfile import parse_yaml, read_yaml
 
 DEFAULT_METHOD = "profile"
 
@@ -109,9 +110,9 @@ def map_config(prior_map: SegmentMap) -> Config:
     if len(text) > _MOST_TEXT:  # maps come from strangers, and YAML is read slowly
         return Config.preset(prior_map.descriptor)
     try:
-        values = yaml.safe_load(text) or {}
+        values = parse_yaml(text, "the map") or {}
         stored = Config.model_validate({**values, "threads": 0})
-    except (yaml.YAMLError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError):
+    except (ConfigError, ValueError, TypeError, AttributeError, ArithmeticError):
         return Config.preset(prior_map.descriptor)
     if stored.method != prior_map.descriptor:
         return Config.preset(prior_map.descriptor)
@@ -200,29 +201,6 @@ def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Mode
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{where}: {key}: {first['msg']}") from error
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """What a YAML file maps names to; nothing if it is empty.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or is no YAML mapping.
-    """
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not YAML ({str(error).splitlines()[0]})") from error
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: expected a mapping of sections")
-    return values
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

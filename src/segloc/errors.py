@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import re
+
+_MORE_LINES = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
+_LONGEST = 3000
+
 
 class SeglocError(Exception):
-    """Base of every error that segloc raises on purpose."""
+    """Base of every error that segloc raises on purpose; its message is one line.
+
+    Names of files, topics and fields in it can be anything.
+    """
+
+    def __init__(self, message: object = "", *others: object) -> None:
+        line = _MORE_LINES.sub(" ", str(message))
+        if len(line) > _LONGEST:
+            line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+        super().__init__(line, *others)
 
 
 class InvalidScan(SeglocError, ValueError):

@@ -75,6 +75,32 @@ def arc_length(line: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[0.0], np.cumsum(steps)])[: len(line)]
 
 
+def stations(way: NDArray[np.float64], every_m: float, first_m: float = 0.0) -> NDArray[np.int64]:
+    """Which points of a path to stop at for one stop every so many metres, in order.
+
+    The first point at or behind each mark, so nothing is allocated for marks: a path may be long
+    and the distance between marks short.
+
+    Parameters
+    ----------
+    way : (N,) float64
+        Metres travelled up to each point, from 0 on.
+    every_m : float
+        Positive.
+    first_m : float
+        Where the first mark is.
+
+    Returns
+    -------
+    (S,) int64
+        Positions in ``way``.
+    """
+    with np.errstate(over="ignore"):
+        passed = np.floor((way + 1e-9 - first_m) / every_m) + 1.0  # marks up to each point
+    before = np.concatenate([[0.0], np.maximum(passed, 0.0)])[: len(way)]
+    return np.flatnonzero(passed > before)
+
+
 def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance travelled up to each of (N, 4, 4) poses, metres, (N,)."""
     return arc_length(poses[:, :3, 3])

@@ -128,8 +128,7 @@ def describe_session(
     """
     poses = posed(recording)
     travelled = geometry.travelled(poses)
-    marks = np.arange(0.0, travelled[-1] + 1e-9, settings.every_m)
-    anchors = np.unique(np.searchsorted(travelled, marks - 1e-9)).astype(np.int64)
+    anchors = geometry.stations(travelled, settings.every_m)
     parts = _Parts(config, settings, poses[0, :3, 3])
     reader = _Reader(recording, poses, config)
     submaps = []

@@ -37,8 +37,7 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
     for part in np.split(np.arange(len(poses)), breaks):
         distance = geometry.travelled(poses[part])
         if len(part):
-            marks = np.arange(every_m, distance[-1] + 1e-9, every_m)
-            chosen.append(part[np.unique(np.searchsorted(distance, marks - 1e-9))])
+            chosen.append(part[geometry.stations(distance, every_m, every_m)])
     return np.concatenate(chosen, dtype=np.int64) if chosen else np.empty(0, np.int64)
 
 

@@ -86,6 +86,9 @@ def main() -> None:
     """Run the command line. What is the user's to mend ends as one line and exit status 1."""
     try:
         app()
+    except MemoryError:
+        print("segloc: error: not enough memory", file=sys.stderr)
+        sys.exit(1)
     except (SeglocError, OSError) as error:
         print(f"segloc: error: {_one_line(error)}", file=sys.stderr)
         sys.exit(1)

@@ -59,9 +59,30 @@ def open_sequence(
     MissingDependency
         If the format needs a package that is not installed.
     """
+    where = Path(path)
+    try:
+        return _opened(where, poses, select, topic, deskew)
+    except DatasetError as error:
+        text = str(error)
+        if any(str(file) in text for file in (where, poses) if file is not None):
+            raise
+        raise DatasetError(f"{where}: {text}") from error
+    except MemoryError as error:
+        raise DatasetError(f"{where}: not enough memory to open it") from error
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise DatasetError(f"{error.filename or where}: cannot read: {reason}") from error
+
+
+def _opened(
+    where: Path,
+    poses: str | Path | None,
+    select: str | Selection | None,
+    topic: str | None,
+    deskew: bool,
+) -> Sequence:
     from .formats import identify
 
-    where = Path(path)
     selection = parse_select(select) if isinstance(select, str) else select
     without = poses is not None and str(poses) == NO_POSES
     file = None if poses is None or without else _find_poses(Path(poses), where)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..types import Float32, Scan
 
@@ -21,6 +22,7 @@ def rows_of(data: bytes, dtype: np.dtype[np.void] | str, width: int = 0) -> NDAr
     size = kind.itemsize * (width or 1)
     if len(data) % size:
         raise DatasetError(f"cut off: {len(data)} bytes are not whole points of {size}")
+    check_points(len(data) // size)
     values = np.frombuffer(data, dtype=kind) if data else np.empty(0, dtype=kind)
     return values.reshape(-1, width) if width else values
 

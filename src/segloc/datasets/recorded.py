@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import DatasetError
+from ..io.fields import faults_of
 from ..io.scans import read_file
 from ..motion import Motion, deskew
 from ..types import Float64, Int64, Scan, stamp_at
@@ -54,10 +55,8 @@ class FileSource:
         return str(self.paths[k])
 
     def read(self, k: int) -> Scan:
-        try:
+        with faults_of(self.paths[k]):
             return self.parse(read_file(self.paths[k]))
-        except DatasetError as error:
-            raise DatasetError(f"{self.paths[k]}: {error}") from error
 
 
 @dataclass(frozen=True)

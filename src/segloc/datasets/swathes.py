@@ -99,17 +99,15 @@ def swathes(recording: Recording, length_m: float = 30.0) -> Swathes:
     if poses is None:
         raise DatasetError(f"{recording.name}: swathes need the scans' poses")
     way = geometry.travelled(poses)
-    count = int(way[-1] / length_m) if len(way) else 0
-    if count == 0:
+    cells = np.floor(way / length_m)  # scan by scan: a way may leap over more than there are scans
+    if not len(way) or cells[-1] < 1:
         reach = way[-1] if len(way) else 0.0
         raise DatasetError(
             f"{recording.name}: a way of {reach:.1f} m is shorter than one swathe of {length_m:g} m"
         )
-    bounds = np.searchsorted(way, length_m * np.arange(count + 1))
-    first, last = bounds[:-1], bounds[1:]
-    filled = first < last  # no scan lies in a stretch that the recording leaps over
-    first, last = first[filled], last[filled]
-    middle = length_m * (np.flatnonzero(filled) + 0.5)
+    bounds = np.flatnonzero(np.diff(cells, prepend=-1.0))
+    first, last = bounds[:-1], bounds[1:]  # without the last stretch, which is not whole
+    middle = length_m * (cells[first] + 0.5)
     anchor = np.minimum(np.searchsorted(way, middle), last - 1)
     truth = np.asarray(getattr(recording, "truth", poses))
     return Swathes(

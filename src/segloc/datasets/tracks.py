@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..io.fields import one_line
 from ..io.scans import read_file
-from ..io.trajectory import read_trajectory_and_kind
+from ..io.trajectory import FARTHEST_M, LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
 from ..motion import interpolated
 from ..types import Float64, Int64, Pose
 
@@ -39,6 +40,11 @@ class Track:
         What the keys are, "seconds" or "numbers".
     note : str
         What had to be left out, if anything.
+
+    Raises
+    ------
+    DatasetError
+        If a position is beyond all reason; names the source and the pose, counted from 1.
     """
 
     source: str
@@ -46,6 +52,18 @@ class Track:
     poses: Float64
     clock: Literal["seconds", "numbers"] = "seconds"
     note: str = ""
+
+    def __post_init__(self) -> None:
+        far, broken = too_far(self.poses), torn(self.poses)
+        if far.any():
+            raise DatasetError(
+                f"{self.source}: pose {int(far.argmax()) + 1}: a position beyond {FARTHEST_M:.0e} m"
+            )
+        if broken.any():
+            raise DatasetError(
+                f"{self.source}: pose {int(broken.argmax()) + 1}: a position more than "
+                f"{LONGEST_STEP_M / 1000:.0f} km from the one before"
+            )
 
     def at(self, indices: Int64, stamps: Float64 | None) -> Float64:
         """T_world_sensor (N, 4, 4) of scans with these numbers and stamps; NaN where unknown.
@@ -88,7 +106,7 @@ def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
     Raises
     ------
     DatasetError
-        If none is left.
+        If none is left, or as a :class:`Track`.
     """
     finite = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
     good = finite.copy()
@@ -161,12 +179,13 @@ def read_table(
         rows = [line for line in lines[header:] if line.strip() and not line.startswith("#")]
         if not rows:
             raise DatasetError("no rows")
+        check_points(len(rows), "rows")
         for column in columns:
             if isinstance(column, str) and column not in names:
                 raise DatasetError(f"no column {column!r} in its first line")
         chosen = [names.index(c) if isinstance(c, str) else c for c in columns]
         return np.loadtxt(rows, delimiter=separator, usecols=chosen, ndmin=2)
-    except (DatasetError, ValueError) as error:
+    except (DatasetError, ValueError, MemoryError) as error:
         raise DatasetError(f"{path}: {one_line(error)}") from error
 
 
@@ -195,12 +214,21 @@ def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
     return _assembled(xyz, Rotation.from_quat(xyzw))
 
 
-def matrix_poses(rows: Float64) -> Float64:
+def matrix_poses(rows: Float64, where: str) -> Float64:
     """Poses (N, 4, 4) from their upper three rows, (N, 12); rotations made exact.
 
     Positions of the size of UTM coordinates come with rotations that were rounded.
+
+    Raises
+    ------
+    DatasetError
+        If one is far from a rotation; names ``where`` and the row.
     """
     matrices = rows.reshape(-1, 3, 4)
+    with np.errstate(all="ignore"):
+        good = np.abs(np.linalg.det(matrices[:, :, :3]) - 1) < 0.1
+    if not good.all():
+        raise DatasetError(f"{where}: row {int(good.argmin()) + 1} is not a rotation")
     return _assembled(matrices[:, :, 3], Rotation.from_matrix(matrices[:, :, :3]))
 
 

@@ -16,7 +16,7 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Segments
 from .base import Descriptor
-from .weightfile import read_weights, write_weights
+from .weightfile import faults_of_weights, read_weights, write_weights
 
 Alignment = Literal["none", "pca2d", "pca3d"]
 
@@ -112,16 +112,12 @@ def load_weights(path: Path) -> Weights:
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
     file = read_weights(path, _KIND)
-    try:
+    with faults_of_weights(path):
         alignment = file.settings["alignment"]
         rows = [Layer(**row) for row in json.loads(file.settings["layers"])]
         points = int(file.settings["points"])
         specs = [(row.points, row.neighbors, row.dilation, row.channels) for row in rows]
         network = _native.Network(specs, file.tensors, points)
-    except KeyError as error:
-        raise WeightsError(f"{path}: the metadata has no {error}") from error
-    except (TypeError, ValueError) as error:
-        raise WeightsError(f"{path}: {error}") from error
     if alignment not in get_args(Alignment) or points != POINTS:
         raise WeightsError(f"{path}: made for another preparation of the segments")
     return Weights(network, cast(Alignment, alignment), file.card, file.sha256)

@@ -17,7 +17,7 @@ from ..errors import WeightsError
 from ..types import Descriptors, Float32, Segments
 from .base import Descriptor, register
 from .pointset import prepare
-from .weightfile import read_weights, shipped_weights
+from .weightfile import faults_of_weights, read_weights, shipped_weights
 
 KIND = "profile network"
 PROFILE_VERSION = 1
@@ -79,10 +79,8 @@ class ProfileDescriptor(Descriptor):
         weights = read_weights(path, KIND)
         if weights.settings.get("profile") != str(PROFILE_VERSION):
             raise WeightsError(f"{path}: made for another profile than version {PROFILE_VERSION}")
-        try:
+        with faults_of_weights(path):
             self._network = _native.Perceptron(weights.tensors, LIMIT)
-        except ValueError as error:
-            raise WeightsError(f"{path}: {error}") from error
         if self._network.inputs != PROFILE_SIZE:
             raise WeightsError(
                 f"{path}: reads {self._network.inputs} numbers, not the profile's "

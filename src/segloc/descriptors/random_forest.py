@@ -15,7 +15,7 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Float32, Int64
 from .base import Descriptor, Pruner
-from .weightfile import read_weights, shipped_weights, write_weights
+from .weightfile import faults_of_weights, read_weights, shipped_weights, write_weights
 
 _KIND = "forest"
 _DTYPES = {"roots": np.int32, "feature": np.int32, "threshold": np.float32, "first_child": np.int32}
@@ -122,13 +122,9 @@ class PairForest(Pruner):
         made_for = file.settings.get("descriptor")
         if made_for != descriptor.fingerprint:
             raise WeightsError(f"{path}: made for {made_for}, not for {descriptor.fingerprint}")
-        try:
+        with faults_of_weights(path):
             layout = Layout(**json.loads(file.settings["layout"]))
             return PairForest(Trees(**file.tensors), layout, descriptor.dim, file.card)
-        except KeyError as error:
-            raise WeightsError(f"{path}: the metadata has no {error}") from error
-        except (TypeError, ValueError) as error:
-            raise WeightsError(f"{path}: {error}") from error
 
 
 class ForestDescriptor(Descriptor):

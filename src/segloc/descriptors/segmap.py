@@ -19,7 +19,7 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Int64, Segments
 from .base import Descriptor, register
-from .weightfile import read_weights, shipped_weights, write_weights
+from .weightfile import faults_of_weights, read_weights, shipped_weights, write_weights
 
 GRID = (32, 32, 16)
 
@@ -109,14 +109,10 @@ def load_weights(path: Path) -> tuple[_native.VoxelNetwork, dict[str, Any], str]
     file = read_weights(path, _KIND, {_QUANTIZED: np.int8})
     if file.settings.get("preprocessing") != str(PREPROCESSING_VERSION):
         raise WeightsError(f"{path}: made for another preparation of the segments")
-    try:
+    with faults_of_weights(path):
         tensors = dict(file.tensors)
         tensors[_QUANTIZED] = tensors[_QUANTIZED] * tensors.pop(_SCALE)
         return _native.VoxelNetwork(tensors), file.card, file.sha256
-    except KeyError as error:
-        raise WeightsError(f"{path}: there is no tensor {error}") from error
-    except (TypeError, ValueError) as error:
-        raise WeightsError(f"{path}: {error}") from error
 
 
 class SegMapDescriptor(Descriptor):

@@ -15,11 +15,14 @@ from numpy.typing import DTypeLike, NDArray
 from safetensors.numpy import save
 
 from .. import tensor_file
-from ..errors import WeightsError
+from ..budget import check_bytes
+from ..errors import DatasetError, WeightsError
 from ..files import replacing
 from ..tensor_file import TensorFile, TensorFileError
 
 _VERSION = "2"
+_OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionError, LookupError)
+"""By what NumPy and the networks refuse contents; TypeError: a dtype that NumPy has not."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,10 @@ def read_weights(
             raise WeightsError(f"{path}: tensor '{name}' has values that are not finite")
     try:
         settings, card = json.loads(metadata["settings"]), json.loads(metadata["card"])
+        texts = isinstance(settings, dict) and all(isinstance(v, str) for v in settings.values())
     except (KeyError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path}: the metadata is damaged ({error})") from error
-    if not isinstance(settings, dict) or not isinstance(card, dict):
+    if not texts or not isinstance(card, dict):
         raise WeightsError(f"{path}: the metadata is damaged")
     digest = _digest(tensors, settings)
     if digest != metadata.get("sha256"):
@@ -126,13 +130,37 @@ def opened(path: Path) -> Iterator[TensorFile]:
     """
     if path.is_dir():
         raise WeightsError(f"{path}: is a directory")
+    if path.exists() and not path.is_file():  # a pipe might never end
+        raise WeightsError(f"{path}: not a file")
     try:
+        check_bytes(path.stat().st_size, "a file")
         with tensor_file.opened(path) as file:
             yield file
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
-    except (OSError, TensorFileError) as error:
+    except MemoryError as error:
+        raise WeightsError(f"{path}: not enough memory to read it") from error
+    except (OSError, TensorFileError, DatasetError, *_OF_CONTENT) as error:
         raise WeightsError(f"{path}: not a weights file, or a damaged one ({error})") from error
+
+
+@contextmanager
+def faults_of_weights(path: Path) -> Iterator[None]:
+    """What settings and tensors that make no network are refused by.
+
+    Raises
+    ------
+    WeightsError
+        Naming the file.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise WeightsError(f"{path}: there is no {error}") from error
+    except MemoryError as error:
+        raise WeightsError(f"{path}: not enough memory for such a network") from error
+    except _OF_CONTENT as error:
+        raise WeightsError(f"{path}: {error}") from error
 
 
 def _digest(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..types import Scan
 
@@ -26,9 +28,28 @@ def header_lines(data: bytes) -> Iterator[tuple[list[str], int]]:
         start = end + 1
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: object) -> str:
     """What an error from elsewhere says, fit to stand in a message of one line."""
     return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+@contextmanager
+def faults_of(where: object) -> Iterator[None]:
+    """Name the file in errors about what is in it, and say so where memory runs out.
+
+    Raises
+    ------
+    DatasetError
+        Naming ``where``.
+    """
+    try:
+        yield
+    except DatasetError as error:
+        if str(error).startswith(f"{where}: "):
+            raise
+        raise DatasetError(f"{where}: {error}") from error
+    except MemoryError as error:
+        raise DatasetError(f"{where}: not enough memory to read it") from error
 
 
 def parse_count(word: str, what: str) -> int:
@@ -81,6 +102,7 @@ def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | No
     nanoseconds : bool, optional
         Whether the times are nanoseconds; by default they are where their type is an integer.
     """
+    check_points(len(columns[0]))
     points = np.empty((len(columns[0]), 3), dtype=np.float32)
     with np.errstate(all="ignore"):  # what float32 cannot hold becomes inf, which a Scan drops
         for axis in range(3):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..types import Float32, Scan
 
@@ -36,6 +37,7 @@ def parse_kitti(data: bytes) -> Scan:
     if not widths:
         raise DatasetError(f"{len(data)} bytes are not rows of 4 float32")
     rows = values.reshape(-1, widths[0])
+    check_points(len(rows))
     if _beyond(rows) > _MOST_BEYOND:
         raise DatasetError(
             f"rows of {widths[0]} float32 lie farther than {_FARTHEST_M:.0e} m off: they are "
@@ -48,6 +50,7 @@ def parse_nuscenes(data: bytes) -> Scan:
     """Rows of x, y, z, intensity, ring."""
     if len(data) % 20:
         raise DatasetError(f"{len(data)} bytes are not rows of 5 float32")
+    check_points(len(data) // 20)
     return Scan(_values(data).reshape(-1, 5))
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..budget import check_points
 from ..errors import DatasetError, MissingDependency
 from ..types import Float32, Float64, Scan
-from .fields import one_line, scan_from_columns
+from .fields import one_line
 from .laz import check_chunks
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def parse_las(data: bytes) -> Scan:
     header = _parse_header(data)
     if header.points == 0:
         return Scan(np.empty((0, 3), dtype=np.float32))
+    check_points(header.points)
     laspy = _import_laspy("reading .las and .laz files")
     try:
         with (
@@ -55,16 +56,16 @@ def parse_las(data: bytes) -> Scan:
             if header.compressed:
                 vlr = reader.header.vlrs.get("LasZipVlr")[0].record_data
                 check_chunks(data, header.points_start, header.points, header.record_size, vlr)
-            columns = _read_columns(reader)
+            points, times = _read_points(reader, header.points)
     except DatasetError:
         raise
     except BaseException as error:  # many kinds come through where bytes are wrong
+        if isinstance(error, MemoryError):
+            raise
         if not (isinstance(error, Exception) or type(error).__name__ == _RUST_PANIC):
             raise
         raise DatasetError(f"cannot decode the points: {one_line(error)}") from error
-    if len(columns[0]) != header.points:
-        raise DatasetError(f"{header.points} points announced, {len(columns[0])} found")
-    return scan_from_columns(columns)
+    return Scan(points, times=times)
 
 
 def _import_laspy(purpose: str) -> Any:
@@ -105,18 +106,24 @@ def _check_header(header: _Header, header_size: int, file_size: int) -> None:
         raise DatasetError(f"{header.points} points need {needed} bytes; the file is cut off")
 
 
-def _read_columns(reader: laspy.LasReader) -> list[NDArray[np.float64]]:
+def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 | None]:
+    """The points, (count, 3), and the GPS times where any is not zero."""
     header = reader.header
     timed = "gps_time" in header.point_format.dimension_names
-    chunks: list[list[NDArray[np.float64]]] = []
+    points = np.empty((count, 3), dtype=np.float32)
+    times = np.empty(count) if timed else None
+    done = 0
     for chunk in reader.chunk_iterator(_CHUNK):
-        columns = [
-            chunk.array[axis] * header.scales[i] + header.offsets[i] for i, axis in enumerate("XYZ")
-        ]
-        chunks.append(columns + ([chunk.array["gps_time"]] if timed else []))
-    stacked = [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
+        rows = slice(done, done + len(chunk))
+        for i, axis in enumerate("XYZ"):
+            points[rows, i] = chunk.array[axis] * header.scales[i] + header.offsets[i]
+        if times is not None:
+            times[rows] = chunk.array["gps_time"]
+        done += len(chunk)
+    if done != count:
+        raise DatasetError(f"{count} points announced, {done} found")
     # Most point formats have room for a time whether or not the writer knew one.
-    return stacked if timed and stacked[3].any() else stacked[:3]
+    return points, times if times is not None and times.any() else None
 
 
 def format_laz(points: Float32, times: Float64 | None = None) -> bytes:

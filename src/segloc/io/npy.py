@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..budget import check_bytes, check_points, most_points
 from ..errors import DatasetError
 from ..types import Float32, Float64, Scan
 from .fields import one_line
@@ -38,6 +39,7 @@ def parse_npz(data: bytes) -> Scan:
 def _as_points(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
     if array.ndim != 2 or array.shape[1] < 3:
         raise DatasetError(f"points have shape {array.shape}, not (N, 3) or wider")
+    check_points(len(array))
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
@@ -66,7 +68,7 @@ def _array_from(data: bytes, start: int, descr: str, shape: str, order: str) -> 
     if needed != len(data) - start:
         raise DatasetError(f"shape {sizes} needs {needed} bytes, but there are {len(data) - start}")
     if not needed:
-        if max(sizes, default=0) > np.iinfo(np.int64).max:
+        if max(sizes, default=0) > most_points():
             raise DatasetError(f"impossible shape {sizes}")
         return np.empty(sizes, dtype)
     return np.frombuffer(data, dtype, offset=start).reshape(
@@ -95,6 +97,7 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
         raise DatasetError(f"{info.filename} is compressed by an unknown method")
     if info.file_size > _DEFLATE_RATIO * (info.compress_size + 1):
         raise DatasetError(f"{info.filename} cannot hold the {info.file_size} bytes it claims")
+    check_bytes(info.file_size, info.filename)
     return archive.read(info)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
+from ..budget import check_bytes, check_points
 from ..errors import DatasetError
 from ..types import Float32, Scan
 from .fields import (
@@ -87,6 +88,7 @@ def _parse_header(data: bytes) -> _Header:
             entries[words[0]] = words[1:]
         if "DATA" in entries:
             fields, points = _parse_fields(entries), _parse_num_points(entries)
+            check_points(points)
             return _Header(fields, points, " ".join(entries["DATA"]), start)
     raise DatasetError("not a PCD file: its header has no DATA line")
 
@@ -160,6 +162,7 @@ def _decompress(data: bytes, start: int, expected: int) -> NDArray[np.uint8]:
     if size != expected:
         raise DatasetError(f"the points need {expected} bytes, but {size} were compressed")
     require_bytes(len(data) - start - 8, compressed, "the compressed points")
+    check_bytes(size, "points")
     try:
         return _native.lzf_decompress(column(data, np.uint8, compressed, start + 8, 1), size)
     except ValueError as error:

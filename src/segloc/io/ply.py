@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..types import Float32, Scan
 from .fields import (
@@ -24,6 +26,8 @@ _TYPES = {
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+_ODD_ROWS = 256  # measured one by one where few are alike
+_ALIKE_ROWS = 1 << 16
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -58,6 +62,7 @@ def parse_ply(data: bytes) -> Scan:
     if names.count("vertex") != 1:
         raise DatasetError(f"{names.count('vertex')} vertex elements, not 1")
     before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
+    check_points(vertex.count, "vertices")
     if vertex.has_lists:
         raise DatasetError("a list among the properties of a vertex is not supported")
     if order == "":
@@ -90,9 +95,10 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
 
 
 def _parse_property(words: list[str]) -> _Property:
-    types = words[2:4] if words[1:2] == ["list"] else words[1:2]
+    is_list = words[1:2] == ["list"]
+    types = words[2:4] if is_list else words[1:2]
     codes = [_TYPES.get(word) for word in types]
-    if len(words) != len(types) + (3 if len(types) == 2 else 2) or None in codes:
+    if len(words) != (5 if is_list else 3) or None in codes:
         raise DatasetError(f"unknown property: {' '.join(words)[:60]!r}")
     if len(codes) == 1:
         return _Property(words[-1], str(codes[0]))
@@ -104,10 +110,14 @@ def _parse_property(words: list[str]) -> _Property:
 def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
     names = [prop.name for prop in vertex.properties]
     columns = wanted_columns(names)
-    lines = [line for line in data.split(b"\n") if line.strip()]
-    start = sum(element.count for element in before)
-    rows = lines[start : start + vertex.count]
-    table = parse_table(b"\n".join(rows), columns=columns, width=len(names), rows=vertex.count)
+    table = parse_table(
+        data,
+        columns=columns,
+        width=len(names),
+        rows=vertex.count,
+        skipped=sum(element.count for element in before),
+        more=True,
+    )
     integer_times = vertex.properties[columns[-1]].type[0] in "iu"
     return scan_from_columns(list(table.T), nanoseconds=integer_times)
 
@@ -128,25 +138,67 @@ def _skip(data: bytes, start: int, element: _Element, order: str) -> int:
     if not element.has_lists:
         require_bytes(len(data) - start, element.count * element.stride, what)
         return start + element.count * element.stride
+    check_points(element.count, f"rows of {element.name}")
     # Each row has the byte of a list's length at least, which bounds the loop.
     require_bytes(len(data) - start, element.count, what)
-    for _ in range(element.count):
-        for prop in element.properties:
-            values = 1
-            if prop.length_type:
-                values, start = _list_length(data, start, order + prop.length_type)
-            start += values * np.dtype(prop.type).itemsize
-        require_bytes(len(data), start, what)
+    row = _Row(element, order)
+    done = 0
+    while done < element.count:
+        size = row.size(data, start, what)
+        alike = row.alike(data, start, size, element.count - done)
+        done, start = done + alike, start + alike * size
+        for _ in range(min(_ODD_ROWS if alike < _ODD_ROWS else 0, element.count - done)):
+            start += row.size(data, start, what)
+            done += 1
+    require_bytes(len(data), start, what)
     return start
 
 
-def _list_length(data: bytes, start: int, dtype: str) -> tuple[int, int]:
-    size = np.dtype(dtype).itemsize
-    require_bytes(len(data) - start, size, "a list's length")
-    length = int(np.frombuffer(data, dtype, count=1, offset=start)[0])
-    if length < 0:
-        raise DatasetError(f"a list has the length {length}")
-    return length, start + size
+class _Row:
+    """Measures rows with lists, whose sizes are known from what is in them alone."""
+
+    def __init__(self, element: _Element, order: str) -> None:
+        self._parts: list[tuple[int, struct.Struct | None, int]] = []
+        """Bytes before a list, its length, and bytes of one of its values."""
+        before = 0
+        for prop in element.properties:
+            size = np.dtype(prop.type).itemsize
+            if prop.length_type:
+                length = struct.Struct(order + np.dtype(prop.length_type).char)
+                self._parts.append((before, length, size))
+                before = 0
+            else:
+                before += size
+        self._parts.append((before, None, 0))
+
+    def size(self, data: bytes, start: int, what: str) -> int:
+        """Bytes of the row at ``start``."""
+        place = start
+        for before, length, size in self._parts:
+            place += before
+            if length is not None:
+                try:
+                    (count,) = length.unpack_from(data, place)
+                except struct.error:
+                    raise DatasetError(f"{what} are cut off") from None
+                if count < 0:
+                    raise DatasetError(f"a list has the length {count}")
+                place += length.size + count * size
+        return place - start
+
+    def alike(self, data: bytes, start: int, size: int, most: int) -> int:
+        """How many rows from ``start`` on have lists of the same lengths: most meshes' have."""
+        count = max(1, min(most, (len(data) - start) // size))
+        rows = min(count, _ALIKE_ROWS)
+        same = np.ones(rows, dtype=bool)
+        place = start
+        for before, length, value in self._parts:
+            place += before
+            if length is not None and rows > 1:
+                (first,) = length.unpack_from(data, place)
+                same &= column(data, length.format, rows, place, size) == first
+                place += length.size + first * value
+        return rows if same.all() else max(1, int(same.argmin()))
 
 
 def format_ply(points: Float32) -> bytes:

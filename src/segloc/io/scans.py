@@ -7,9 +7,11 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from ..budget import check_bytes
 from ..errors import DatasetError
 from ..files import replacing
 from ..types import Float32, Float64, Scan
+from .fields import faults_of
 from .kitti_bin import format_kitti, parse_kitti, parse_nuscenes
 from .las import format_laz, parse_las
 from .npy import format_npy, format_npz, parse_npy, parse_npz
@@ -75,8 +77,8 @@ def read_scan(path: str | Path) -> Scan:
     Raises
     ------
     DatasetError
-        If the file is missing, of an unknown format, cut off or malformed: one line that names the
-        file and the fault.
+        If the file is missing, of an unknown format, cut off or malformed, or has more points than
+        ``SEGLOC_MAX_POINTS``: one line that names the file and the fault.
     MissingDependency
         If the format needs a package that is not installed.
     """
@@ -84,10 +86,8 @@ def read_scan(path: str | Path) -> Scan:
     suffix = scan_suffix(path)
     if suffix is None:
         raise DatasetError(f"{path}: unknown format; known are {', '.join(_PARSERS)}")
-    try:
+    with faults_of(path):
         return _PARSERS[suffix](read_file(path))
-    except DatasetError as error:
-        raise DatasetError(f"{path}: {error}") from error
 
 
 def read_file(path: Path) -> bytes:
@@ -96,13 +96,14 @@ def read_file(path: Path) -> bytes:
     Raises
     ------
     DatasetError
-        If there is none or it cannot be read.
+        If there is none, it cannot be read, or it is larger than any scan may be.
     """
     try:
         if not path.exists():
             raise DatasetError("no such file")
         if not path.is_file():  # a pipe or a device might never end
             raise DatasetError("not a file")
+        check_bytes(path.stat().st_size, "a file")
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise DatasetError(f"cannot read: {error}") from error

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..types import Float32, Float64, Scan
 from .fields import one_line, scan_from_columns, wanted_columns
+
+_BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as many
+_LONGEST_LINE = 1 << 16
+_COMMENTS = ("#", "//")
+_BOM = b"\xef\xbb\xbf"
 
 
 def parse_table(
@@ -17,23 +24,26 @@ def parse_table(
     *,
     columns: Sequence[int],
     width: int,
-    delimiter: str | None = None,
-    rows: int | None = None,
+    rows: int,
+    skipped: int = 0,
+    more: bool = False,
 ) -> Float64:
-    """Some columns of a table of numbers.
+    """Some columns of a table of numbers between white space.
 
     Parameters
     ----------
     data : bytes
-        The lines; blank ones are skipped.
+        The lines; blank ones do not count.
     columns : sequence of int
         Which columns to parse; what stands in the others may be any text.
     width : int
         How many columns there are; checked on the last line, where a cut would show.
-    delimiter : str, optional
-        Between the columns; white space by default.
-    rows : int, optional
+    rows : int
         How many rows there should be.
+    skipped : int
+        Lines before them.
+    more : bool
+        Whether there may be lines behind them.
 
     Returns
     -------
@@ -44,60 +54,116 @@ def parse_table(
     DatasetError
         If a number cannot be parsed, or there are too few rows or columns.
     """
-    return _parse_lines(_split_lines(data), columns, width, delimiter, rows)
+    check_points(rows)
+    found = _selected(_blocks(data), skipped, rows if more else None)
+    table = _parse_blocks(found, columns, width, None)
+    if len(table) != rows:
+        raise DatasetError(f"the header says {rows} points, but there are {len(table)} rows")
+    return table
 
 
-def _split_lines(data: bytes) -> list[str]:
-    text = data.decode("utf-8-sig", "replace")
-    return [line for line in text.split("\n") if line and not line.isspace()]
+def _blocks(data: bytes, comments: tuple[str, ...] = ()) -> Iterator[list[str]]:
+    """The lines that are neither blank nor comments, some megabytes of them at a time."""
+    start = len(_BOM) if data.startswith(_BOM) else 0
+    while start < len(data):
+        end = len(data)
+        if end - start > _BLOCK:
+            end = data.find(b"\n", start + _BLOCK, start + _BLOCK + _LONGEST_LINE) + 1
+            if not end and start + _BLOCK + _LONGEST_LINE < len(data):
+                raise DatasetError(f"a line of more than {_LONGEST_LINE} bytes")
+            end = end or len(data)
+        lines = data[start:end].decode("utf-8", "replace").split("\n")
+        yield [
+            line
+            for line in lines
+            if line and not line.isspace() and not (comments and _is_comment(line, comments))
+        ]
+        start = end
 
 
-def _parse_lines(
-    lines: list[str],
-    columns: Sequence[int],
-    width: int,
-    delimiter: str | None,
-    rows: int | None = None,
+def _is_comment(line: str, marks: tuple[str, ...]) -> bool:
+    return line.lstrip().startswith(marks)
+
+
+def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> Iterator[list[str]]:
+    """The lines behind the first ``skipped``, at most ``rows`` of them."""
+    for lines in blocks:
+        kept = lines[skipped:] if skipped else lines
+        skipped -= len(lines) - len(kept)
+        if rows is not None:
+            kept = kept[:rows]
+            rows -= len(kept)
+        yield kept
+        if rows == 0:
+            return
+
+
+def _parse_blocks(
+    blocks: Iterator[list[str]], columns: Sequence[int], width: int, delimiter: str | None
 ) -> Float64:
-    if rows is not None and len(lines) != rows:
-        raise DatasetError(f"the header says {rows} points, but there are {len(lines)} rows")
-    if not lines:
+    tables: list[Float64] = []
+    count, last = 0, ""
+    for lines in blocks:
+        if not lines:
+            continue
+        check_points(count + len(lines))
+        try:
+            tables.append(
+                np.loadtxt(
+                    lines,
+                    delimiter=delimiter,
+                    usecols=columns,
+                    comments=None,
+                    ndmin=2,
+                    dtype=np.float64,
+                )
+            )
+        except ValueError as error:
+            behind = f" behind row {count}" if count else ""
+            raise DatasetError(f"cannot parse the points{behind}: {one_line(error)}") from error
+        count, last = count + len(lines), lines[-1]
+    if not tables:
         return np.empty((0, len(columns)))
-    if (found := len(lines[-1].split(delimiter))) != width:
+    if (found := len(_words(last, delimiter))) != width:
         raise DatasetError(f"the last row has {found} columns, not {width}")
-    try:
-        return np.loadtxt(
-            lines, delimiter=delimiter, usecols=columns, comments=None, ndmin=2, dtype=np.float64
-        )
-    except ValueError as error:
-        raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
+    return tables[0] if len(tables) == 1 else np.concatenate(tables)
+
+
+def _words(line: str, delimiter: str | None) -> list[str]:
+    if len(line) > _LONGEST_LINE:
+        raise DatasetError(f"a line of {len(line)} characters: more than {_LONGEST_LINE}")
+    return line.split(delimiter)
 
 
 def parse_csv(data: bytes) -> Scan:
     """Columns named x, y, z in any order (and a time, if any); without names the first three."""
-    lines = _split_lines(data)
-    if not lines:
+    scan = _parse_text(_blocks(data))
+    if scan is None:
         raise DatasetError("empty file")
-    return _parse_text(lines)
+    return scan
 
 
 def parse_txt(data: bytes) -> Scan:
     """As ``parse_csv``; lines that start with # or // are comments, and no lines are no points."""
-    lines = [line for line in _split_lines(data) if not line.lstrip().startswith(("#", "//"))]
-    return _parse_text(lines) if lines else Scan(np.empty((0, 3), dtype=np.float32))
+    scan = _parse_text(_blocks(data, _COMMENTS))
+    return Scan(np.empty((0, 3), dtype=np.float32)) if scan is None else scan
 
 
-def _parse_text(lines: list[str]) -> Scan:
+def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
+    """A scan, or None where there are no lines."""
+    lines = next(filter(None, blocks), None)
+    if lines is None:
+        return None
     delimiter = next((mark for mark in ",;" if mark in lines[0]), None)
-    first = [word.strip().strip("\"'").lower() for word in lines[0].split(delimiter)]
+    first = [word.strip().strip("\"'").lower() for word in _words(lines[0], delimiter)]
     if all(_is_number(word) for word in first[:3]):
         if len(first) < 3:
             raise DatasetError(f"the first row has {len(first)} columns; x, y, z need 3")
         columns = [0, 1, 2]
     else:
         columns = wanted_columns(first)
-        lines = lines[1:]
-    table = _parse_lines(lines, columns, len(first), delimiter)
+        del lines[0]
+    table = _parse_blocks(chain([lines], blocks), columns, len(first), delimiter)
     return scan_from_columns(list(table.T))
 
 

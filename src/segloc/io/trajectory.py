@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from ..budget import check_points
 from ..errors import DatasetError
 from ..files import write_text
 from ..types import Float64, Pose
-from .fields import one_line
+from .fields import faults_of, one_line
 from .scans import read_file
 
 _UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals
 _ROTATION_TOLERANCE = 1e-3
+FARTHEST_M = 1e8
+"""Of any coordinate: 15 times the Earth's radius, so that poses of any datum fit."""
+LONGEST_STEP_M = 1e5
+"""From one pose to the next. Recordings may be cut, but not between a pose and no pose at all."""
 _KINDS: dict[int, Literal["tum", "kitti"]] = {8: "tum", 12: "kitti"}
 
 
@@ -34,7 +40,9 @@ class Trajectory:
     Raises
     ------
     DatasetError
-        If a shape is wrong, a value is not finite, a pose is not rigid, or stamps do not rise.
+        If a shape is wrong, a value is not finite, a pose is not rigid or lies beyond
+        ``FARTHEST_M``, or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not
+        rise.
     """
 
     stamps: Float64
@@ -101,12 +109,27 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
         "a value that is not finite": ~finite,
         "not a rigid transform": ~rigid,
         "stamps that do not rise": ~rising,
+        f"a position beyond {FARTHEST_M:.0e} m": too_far(poses),
+        f"a position more than {LONGEST_STEP_M / 1000:.0f} km from the one before": torn(poses),
     }
     bad = np.logical_or.reduce(list(faults.values()))
     if not bad.any():
         return None
     first = int(bad.argmax())
     return first, next(what for what, where in faults.items() if where[first])
+
+
+def too_far(poses: Float64) -> NDArray[np.bool_]:
+    """Which of (N, 4, 4) poses lie beyond ``FARTHEST_M``."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.abs(poses[:, :3, 3]) > FARTHEST_M).any(axis=1))
+
+
+def torn(poses: Float64) -> NDArray[np.bool_]:
+    """Which of (N, 4, 4) poses lie more than ``LONGEST_STEP_M`` from the one before."""
+    with np.errstate(all="ignore"):
+        steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+        return np.concatenate([np.zeros(min(1, len(poses)), bool), steps > LONGEST_STEP_M])
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -119,7 +142,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
     ------
     DatasetError
         Naming file and line: a wrong number of columns, text, NaN, a quaternion that is not of
-        unit length, a matrix that is not a rotation, stamps that do not rise.
+        unit length, a matrix that is not a rotation, stamps that do not rise, positions beyond all
+        reason.
     """
     return read_trajectory_and_kind(path)[0]
 
@@ -127,37 +151,53 @@ def read_trajectory(path: str | Path) -> Trajectory:
 def read_trajectory_and_kind(path: str | Path) -> tuple[Trajectory, Literal["tum", "kitti"]]:
     """As :func:`read_trajectory`, and which of the two kinds the file was."""
     path = Path(path)
-    try:
+    with faults_of(path):
         numbers, lines = _parse_rows(read_file(path))
         kind = _KINDS[numbers.shape[1]]
         stamps, poses = _from_tum(numbers, lines) if kind == "tum" else _from_kitti(numbers)
         fault = _first_fault(stamps, poses)
         if fault is not None:
             raise DatasetError(f"line {lines[fault[0]]}: {fault[1]}")
-    except DatasetError as error:
-        raise DatasetError(f"{path}: {error}") from error
     return Trajectory(stamps, poses), kind
 
 
 def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
     """The numbers, (N, 8 or 12), and the number of the line that each row stands on."""
-    rows: list[list[float]] = []
-    lines: list[int] = []
-    for number, line in enumerate(data.decode("utf-8-sig", "replace").split("\n"), start=1):
-        words = line.split("#", 1)[0].split()
-        if not words:
-            continue
-        if len(words) not in _KINDS or (rows and len(words) != len(rows[0])):
-            expected = len(rows[0]) if rows else "8 (TUM) or 12 (KITTI)"
-            raise DatasetError(f"line {number}: {len(words)} columns, not {expected}")
-        try:
-            rows.append([float(word) for word in words])
-        except ValueError as error:
-            raise DatasetError(f"line {number}: {one_line(error)}") from error
-        lines.append(number)
+    text = data.decode("utf-8-sig", "replace").split("\n")
+    lines = [k for k, line in enumerate(text) if line.partition("#")[0].strip()]
+    check_points(len(lines), "poses")
     if not data.strip():
         raise DatasetError("empty file")
-    return (np.array(rows) if rows else np.empty((0, 8))), lines
+    if not lines:
+        return np.empty((0, 8)), []
+    rows = [text[k] for k in lines]
+    lines = [k + 1 for k in lines]
+    try:
+        numbers: Float64 = np.loadtxt(rows, comments="#", ndmin=2, dtype=np.float64)
+    except ValueError:
+        numbers = np.empty((0, 0))
+    if numbers.shape[1] not in _KINDS:
+        _raise_first_fault(rows, lines)
+    return numbers, lines
+
+
+def _raise_first_fault(rows: list[str], lines: list[int]) -> NoReturn:
+    """Name the first line that is no pose."""
+    width = 0
+    for line, row in zip(lines, rows, strict=True):
+        words = row.partition("#")[0].split()
+        if len(words) not in _KINDS or (width and len(words) != width):
+            expected = width or "8 (TUM) or 12 (KITTI)"
+            raise DatasetError(f"line {line}: {len(words)} columns, not {expected}")
+        width = len(words)
+        for word in words:
+            try:
+                np.loadtxt([word], comments=None)
+            except ValueError as error:
+                raise DatasetError(
+                    f"line {line}: could not convert string to float: {one_line(repr(word))}"
+                ) from error
+    raise DatasetError("cannot parse the poses")
 
 
 def _from_tum(numbers: Float64, lines: list[int]) -> tuple[Float64, Float64]:

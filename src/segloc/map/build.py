@@ -146,8 +146,7 @@ def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tupl
     travelled = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []
     for view in config.mapping.views:
-        marks = np.arange(0.0, travelled[-1] + 1e-9, every_m or view.every_m)
-        for index in np.unique(np.searchsorted(travelled, marks - 1e-9)):
+        for index in geometry.stations(travelled, every_m or view.every_m):
             gap = config.local_cloud.max_gap_m
             scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
             plan.append((int(index), scans))

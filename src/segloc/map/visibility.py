@@ -79,8 +79,7 @@ def visibility(
     if poses is None or not len(poses):
         raise DatasetError(f"{recording.name}: needs a pose in the map for every scan")
     travelled = geometry.travelled(poses)
-    marks = np.arange(0.0, travelled[-1] + 1e-9, config.every_m)
-    chosen = np.unique(np.searchsorted(travelled, marks - 1e-9))
+    chosen = geometry.stations(travelled, config.every_m)
     passes = np.zeros(len(points), np.int32)
     cloud = VoxelCloud(np.empty((0, 3), np.float32), origin, config.near_m / 2)
     for done, i in enumerate(map(int, chosen)):

@@ -211,10 +211,9 @@ def _local_clouds(
         raise DatasetError(f"{recording.name}: training needs a pose for every scan")
     gap = config.local_cloud.max_gap_m
     way = geometry.travelled(poses)
-    marks = np.arange(0.0, way[-1] + 1e-9, config.every_m)
     plan = [
         (int(index), length, window(poses, int(index), length, centred=True, max_gap_m=gap))
-        for index in np.unique(np.searchsorted(way, marks - 1e-9))
+        for index in geometry.stations(way, config.every_m)
         for length in config.lengths_m
     ]
     # Single scans are taken where a cloud of several is asked for and there is only one, too.

@@ -6,8 +6,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..config import read_yaml, validated
+from ..config import validated
 from ..errors import MissingDependency
+from ..yamlfile import read_yaml
 from .config import TrainConfig
 
 PUBLISHED: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-4, "hard_share": 0.0}}

@@ -12,6 +12,7 @@ import numpy as np
 
 from ... import geometry
 from ...errors import DatasetError
+from ...io.scans import read_file
 from ...io.trajectory import read_trajectory_and_kind
 from ...types import Float64, Int64, Pose
 from ..binary import parse_float4
@@ -91,7 +92,7 @@ def read_calibration(path: Path, key: str) -> Pose:
     values = read_values(path, key)
     if values.shape != (12,):
         raise DatasetError(f"{path}: {key} has {len(values)} numbers, not 12")
-    T: Pose = matrix_poses(values[None])[0]
+    T: Pose = matrix_poses(values[None], f"{path}: {key}")[0]
     if np.abs(T[:3, :3] - values.reshape(3, 4)[:, :3]).max() > 1e-2:
         raise DatasetError(f"{path}: {key} is not a rigid transform")
     return T
@@ -101,7 +102,7 @@ def read_values(path: Path, key: str) -> Float64:
     """The numbers behind ``key:`` in a calibration file."""
     if not path.is_file():
         raise DatasetError(f"{path}: no such file; poses cannot be read without it")
-    for line in path.read_text("utf-8", "replace").splitlines():
+    for line in read_file(path).decode("utf-8", "replace").splitlines():
         name, _, rest = line.partition(":")
         if name.strip() == key:
             try:

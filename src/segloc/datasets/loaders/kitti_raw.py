@@ -12,6 +12,7 @@ import numpy as np
 
 from ... import geometry
 from ...errors import DatasetError
+from ...io.scans import read_file
 from ...types import Float64
 from ..binary import parse_float4
 from ..layout import holds_scans, numbers, scan_files
@@ -22,6 +23,7 @@ from .kitti import read_values
 NAME = "KITTI raw"
 INNER = ("velodyne_points/data", "velodyne_points")
 _EARTH_RADIUS_M = 6378137.0
+_LONGEST_PACKET = 4096
 
 
 def recognises(path: Path) -> bool:
@@ -84,7 +86,7 @@ def mercator_poses(packets: Float64) -> Float64:
 
 
 def _read_packet(path: Path) -> list[float]:
-    words = path.read_text("ascii", "replace").split()
+    words = read_file(path)[:_LONGEST_PACKET].decode("ascii", "replace").split()
     try:
         values = [float(word) for word in words[:6]]
     except ValueError as error:
@@ -101,7 +103,7 @@ def _imu_to_velo(path: Path) -> Float64:
             R, t = read_values(file, "R"), read_values(file, "T")
             if R.shape != (9,) or t.shape != (3,):
                 raise DatasetError(f"{file}: R and T have {len(R)} and {len(t)} numbers")
-            T = matrix_poses(np.column_stack([R.reshape(3, 3), t]).reshape(1, 12))[0]
+            T = matrix_poses(np.column_stack([R.reshape(3, 3), t]).reshape(1, 12), str(file))[0]
             return np.asarray(T, dtype=np.float64)
     raise DatasetError(f"{path}: calib_imu_to_velo.txt is neither in it nor beside it")
 
@@ -110,9 +112,11 @@ def _read_times(path: Path) -> Float64 | None:
     """Seconds since 1970 of lines like ``2011-09-26 13:02:25.594360375``."""
     if not path.is_file():
         return None
-    lines = path.read_text("ascii", "replace").split("\n")
+    lines = read_file(path).decode("ascii", "replace").split("\n")
     try:
         moments = np.array([line.strip() for line in lines if line.strip()], "datetime64[ns]")
+        if np.isnat(moments).any():
+            raise ValueError("not a time")
     except ValueError as error:
         raise DatasetError(f"{path}: {error}") from error
     return np.asarray(moments.astype(np.int64) * 1e-9, dtype=np.float64)

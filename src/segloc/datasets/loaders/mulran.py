@@ -54,4 +54,6 @@ def parse(data: bytes) -> Scan:
 def _track(path: Path, name: str) -> Track:
     rows = read_table(path, range(13))  # nanoseconds and the upper rows of T_world_base
     rows = rows[np.isfinite(rows).all(axis=1)]
-    return clean_track(name, rows[:, 0] * 1e-9, matrix_poses(rows[:, 1:]) @ mount(*MOUNT))
+    return clean_track(
+        name, rows[:, 0] * 1e-9, matrix_poses(rows[:, 1:], str(path)) @ mount(*MOUNT)
+    )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import DatasetError
+from ...io.fields import one_line
 from ...io.kitti_bin import parse_nuscenes
 from ...types import Float64
 from ..layout import choose
@@ -42,8 +43,12 @@ def _versions(path: Path) -> list[Path]:
 def find(path: Path, topic: str | None) -> Found:
     """Read the tables and follow one scene's sweeps."""
     scenes = {
-        row["name"]: (folder, row) for folder in _versions(path) for row in _table(folder, "scene")
+        str(row.get("name")): (folder, row)
+        for folder in _versions(path)
+        for row in _table(folder, "scene")
     }
+    if not scenes:
+        raise DatasetError(f"{path}: no scene in its tables")
     named = sorted(scenes)
     if topic is None and len(named) > _MOST_NAMED:
         few = ", ".join(named[:_MOST_NAMED])
@@ -54,8 +59,10 @@ def find(path: Path, topic: str | None) -> Found:
         sweeps = _sweeps(folder, scene)
         poses, stamps = _poses(folder, sweeps)
         files = tuple(path / sweep["filename"] for sweep in sweeps)
-    except (KeyError, TypeError) as error:
-        raise DatasetError(f"{folder}: tables do not fit together: {error!r}") from error
+    except DatasetError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise DatasetError(f"{folder}: tables do not fit together: {error!r}"[:500]) from error
     return Found(
         name=name,
         format=NAME,
@@ -71,11 +78,15 @@ def find(path: Path, topic: str | None) -> Found:
 
 def _table(folder: Path, name: str) -> list[Row]:
     path = folder / f"{name}.json"
+    if path.exists() and not path.is_file():
+        raise DatasetError(f"{path}: not a file")
     try:
         rows = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: {str(error).splitlines()[0]}") from error
-    if not isinstance(rows, list):
+    except (OSError, ValueError, RecursionError) as error:
+        raise DatasetError(f"{path}: {one_line(error)}") from error
+    except MemoryError as error:
+        raise DatasetError(f"{path}: not enough memory to read it") from error
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise DatasetError(f"{path}: not a table")
     return rows
 

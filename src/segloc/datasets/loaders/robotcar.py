@@ -87,7 +87,7 @@ def _missing(path: Path, stamps: set[int]) -> str:
     if not path.is_file():
         return ""
     listed = read_table(path, [0], separator=None)[:, 0]
-    lost = sum(int(stamp) not in stamps for stamp in listed)
+    lost = sum(int(stamp) not in stamps for stamp in listed[np.isfinite(listed)])
     return f"{lost} of the {len(listed)} scans in {path.name} are missing" if lost else ""
 
 
@@ -99,6 +99,8 @@ def _track(path: Path, name: str) -> Track:
     columns = ("timestamp", "northing", "easting", "down", "roll", "pitch", "yaw")
     rows = read_table(path, columns, header=True)
     aligned = _aligned(path)
+    if len(aligned) != len(rows):
+        raise DatasetError(f"{path}: not one status for each row")
     lost = len(rows) - int(aligned.sum())
     if lost == len(rows):
         raise DatasetError(f"{path}: the INS was never aligned")
@@ -115,7 +117,10 @@ def _track(path: Path, name: str) -> Track:
 
 def _aligned(path: Path) -> np.ndarray:
     lines = read_file(path).decode("ascii", "replace").splitlines()
-    table = [row for row in csv.DictReader(lines) if any(row.values())]
+    try:
+        table = [row for row in csv.DictReader(lines) if any(row.values())]
+    except csv.Error as error:
+        raise DatasetError(f"{path}: {error}") from error
     return np.array([row.get("ins_status") not in _UNUSABLE for row in table])
 
 

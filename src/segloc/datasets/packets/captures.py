@@ -131,7 +131,7 @@ def _ip(data: mmap.mmap, record: Record, link: int) -> tuple[bytes, int, bool, i
         return None
     ip, end = record.start + _LINKS[link], record.start + record.size
     if link == _ETHERNET:
-        while data[ip - 2 : ip] in _VLAN:
+        while ip < end and data[ip - 2 : ip] in _VLAN:
             ip += 4
     if ip + 20 > end or data[ip] >> 4 != 4 or data[ip + 9] != _UDP:
         return None
@@ -148,10 +148,11 @@ class _Parts:
 
     def __init__(self, record: Record) -> None:
         self._first, self._stamp = record.start - 16, record.stamp
-        self._stop, self._total = 0, -1
+        self._stop, self._total, self._size = 0, -1, 0
         self._parts: dict[int, tuple[int, int]] = {}
 
     def add(self, offset: int, start: int, size: int, more: bool, record: Record) -> None:
+        self._size += size - self._parts.get(offset, (0, 0))[1]
         self._parts[offset] = (start, size)
         self._stop = record.start + record.size
         if not more:
@@ -159,7 +160,7 @@ class _Parts:
 
     @property
     def whole(self) -> bool:
-        return sum(size for _, size in self._parts.values()) == self._total
+        return self._size == self._total
 
     def datagram(self, data: mmap.mmap) -> Datagram | None:
         """Without its header; None where its parts do not fit each other."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import glob
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import DatasetError
+from ...io.fields import faults_of
 from ...io.scans import read_file
 from ...types import Scan
 from ..layout import choose
@@ -30,7 +32,7 @@ def _metadata(path: Path) -> dict[str, Path]:
     several = sorted(path.parent.glob(f"{glob.escape(path.stem)}*.json"))
     others = [file for file in several if not file.with_suffix(".pcap").exists()]
     found = [own] if own.is_file() else others
-    return {file.stem: file for file in found if b"beam_altitude_angles" in file.read_bytes()}
+    return {file.stem: file for file in found if b"beam_altitude_angles" in read_file(file)}
 
 
 def find(path: Path, topic: str | None) -> Found:
@@ -89,11 +91,13 @@ class TurnSource:
 
     def read(self, k: int) -> Scan:
         """Decode the turn at position k."""
-        first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
-        with mapped(self._path) as data:
-            packets = [
-                datagram.content(data)
-                for datagram in datagrams(data, first, stop)
-                if self._sensor.sent(datagram.size, datagram.port)
-            ]
-        return self._sensor.decode(packets, int(self._turns.numbers[k]), self.where(k))
+        with faults_of(self._path):
+            first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
+            with mapped(self._path) as data:
+                found = (
+                    datagram.content(data)
+                    for datagram in datagrams(data, first, stop)
+                    if self._sensor.sent(datagram.size, datagram.port)
+                )
+                packets = list(islice(found, self._sensor.most_packets + 1))
+            return self._sensor.decode(packets, int(self._turns.numbers[k]), self.where(k))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ... import geometry
+from ...budget import check_points, most_points
 from ...errors import DatasetError
 from ...io.fields import one_line
 from ...types import Float64, Int64, Pose, Scan
@@ -85,6 +86,11 @@ class Sensor:
         """Whether a datagram of this size, to this port, can be a packet of the sensor."""
         return size == self.packet.itemsize and (self.port in (0, port))
 
+    @property
+    def most_packets(self) -> int:
+        """Of one scan."""
+        return most_points() // (int(self.packet["columns"].shape[0]) * len(self.altitudes))
+
     def frame_id(self, packet: bytes) -> int:
         """The number of the turn that a packet belongs to; 16 bits of it."""
         return int(np.frombuffer(packet, self.id_type, 1, self.id_place)[0]) & 0xFFFF
@@ -99,6 +105,8 @@ class Sensor:
         DatasetError
             If there is none of its packets; names ``where``.
         """
+        if len(packets) > self.most_packets:
+            check_points(most_points() + 1, "or more points in one turn")
         whole = [packet for packet in packets if self.frame_id(packet) == number]
         if not whole:
             raise DatasetError(f"{where}: its packets are not there any more")

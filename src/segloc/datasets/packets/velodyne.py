@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ...budget import check_points
 from ...errors import DatasetError, MissingDependency
-from ...io.fields import one_line
+from ...io.fields import faults_of, one_line
 from ...types import Float64, Int64, Scan
 from ..binary import returned
 from ..recorded import Found
@@ -22,6 +23,7 @@ from .captures import mapped, records
 NAME = "Velodyne packets"
 INNER: tuple[str, ...] = ()
 PACKET = 1206  # bytes
+_POINTS_A_PACKET = 12 * 32
 _BLOCK = b"\xff\xee"
 _FEWEST_PACKETS = 8  # of a turn; less is left from where the capture begins or ends
 
@@ -98,12 +100,20 @@ class TurnSource:
 
     def read(self, k: int) -> Scan:
         """Decode the turn at position k."""
-        packets = []
-        with self._path.open("rb") as file:
-            for i in range(*self._turns[k]):
-                file.seek(int(self._places[i]))
-                packets.append((float(self._stamps[i]), file.read(PACKET)))
-        return decode(packets, self.where(k))
+        with faults_of(self._path):
+            packets = []
+            first, stop = map(int, self._turns[k])
+            check_packets(stop - first)
+            with self._path.open("rb") as file:
+                for i in range(first, stop):
+                    file.seek(int(self._places[i]))
+                    packets.append((float(self._stamps[i]), file.read(PACKET)))
+            return decode(packets, self.where(k))
+
+
+def check_packets(count: int) -> None:
+    """Refuse more packets than a scan's points take."""
+    check_points(_POINTS_A_PACKET * count)
 
 
 def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
@@ -120,6 +130,11 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
         import velodyne_decoder
     except ImportError as error:
         raise MissingDependency("velodyne-decoder", "packets", "Velodyne packets") from error
+    check_packets(len(packets))
+    if not packets:  # of none, the decoder ends the process
+        raise DatasetError(f"{where}: no packets")
+    if any(len(data) != PACKET for _, data in packets):
+        raise DatasetError(f"{where}: cut off: packets of other than {PACKET} bytes")
     try:
         decoder = velodyne_decoder.ScanDecoder(
             velodyne_decoder.Config(timestamp_first_packet=True, cut_angle=None)

@@ -8,8 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...errors import DatasetError, MissingDependency
+from ...budget import check_bytes
+from ...errors import DatasetError, MissingDependency, SeglocError
 from ...io.fields import one_line
+from .bag_limits import MOST_METADATA_BYTES, limit_chunks, limit_rosbags
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -35,8 +37,10 @@ def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
     MissingDependency
         If the package rosbags is not installed.
     """
-    _check_beginnings(paths)
+    with faults_of(paths[0]):
+        _check_beginnings(paths)
     with faults_of(paths[0]), _reader(paths) as reader:
+        limit_chunks(reader)
         yield reader
 
 
@@ -44,6 +48,7 @@ def _check_beginnings(paths: tuple[Path, ...]) -> None:
     """Name what is no bag in other words than those of a parser that lost its way."""
     for path in paths:
         if not path.is_file():
+            check_bytes((path / "metadata.yaml").stat().st_size, "metadata", MOST_METADATA_BYTES)
             continue
         with path.open("rb") as file:
             head = file.read(16)
@@ -59,6 +64,7 @@ def _reader(paths: tuple[Path, ...]) -> AnyReader:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise MissingDependency("rosbags", "ros", "reading bags") from error
+    limit_rosbags()
     # Older ROS 2 bags do not hold the definitions of their messages.
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in _DEFINITIONS.items():
@@ -71,8 +77,13 @@ def faults_of(path: Path) -> Iterator[None]:
     """Turn any error into one of the file's: damaged bytes show in any way."""
     try:
         yield
-    except (DatasetError, MissingDependency):
+    except DatasetError as error:
+        named = str(error).startswith(str(path))
+        raise error if named else DatasetError(f"{path}: {error}") from error
+    except SeglocError:
         raise
+    except MemoryError as error:
+        raise DatasetError(f"{path}: not enough memory to read it") from error
     except Exception as error:
         raise DatasetError(f"{path}: cannot be read as a bag: {one_line(error)}") from error
 
@@ -100,6 +111,7 @@ class BagFile:
         if self._reader is None:
             reader = _reader(self._paths)
             reader.open()
+            limit_chunks(reader)
             weakref.finalize(self, reader.close)
             self._reader = reader
         return self._reader

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,5 +133,5 @@ class BagTurns:
         first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
         with faults_of(self._file.path):
             found = _packets(self._file.reader(), self._topic, self._sensor, first, stop)
-            packets = [packet for _, packet in found]
+            packets = [packet for _, packet in islice(found, self._sensor.most_packets + 1)]
             return self._sensor.decode(packets, int(self._turns.numbers[k]), self.where(k))

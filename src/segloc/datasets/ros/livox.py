@@ -12,6 +12,7 @@ import struct
 
 import numpy as np
 
+from ...budget import check_points
 from ...errors import DatasetError
 from ...types import Scan
 
@@ -43,6 +44,7 @@ def to_scan(data: bytes, *, cdr: bool) -> Scan:
         (count,) = struct.unpack_from(f"{order}I", body, place + 16)
     except struct.error as error:
         raise DatasetError(f"cut off: {len(data)} bytes are no message of Livox") from error
+    check_points(count)
     first = place + 20
     rows = body[first:] + b"\0" * (step - _POINT)  # the last point is not padded
     if count * step > len(rows):

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...budget import check_points
 from ...errors import DatasetError
 from ...types import Float64, Scan
 
@@ -70,6 +71,7 @@ def to_scan(cloud: Cloud, stamp: float) -> Scan:
 def _columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
     """Each field of one value, (N,); row by row, since rows may be padded."""
     rows, width = int(cloud.height), int(cloud.width)
+    check_points(rows * width)
     step, stride = int(cloud.point_step), int(cloud.row_step)
     data = np.frombuffer(cloud.data, dtype=np.uint8)
     if stride == 0 or rows == 1:

@@ -1,0 +1,127 @@
+"""Opens files in a process of its own, with little memory: ``python -m hostile.opened LIST REPORT``.
+
+LIST holds a line of JSON a file, ``[name, how, path]``. REPORT gets one before each, ``["at", name]``
+and one behind it, ``[what, text]``: "read" or "refused", or "broken" for whatever must not happen.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+from pathlib import Path
+from typing import TextIO
+
+MEMORY = 2 << 30
+SCANS = 5  # of a recording that are read
+
+
+def read_scan(path: Path) -> str:
+    import numpy as np
+
+    from segloc.io import read_scan
+
+    scan = read_scan(path)
+    assert np.isfinite(scan.points).all()
+    assert scan.times is None or scan.times.shape == (len(scan),)
+    return f"{len(scan)} points"
+
+
+def read_sequence(path: Path) -> str:
+    import numpy as np
+
+    from segloc.datasets import open_sequence
+    from segloc.datasets.inspection import inspect
+    from segloc.errors import SeglocError
+
+    recording = open_sequence(path)
+    assert recording.poses is None or np.isfinite(recording.poses).all()
+    inspect(recording, sample=SCANS)
+    faults = []
+    for i in range(min(SCANS, len(recording))):
+        try:
+            assert np.isfinite(recording.scan(i).points).all()
+        except SeglocError as error:
+            faults.append(one_line(error))
+    return f"{len(recording)} scans; {'; '.join(faults)}"
+
+
+def read_trajectory(path: Path) -> str:
+    from segloc.io import read_trajectory
+
+    return f"{len(read_trajectory(path))} poses"
+
+
+def read_weights(path: Path) -> str:
+    import inspect
+
+    from segloc.descriptors import create
+    from segloc.descriptors.random_forest import PairForest
+    from segloc.errors import SeglocError
+
+    assert "weights" in inspect.signature(create).parameters
+    faults = []
+    for method in ("profile", "dsm", "segmap", "segmatch-eigen"):
+        try:
+            create(method, 1, path)
+        except SeglocError as error:
+            faults.append(one_line(error))
+    try:
+        PairForest.load(path, create("geo", 1))
+    except SeglocError as error:
+        faults.append(one_line(error))
+    if len(faults) == 5:
+        raise SeglocError(faults[0])
+    return "; ".join(faults)
+
+
+def read_config(path: Path) -> str:
+    from segloc import Config
+
+    return str(Config.load(path).method)
+
+
+def one_line(error: Exception) -> str:
+    text = str(error)
+    assert text and "\n" not in text and len(text) <= 4000, text[:500]
+    return text
+
+
+HOW = {
+    "scan": read_scan,
+    "sequence": read_sequence,
+    "trajectory": read_trajectory,
+    "weights": read_weights,
+    "config": read_config,
+}
+
+
+def opened(how: str, path: Path) -> tuple[str, str]:
+    """What came of opening a file."""
+    from segloc.errors import SeglocError
+
+    try:
+        return "read", HOW[how](path)
+    except SeglocError as error:
+        try:
+            return "refused", one_line(error)
+        except AssertionError as fault:
+            return "broken", f"not one line: {fault}"
+    except BaseException as error:
+        return "broken", f"{type(error).__name__}: {error}"[:1000]
+
+
+def main(listed: Path, report: TextIO) -> None:
+    import segloc.cli  # what it needs is loaded before the limit counts
+
+    assert segloc.cli
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    for line in listed.read_text().splitlines():
+        name, how, path = json.loads(line)
+        print(json.dumps(["at", name]), file=report, flush=True)
+        print(json.dumps(opened(how, Path(path))), file=report, flush=True)
+
+
+if __name__ == "__main__":
+    with Path(sys.argv[2]).open("w") as report:
+        main(Path(sys.argv[1]), report)

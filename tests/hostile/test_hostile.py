@@ -1,0 +1,121 @@
+"""Whatever is in a file, it is read or refused in one line: no crash, no hang, no traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hostile import files
+from hostile.files import Hostile
+
+pytestmark = [
+    pytest.mark.fuzz,
+    pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does"),
+]
+LONGEST_S = 10.0
+FOUND = Path(__file__).with_name("found")
+TESTS = Path(__file__).resolve().parents[1]
+
+
+def environment() -> dict[str, str]:
+    paths = [str(TESTS), *filter(None, sys.path)]
+    limits = {"SEGLOC_MAX_POINTS": str(files.MOST_POINTS), "OPENBLAS_NUM_THREADS": "1"}
+    return {**os.environ, **limits, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def open_all(listed: list[tuple[str, str, Path]], folder: Path) -> dict[str, tuple[str, str]]:
+    """What comes of each, by its name; a new process goes on where one ended."""
+    results: dict[str, tuple[str, str]] = {}
+    while waiting := [item for item in listed if item[0] not in results]:
+        before = len(results)
+        _open_some(waiting, folder, results)
+        assert len(results) > before
+    return results
+
+
+def _open_some(
+    listed: list[tuple[str, str, Path]], folder: Path, results: dict[str, tuple[str, str]]
+) -> None:
+    names, report = folder / "list", folder / "report"
+    names.write_text("".join(f"{json.dumps([n, how, str(p)])}\n" for n, how, p in listed))
+    report.write_text("")
+    command = [sys.executable, "-m", "hostile.opened", str(names), str(report)]
+    with (folder / "errors").open("wb") as errors:
+        child = subprocess.Popen(command, env=environment(), stderr=errors)
+        size, since = 0, time.monotonic()
+        ended, hung = None, False
+        while ended is None and not hung:
+            time.sleep(0.05)
+            ended = child.poll()
+            if (now := report.stat().st_size) != size:
+                size, since = now, time.monotonic()
+            hung = time.monotonic() - since > LONGEST_S + (30 if not size else 0)
+        if hung:
+            child.kill()
+            child.wait()
+    lines = [json.loads(line) for line in report.read_text().splitlines()]
+    said = (folder / "errors").read_text("utf-8", "replace")
+    for (_, name), (what, text) in zip(lines[::2], lines[1::2], strict=False):
+        results[name] = (what, text)
+    if len(lines) % 2:
+        fault = "hung" if hung else f"ended the process: {ended}"
+        results[lines[-1][1]] = ("broken", f"{fault} {said[-500:]}")
+    elif ended:
+        raise AssertionError(said[-2000:])
+    assert "Traceback" not in said, said[-2000:]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Hostile, Path]]:
+    folder = tmp_path_factory.mktemp("hostile")
+    return {item.name: (item, item.write(folder)) for item in files.HOSTILE}
+
+
+def test_what_is_said_of_hostile_files(
+    made: dict[str, tuple[Hostile, Path]], tmp_path: Path
+) -> None:
+    results = open_all([(name, item.how, path) for name, (item, path) in made.items()], tmp_path)
+    wrong = []
+    for name, (item, path) in made.items():
+        what, text = results[name]
+        if what == "broken":
+            wrong.append(f"{name}: {text}")
+        elif what == "read" and not item.may_be_read:
+            wrong.append(f"{name}: read ({text})")
+        elif item.says and not re.search(item.says, text):
+            wrong.append(f"{name}: {what}: {text!r} says nothing of {item.says!r}")
+        elif what == "refused" and not item.says and path.stem not in text:
+            wrong.append(f"{name}: {text!r} does not name the file")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_what_fuzzing_found(tmp_path: Path) -> None:
+    listed = [
+        (file.name, file.parent.name, file) for file in sorted(FOUND.glob("*/*")) if file.is_file()
+    ]
+    broken = {name: text for name, (what, text) in open_all(listed, tmp_path).items()
+              if what == "broken"}  # fmt: skip
+    assert not broken, broken
+
+
+@pytest.mark.parametrize("name", [item.name for item in files.COMMANDS])
+def test_what_the_command_line_says(name: str, tmp_path: Path) -> None:
+    item = next(item for item in files.COMMANDS if item.name == name)
+    command = [sys.executable, "-c", "from segloc.cli import main; main()", *item.make(tmp_path)]
+    done = subprocess.run(
+        command, env=environment(), capture_output=True, text=True, timeout=60, check=False
+    )
+    lines = [line for line in done.stderr.splitlines() if "segloc: note" not in line]
+    if not item.says:
+        assert done.returncode == 0, done.stderr
+        return
+    assert done.returncode == 1, done.stderr
+    assert len(lines) == 1 and lines[0].startswith("segloc: error: "), done.stderr
+    assert re.search(item.says, lines[0]), lines[0]
