@@ -159,7 +159,7 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
     return contents
 
 
-def _both(first: Callable[[Array], None], second: Callable[[Array], None]) -> Any:
+def _both(first: Callable[[Any], None], second: Callable[[Any], None]) -> Callable[[Array], None]:
     def look(part: Array) -> None:
         first(part)
         second(part)
