@@ -126,7 +126,7 @@ def pose(threads: int, repeats: int) -> Row:
 
 def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
     """Poses by consensus with the defaults of the configuration."""
-    options = PoseConfig().model_dump(include=_CONSENSUS_OPTIONS)
+    options = _options(_CONSENSUS_OPTIONS)
     return _native.consensus(
         problem.query,
         problem.mapped,
@@ -137,28 +137,34 @@ def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
     )[0]
 
 
+def _options(names: set[str]) -> dict[str, Any]:
+    """Defaults of the configuration, as the kernels take them."""
+    config = PoseConfig()
+    return {
+        **config.model_dump(include=names),
+        "separation": config.separation.metres,
+        "max_hypotheses": config.max_candidates,
+    }
+
+
 _CONSENSUS_OPTIONS = {
     "inlier_tolerance",
     "height_tolerance",
     "distinct_radius",
-    "separation",
     "max_refined",
-    "max_hypotheses",
 }
 _SAMPLING_OPTIONS = {
     "edge_tolerance",
     "inlier_tolerance",
     "min_edge",
     "chance",
-    "separation",
     "max_draws",
-    "max_hypotheses",
 }
 
 
 def prosac(problem: MatchProblem, ordered: bool = True, seed: int = 0) -> Float64:
     """Poses by PROSAC with the defaults of the configuration; by RANSAC if not ordered."""
-    options = PoseConfig().model_dump(include=_SAMPLING_OPTIONS)
+    options = _options(_SAMPLING_OPTIONS)
     return _native.prosac(
         problem.query,
         problem.mapped,

@@ -21,24 +21,10 @@ from ...errors import DatasetError
 from ...io.fields import one_line
 from ...types import Float64, Int64, Pose, Scan
 from ..binary import returned
+from .ouster_profiles import LEGACY, PIXEL_BYTES
 
 FRAME = "os_sensor"
 FIELDS = "range reflectivity time"
-_LEGACY = "LEGACY"
-_PIXELS = {
-    _LEGACY: 12,
-    "RNG19_RFL8_SIG16_NIR16": 12,
-    "RNG19_RFL8_SIG16_NIR16_DUAL": 16,
-    "RNG19_RFL8_SIG16_NIR16_ZONE16": 12,
-    "RNG19_RFL8_SIG16_ZONE16_DUAL": 16,
-    "RNG19_RFL8_SIG16_NIR16_RGB16": 16,
-    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": 20,
-    "RNG15_RFL8_NIR8": 4,
-    "RNG15_RFL8_WIN8": 4,
-    "RNG15_RFL8_NIR8_DUAL": 8,
-    "RNG15_RFL8_NIR8_ZONE16": 8,
-    "FUSA_RNG15_RFL8_NIR8_DUAL": 8,
-}
 """Bytes of a pixel by the profile of the packets; the range comes first in all of them."""
 _RANGES = {"LEGACY": ("<u4", 0xFFFFF, 1e-3), "RNG19": ("<u4", 0x7FFFF, 1e-3),
            "RNG15": ("<u2", 0x7FFF, 8e-3)}  # fmt: skip
@@ -167,8 +153,8 @@ def _sensor(entries: dict[str, Any]) -> Sensor:
     rows = len(altitudes)
     if not rows or len(azimuths) != rows:
         raise DatasetError(f"{rows} altitudes and {len(azimuths)} azimuths of beams")
-    profile = str(entries.get("udp_profile_lidar", _LEGACY))
-    if profile not in _PIXELS:
+    profile = str(entries.get("udp_profile_lidar", LEGACY))
+    if profile not in PIXEL_BYTES:
         raise DatasetError(f"packets of profile {profile[:40]!r} cannot be read")
     columns = _count(entries, "columns_per_frame", str(entries.get("lidar_mode", "")).split("x")[0])
     packed = _count(entries, "columns_per_packet", 16)
@@ -177,9 +163,9 @@ def _sensor(entries: dict[str, Any]) -> Sensor:
     kind = next(name for name in _RANGES if name in profile)
     dtype, mask, unit = _RANGES[kind]
     wide = str(entries.get("header_type", "")) == "FUSA" or profile.startswith("FUSA")
-    legacy = profile == _LEGACY
+    legacy = profile == LEGACY
     return Sensor(
-        packet=_layout(rows, packed, _PIXELS[profile], dtype, legacy),
+        packet=_layout(rows, packed, PIXEL_BYTES[profile], dtype, legacy),
         columns=columns,
         port=int(entries.get("udp_port_lidar") or 0),
         id_type="<u4" if wide and not legacy else "<u2",

@@ -1,0 +1,19 @@
+"""Profiles of Ouster's packets: how many bytes a pixel takes."""
+
+from __future__ import annotations
+
+LEGACY = "LEGACY"
+PIXEL_BYTES = {
+    LEGACY: 12,
+    "RNG19_RFL8_SIG16_NIR16": 12,
+    "RNG19_RFL8_SIG16_NIR16_DUAL": 16,
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": 12,
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": 16,
+    "RNG19_RFL8_SIG16_NIR16_RGB16": 16,
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": 20,
+    "RNG15_RFL8_NIR8": 4,
+    "RNG15_RFL8_WIN8": 4,
+    "RNG15_RFL8_NIR8_DUAL": 8,
+    "RNG15_RFL8_NIR8_ZONE16": 8,
+    "FUSA_RNG15_RFL8_NIR8_DUAL": 8,
+}
