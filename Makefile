@@ -35,7 +35,8 @@ sanitize: $(VENV)/.dev
 	$(BIN)/cmake --build build/sanitize --parallel 2
 	build/sanitize/kernel_tests
 
-# The wheel must install and import where there is nothing else: no torch, no compiler, no plotting.
+# The wheel must install and localize where there is nothing else: no torch, no compiler, no plotting,
+# no laboratory. The wheel of the experiments adds its verbs.
 wheel-check: $(BIN)/python
 	rm -rf build/wheel && mkdir -p build/wheel
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
@@ -43,6 +44,11 @@ wheel-check: $(BIN)/python
 	build/wheel/venv/bin/python -m pip install --quiet --disable-pip-version-check build/wheel/*.whl
 	cd build/wheel && venv/bin/segloc --version
 	cd build/wheel && venv/bin/python ../../tests/wheel_smoke.py
+	! $(BIN)/python -m zipfile -l build/wheel/segloc-*.whl | grep -E "experiments|kitti00|benchmarks"
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel ./experiments
+	build/wheel/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps build/wheel/segloc_experiments-*.whl
+	cd build/wheel && venv/bin/segloc bench --help > /dev/null && venv/bin/segloc evaluate roc --help > /dev/null
+	ls -l build/wheel/*.whl
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
