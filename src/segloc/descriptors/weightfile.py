@@ -132,7 +132,7 @@ def opened(path: Path) -> Iterator[TensorFile]:
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
     except (OSError, TensorFileError) as error:
-        raise WeightsError(f"{path}: not a weights file, or a damaged one ({error})") from error
+        raise WeightsError(f"{path}: cannot be read as weights ({error})") from error
 
 
 def _digest(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:
