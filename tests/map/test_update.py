@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from segloc import Config, Scan, SeglocError, SegmentMap, build_map, geometry
 from segloc.alignment import Reposed
 from segloc.cli import main
-from segloc.errors import DatasetError
+from segloc.errors import DatasetError, MapMismatch
 from segloc.io import Trajectory, write_scan, write_tum
 from segloc.map.update import UpdateConfig, update_map
 from segloc.map.visibility import visibility
@@ -96,6 +96,7 @@ class Remembered:
 
     def __init__(self, drive: SimulatedSequence) -> None:
         self.name, self.indices, self.poses = drive.name, drive.indices, drive.poses
+        self.stamps = drive.stamps
         self._scans: list[Scan] = []
         self.object_ids: list[NDArray[np.int32]] = []
         for i in range(len(drive)):
@@ -270,3 +271,20 @@ def test_the_command(
     new = SegmentMap.load("new.segmap")
     assert len(np.unique(new.session)) == 2
     assert (new.missed == 0).all()
+
+
+def test_another_place_is_refused_unless_told(later: Remembered, prior_map: SegmentMap) -> None:
+    far = geometry.yaw_transform(0.0, (1000.0, 0.0, 0.0))
+    with pytest.raises(MapMismatch, match=r"meet nowhere.*--elsewhere"):
+        update_map(prior_map, Reposed(later, far @ later.poses), CONFIG)
+    joined, counts = update_map(
+        prior_map, Reposed(later, far @ later.poses), CONFIG, elsewhere=True
+    )
+    assert len(joined) == len(prior_map) + counts.added
+
+
+def test_a_frame_that_is_off_by_metres_is_refused(later: Remembered, prior_map: SegmentMap) -> None:
+    for shift in ((9.0, 9.0, 0.0), (-7.0, 7.0, 0.0)):
+        off = Reposed(later, geometry.yaw_transform(0.5, shift) @ later.poses)
+        with pytest.raises(SeglocError, match=r"in two frames|is not there|meet nowhere"):
+            update_map(prior_map, off, CONFIG)

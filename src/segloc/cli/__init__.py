@@ -25,6 +25,7 @@ from . import (
 )
 from .train import train
 
+_INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
@@ -83,19 +84,32 @@ def root(
 
 
 def main() -> None:
-    """Run the command line. What is the user's to mend ends as one line and exit status 1."""
+    """Run the command line.
+
+    What is the user's to mend ends as one line and exit status 1, Ctrl-C as one line and 130.
+    """
     try:
         app()
-    except MemoryError:
-        print("segloc: error: not enough memory", file=sys.stderr)
-        sys.exit(1)
-    except (SeglocError, OSError) as error:
+    except (SeglocError, OSError, MemoryError) as error:
         print(f"segloc: error: {_one_line(error)}", file=sys.stderr)
         sys.exit(1)
+    except KeyboardInterrupt:
+        _say_interrupted()
+        sys.exit(_INTERRUPTED)
+    except SystemExit as end:
+        if end.code == _INTERRUPTED:  # by typer, which says nothing
+            _say_interrupted()
+        raise
+
+
+def _say_interrupted() -> None:
+    print("segloc: interrupted", file=sys.stderr)
 
 
 def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror.lower()}"
+    if isinstance(error, MemoryError):
+        return "out of memory"
     return " ".join(str(error).split()) or type(error).__name__

@@ -141,7 +141,7 @@ def opened(path: Path) -> Iterator[TensorFile]:
     except MemoryError as error:
         raise WeightsError(f"{path}: not enough memory to read it") from error
     except (OSError, TensorFileError, DatasetError, *_OF_CONTENT) as error:
-        raise WeightsError(f"{path}: not a weights file, or a damaged one ({error})") from error
+        raise WeightsError(f"{path}: cannot be read as weights ({error})") from error
 
 
 @contextmanager

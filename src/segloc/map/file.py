@@ -133,7 +133,7 @@ def read(path: str | Path) -> Contents:
         with opened(path) as file:
             return _read_checked(path, file)
     except TensorFileError as error:
-        raise MapFormatError(f"{path}: not a map, or a damaged one ({error})") from error
+        raise MapFormatError(f"{path}: cannot be read as a map ({error})") from error
     except OSError as error:
         raise MapFormatError(f"{path}: cannot be read: {error}") from error
 

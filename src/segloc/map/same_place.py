@@ -19,7 +19,7 @@ from .segment_map import SegmentMap
 MEET_M, MEET_HEIGHT_M = 5.0, 2.0
 """Paths meet where they come this near: about a street's width, and less than a storey."""
 
-MIN_AGREEMENT = 0.35
+MIN_AGREEMENT = 0.5
 """Measured: docs/alignment.md has the figures."""
 
 _AROUND_M = 15.0  # what both saw well

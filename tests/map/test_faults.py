@@ -1,0 +1,215 @@
+"""Disks that fill, limits of the system, kills and Ctrl-C: one line, and nothing half-written."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.maps import make_map
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, SegmentMap, build_map
+from segloc.errors import SeglocError
+from segloc.io import Trajectory, write_scan, write_tum
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="faults are made with Linux' means")
+
+SEGLOC = [sys.executable, "-c", "from segloc.cli import main; print('up', flush=True); main()"]
+KILL = Path(__file__).with_name("kill.py")
+
+
+def segloc(
+    folder: Path, *arguments: str, limits: Callable[[], None] | None = None
+) -> tuple[int, str]:
+    """Exit status and errors of a command."""
+    done = subprocess.run(
+        [*SEGLOC, *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+        preexec_fn=limits,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    )
+    return done.returncode, done.stderr
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def assert_one_line(errors: str, match: str) -> None:
+    said = [line for line in errors.splitlines() if not line.startswith("segloc: note: ")]
+    assert len(said) == 1 and re.match(rf"segloc: {match}", said[0]), errors
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
+    folder, run = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=14)
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    build_map(run, config).save(folder / "site.segmap")
+    run.poses[:, 1, 3] += 1.0
+    build_map(run, config).save(folder / "other.segmap")
+    for name, seed in (("one", 0), ("two", 50)):
+        (folder / name).mkdir()
+        for i in range(len(run)):
+            points = plaza.scan(run.poses[i], seed=seed + i).points
+            write_scan(folder / name / f"{i:04d}.npy", points)
+        write_tum(folder / name / "poses.tum", Trajectory(run.indices.astype(float), run.poses))
+    return folder
+
+
+@pytest.mark.slow
+def test_kills_leave_the_old_or_the_new_map_and_nothing_that_blocks() -> None:
+    """tests/map/kill.py --kills 300 is run on demand."""
+    command = [sys.executable, str(KILL), "--kills", "20"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280)
+    assert done.returncode == 0, done.stderr
+    assert sum(int(n) for n in re.findall(r"(\d+) kills", done.stdout)) == 20
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 kB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a small disk is mounted by root alone")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_full_disk_leaves_the_old_map(small_disk: Path, tmp_path: Path) -> None:
+    site, large = small_disk / "site.segmap", make_map(1, segments=5000)
+    make_map(1).save(site)
+    before = site.read_bytes()
+    with pytest.raises(SeglocError, match=r"site\.segmap: cannot be written: no space left"):
+        large.save(site)
+    assert site.read_bytes() == before
+    assert names(small_disk) == ["site.segmap"]
+    large.save(tmp_path / "large.segmap")
+    code, errors = segloc(small_disk, "map", "merge", "site.segmap", "../large.segmap",
+                          "--out", "site.segmap", "--elsewhere")  # fmt: skip
+    assert code == 1
+    assert_one_line(errors, r"error: site\.segmap: cannot be written: no space left")
+    assert site.read_bytes() == before
+    assert names(small_disk) == ["site.segmap"]
+
+
+def test_a_device_that_is_full_is_refused(place: Path) -> None:
+    with pytest.raises(SeglocError, match="not a regular file"):
+        make_map().save("/dev/full")
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*SEGLOC, "map", "info", str(place / "site.segmap")],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            timeout=100,
+        )
+    assert done.returncode != 0
+    assert "no space left" in done.stderr.lower()
+
+
+def limit(kind: int, amount: int) -> Callable[[], None]:
+    return lambda: resource.setrlimit(kind, (amount, amount))
+
+
+@pytest.mark.slow
+def test_a_limit_on_the_size_of_files_leaves_the_old_map(place: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site.segmap"
+    site.write_bytes((place / "site.segmap").read_bytes())
+    before = site.read_bytes()
+    arguments = ("map", "merge", "site.segmap", str(place / "other.segmap"), "--out", "site.segmap")
+    code, errors = segloc(tmp_path, *arguments, limits=limit(resource.RLIMIT_FSIZE, 16_384))
+    assert code == 1
+    assert_one_line(errors, r"error: site\.segmap: cannot be written: file too large")
+    assert site.read_bytes() == before
+    assert names(tmp_path) == ["site.segmap"]
+
+
+@pytest.mark.slow
+def test_a_limit_on_memory_is_said_in_a_line(tmp_path: Path) -> None:
+    make_map(1, segments=1_500_000).save(tmp_path / "large.segmap")  # 114 MB
+    for megabytes in (450, 520, 600):
+        code, errors = segloc(
+            tmp_path, "map", "merge", "large.segmap", "large.segmap", "--out", "out.segmap",
+            limits=limit(resource.RLIMIT_AS, megabytes << 20),
+        )  # fmt: skip
+        assert code == 1, errors
+        assert_one_line(errors, r"error: .*memory")
+        assert names(tmp_path) == ["large.segmap"]
+
+
+COMMANDS = {
+    "build": "map build one --poses poses.tum --out out.segmap",
+    "merge": "map merge site.segmap other.segmap --out out.segmap",
+    "update": "map update site.segmap two --poses two/poses.tum --out out.segmap",
+    "localize": "localize two --map site.segmap --out out",
+    "simulate": "simulate town --out out",
+    "align": "align one two --poses poses.tum --out out",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_interrupt_ends_in_a_line(name: str, place: Path, tmp_path: Path) -> None:
+    if name == "simulate":
+        pytest.importorskip("embreex")
+    for part in place.iterdir():
+        (tmp_path / part.name).symlink_to(part)
+    process = subprocess.Popen(
+        [*SEGLOC, *COMMANDS[name].split()],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "COLUMNS": "500"},  # notes are not wrapped
+    )
+    assert process.stdout and process.stdout.readline() == "up\n"
+    time.sleep(0.1 if name == "merge" else 0.5)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: its children, too
+    errors = process.communicate(timeout=100)[1]
+    assert process.returncode in (0, 130) if name == "merge" else process.returncode == 130, errors
+    if process.returncode:
+        assert_one_line(errors, "interrupted$")
+    for path in tmp_path.rglob("*"):
+        assert not path.name.endswith((".tmp", ".lock")), path
+    if (tmp_path / "out.segmap").exists():
+        SegmentMap.load(tmp_path / "out.segmap")
+
+
+def test_a_folder_that_may_only_be_read(place: Path, tmp_path: Path) -> None:
+    make_map(1).save(tmp_path / "a.segmap")
+    tmp_path.chmod(0o500)
+    try:
+        if os.access(tmp_path, os.W_OK):
+            mount = ["mount", "--bind", str(tmp_path), str(tmp_path)]
+            again = ["mount", "-o", "remount,ro,bind", str(tmp_path)]
+            if any(subprocess.run(c, capture_output=True, check=False).returncode
+                   for c in (mount, again)):  # fmt: skip
+                pytest.skip("root may write anywhere, and may not mount here")
+        assert len(SegmentMap.load(tmp_path / "a.segmap")) == 3
+        with pytest.raises(SeglocError, match="cannot be written: (read-only|permission)"):
+            make_map(2).save(tmp_path / "a.segmap")
+        code, errors = segloc(tmp_path, "map", "merge", "a.segmap", "a.segmap", "--out", "a.segmap")
+        assert code == 1
+        assert_one_line(errors, r"error: a\.segmap: cannot be written: (read-only|permission)")
+    finally:
+        subprocess.run(["umount", str(tmp_path)], capture_output=True, check=False)
+        tmp_path.chmod(0o700)
+    assert names(tmp_path) == ["a.segmap"]
+    assert np.isfinite(SegmentMap.load(tmp_path / "a.segmap").vectors).all()

@@ -1,0 +1,150 @@
+"""Maps are joined only where they are of one place in one frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+from samples.real import real
+
+from segloc import Config, SegmentMap, build_map, cli, geometry, open_sequence
+from segloc.errors import MapMismatch
+from segloc.map.same_place import MIN_AGREEMENT, Meeting, check_same_place, meeting
+from segloc.map.voxel_cloud import VoxelCloud
+from segloc.types import Float64, Pose
+
+CONFIG = Config.preset("geo").model_copy(update={"threads": 1})
+
+
+def plaza_map(seed: int, offset: Float64 | None = None) -> SegmentMap:
+    run = PlazaSequence(Plaza(seed), steps=10)
+    if offset is not None:
+        run.poses[:, :3, 3] += offset
+    return build_map(run, CONFIG)
+
+
+def moved(prior_map: SegmentMap, T: Pose) -> SegmentMap:
+    """The map in another frame."""
+    cloud = geometry.transform(T, prior_map.cloud + prior_map.origin)
+    origin = cloud.mean(axis=0)
+    segments = prior_map._segments()
+    segments["centroids"] = geometry.transform(T, prior_map.centroids)
+    return SegmentMap(
+        prior_map.descriptor,
+        prior_map.fingerprint,
+        segments,
+        VoxelCloud((cloud - origin).astype(np.float32), origin, prior_map.cloud_voxel),
+        T @ prior_map.trajectory,
+    )
+
+
+@pytest.fixture(scope="module")
+def one() -> SegmentMap:
+    return plaza_map(0)
+
+
+@pytest.fixture(scope="module")
+def again() -> SegmentMap:
+    return plaza_map(0, np.array([1.0, 2.0, 0.0]))
+
+
+def save(folder: Path, **maps: SegmentMap) -> list[str]:
+    for name, prior_map in maps.items():
+        prior_map.save(folder / f"{name}.segmap")
+    return [str(folder / f"{name}.segmap") for name in maps]
+
+
+def merge(*arguments: str) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["segloc", "map", "merge", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    return int(end.value.code or 0)
+
+
+@pytest.mark.slow
+def test_one_place_is_one_place_in_any_frame(one: SegmentMap, again: SegmentMap) -> None:
+    for T in (np.eye(4), geometry.yaw_transform(2.0, (465_000.0, 5_251_000.0, 410.0))):
+        found = meeting(moved(one, T), moved(again, T))
+        assert found.agreement is not None and found.agreement > 0.75
+        check_same_place(moved(one, T), moved(again, T))
+    itself = meeting(one, one)
+    assert itself.agreement == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+def test_another_place_and_another_frame_are_refused(one: SegmentMap, again: SegmentMap) -> None:
+    with pytest.raises(MapMismatch, match="clouds agree little more than by chance"):
+        check_same_place(one, plaza_map(1))
+    for T in (geometry.yaw_transform(0.4), geometry.yaw_transform(0.0, (4.0, -3.0, 0.0))):
+        with pytest.raises(MapMismatch, match="in two frames"):
+            check_same_place(one, moved(again, T), elsewhere=True)
+    far = moved(again, geometry.yaw_transform(0.0, (500.0, 0.0, 0.0)))
+    with pytest.raises(MapMismatch, match="meet nowhere"):
+        check_same_place(one, far)
+    check_same_place(one, far, elsewhere=True)
+    storey = moved(again, geometry.yaw_transform(0.0, (0.0, 0.0, 3.0)))
+    with pytest.raises(MapMismatch, match="meet nowhere"):  # a storey above is another place
+        check_same_place(one, storey)
+
+
+def test_what_cannot_be_judged_passes(one: SegmentMap) -> None:
+    nothing = SegmentMap.empty("geo", one.fingerprint, one.dim)
+    check_same_place(one, nothing)
+    check_same_place(nothing, nothing)
+    few = one.kept(np.ones(len(one), bool), np.arange(len(one.cloud)) < 50)
+    assert meeting(one, few).agreement is None
+    check_same_place(one, few)
+    assert meeting(one, nothing) == Meeting(0, 0, None)
+
+
+@pytest.mark.slow
+def test_the_command(
+    one: SegmentMap, again: SegmentMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = moved(again, geometry.yaw_transform(0.0, (500.0, 0.0, 0.0)))
+    off = moved(again, geometry.yaw_transform(0.7))
+    paths = save(tmp_path, one=one, again=again, far=far, off=off)
+    out = ["--out", str(tmp_path / "out.segmap")]
+    assert merge(paths[0], paths[1], *out) == 0
+    (tmp_path / "out.segmap").unlink()
+    capsys.readouterr()
+    assert merge(paths[0], paths[2], *out) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("segloc: error: ") and "far.segmap: the paths" in said
+    assert said.count("\n") == 1
+    assert merge(paths[0], paths[3], *out, "--elsewhere") == 1
+    assert "off.segmap: the maps are in two frames" in capsys.readouterr().err
+    assert not (tmp_path / "out.segmap").exists()
+    assert merge(paths[0], paths[2], paths[1], *out, "--elsewhere") == 0
+
+
+@pytest.mark.slow
+def test_maps_of_a_row_need_no_order(tmp_path: Path) -> None:
+    row = {
+        name: plaza_map(0, np.array([x, 0.0, 0.0])) for name, x in (("a", -16), ("b", 16), ("c", 0))
+    }
+    a, b, c = save(tmp_path, **row)
+    assert not meeting(row["a"], row["b"]).places
+    assert merge(a, b, c, "--out", str(tmp_path / "out.segmap")) == 0
+
+
+@pytest.mark.slow
+def test_passes_of_kitti_agree_and_shuffled_ones_do_not() -> None:
+    pytest.importorskip("laspy")
+    folder = real("kitti00") / "keyframes"
+    first, second = (
+        build_map(open_sequence(folder, folder.with_suffix(".tum"), part), CONFIG)
+        for part in ("948:975", "1361:1390")
+    )
+    found = meeting(first, second)
+    assert found.agreement is not None and found.agreement > 0.75
+    rng = np.random.default_rng(0)
+    for turn in (0.0, np.pi, 1.0):
+        i, j = rng.integers(len(first.trajectory)), rng.integers(len(second.trajectory))
+        here, there = (geometry.levelled(m.trajectory[k]) for m, k in ((first, i), (second, j)))
+        T = here @ geometry.yaw_transform(turn, (6.0, 3.0, 0.0)) @ geometry.inverse(there)
+        found = meeting(first, moved(second, T))
+        assert found.agreement is None or found.agreement < MIN_AGREEMENT
