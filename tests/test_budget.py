@@ -56,7 +56,7 @@ def test_poses_in_large_files_are_those_in_small_ones(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trajectory.poses[7, :3, 3], [7, -7, 0.5])
     rows[1000] = "1000.25 1 2 3 0 0 0 one\n"
     (tmp_path / "a.tum").write_text("# stamp\n\n" + "".join(rows))
-    with pytest.raises(DatasetError, match="line 1003: .*'one'"):
+    with pytest.raises(DatasetError, match=r"line 1003: .*'one'"):
         read_trajectory(tmp_path / "a.tum")
 
 
