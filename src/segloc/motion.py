@@ -48,7 +48,8 @@ class Motion:
 
     @cached_property
     def _slerp(self) -> Slerp:
-        return Slerp(self.stamps, Rotation.from_matrix(self.poses[:, :3, :3]))
+        # Copied: older SciPy refuses arrays that are read-only.
+        return Slerp(self.stamps, Rotation.from_matrix(np.array(self.poses[:, :3, :3])))
 
     def at(self, times: ArrayLike) -> Float64:
         """Poses (N, 4, 4) at times (N,); before the first knot and after the last it rests.
