@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test quick evaluate lint sanitize wheel-check clean
+.PHONY: demo test quick test-lowest fuzz evaluate lint sanitize wheel-check clean
 
 demo: $(VENV)/.demo
 	$(BIN)/segloc demo --out demo
@@ -23,6 +23,29 @@ test: $(VENV)/.test
 
 quick: $(VENV)/.test
 	$(PYTEST) -m "not slow and not data and not torch"
+
+# The quick tests with Python 3.10 and exactly the lowest versions that pyproject.toml allows.
+LOWEST := build/lowest
+LOWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.10.*/bin/python) $(shell command -v python3.10))
+LOWEST_EXTRAS := io,sim,report,baselines,odometry,ros,packets
+
+test-lowest:
+ifeq ($(LOWEST_PYTHON),)
+	@echo "test-lowest: skipped: no Python 3.10 (name one by LOWEST_PYTHON=...)"
+else
+	$(LOWEST_PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python .ci/lowest.py $(LOWEST_EXTRAS) test-tools > $(LOWEST)/lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  -c $(LOWEST)/lowest.txt ".[$(LOWEST_EXTRAS),test-tools]"
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n $(CORES) \
+	  --dist loadfile -W default::DeprecationWarning -m "not slow and not data and not torch" tests
+endif
+
+# Coverage-guided fuzzing of the readers, a minute a target. What is found joins tests/hostile/found.
+SECONDS ?= 60
+
+fuzz: $(VENV)/.fuzz
+	$(BIN)/python tests/fuzz/run.py $(SECONDS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -1,6 +1,7 @@
 """Print the lowest versions that pyproject.toml allows, as constraints for pip.
 
-python .ci/lowest.py [EXTRA...] > lowest.txt: of the dependencies and these extras.
+python .ci/lowest.py [EXTRA...] > lowest.txt: of the dependencies and these extras, which may be
+joined by commas.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def lowest(extras: list[str]) -> dict[str, str]:
     while waiting or wanted:
         if not wanted:
             extra = waiting.pop()
-            if extra not in seen:
+            if extra and extra not in seen:
                 wanted += project["optional-dependencies"][extra]
                 seen.add(extra)
             continue
@@ -41,5 +42,5 @@ def lowest(extras: list[str]) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    for name, version in sorted(lowest(sys.argv[1:]).items()):
+    for name, version in sorted(lowest(",".join(sys.argv[1:]).split(",")).items()):
         print(f"{name}=={version}")

@@ -46,7 +46,8 @@ class Motion:
             raise ConfigError("the stamps of a motion must rise")
 
     def _rotations(self, times: Float64) -> Float64:
-        slerp = Slerp(self.stamps, Rotation.from_matrix(self.poses[:, :3, :3]))
+        # Copied: older SciPy refuses arrays that are read-only.
+        slerp = Slerp(self.stamps, Rotation.from_matrix(np.array(self.poses[:, :3, :3])))
         return np.asarray(slerp(times).as_matrix(), dtype=np.float64)
 
     def at(self, times: ArrayLike) -> Float64:

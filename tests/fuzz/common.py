@@ -1,4 +1,4 @@
-"""What the targets share: each input is on the disk before it runs, and a fault does not end the run."""
+"""What the targets share: each input is in a file before it runs, and a fault does not end it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ LARGEST = 4096
 """Bytes of an input, so that what is found can be kept."""
 
 instrumented = atheris.instrument_imports(
-    include=["segloc", "rosbags"], enable_loader_override=False
+    include=["segloc", "rosbags.rosbag1", "rosbags.rosbag2", "rosbags.highlevel"],
+    enable_loader_override=False,
 )
 
 
@@ -72,7 +73,7 @@ class Bench:
 def fuzz(
     target: Callable[[bytes], None], seeds: Iterable[bytes], words: Iterable[str] = ()
 ) -> None:
-    """Run the target on inputs grown from the seeds, for as many seconds as the command line says."""
+    """Run the target on inputs grown from the seeds, for the seconds that the command line says."""
     corpus = Path(tempfile.mkdtemp(prefix="fuzz-corpus-"))
     for number, seed in enumerate(seeds):
         if len(seed) <= LARGEST:

@@ -1,7 +1,8 @@
-"""Opens files in a process of its own, with little memory: ``python -m hostile.opened LIST REPORT``.
+"""Opens files in a process with little memory: ``python -m hostile.opened LIST REPORT``.
 
-LIST holds a line of JSON a file, ``[name, how, path]``. REPORT gets one before each, ``["at", name]``
-and one behind it, ``[what, text]``: "read" or "refused", or "broken" for whatever must not happen.
+LIST holds a line of JSON a file, ``[name, how, path]``. REPORT gets one before each,
+``["at", name]``, and one behind it, ``[what, text]``: "read" or "refused", or "broken" for whatever
+must not happen.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def path_of(count: int, seed: int = 0) -> Trajectory:
     rng = np.random.default_rng(seed)
     poses = np.tile(np.eye(4), (count, 1, 1))
     if count:
-        poses[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+        poses[:, :3, :3] = Rotation.random(count, rng).as_matrix()
     poses[:, :3, 3] = rng.normal(size=(count, 3)) * 500
     return Trajectory(np.cumsum(rng.uniform(0.01, 2, count)) + 1.6e9, poses)
 

@@ -206,7 +206,7 @@ def test_missing_and_strange_paths(tmp_path: Path, saved: tuple[SegmentMap, byte
         with pytest.raises(MapFormatError, match=fault):
             SegmentMap.load(path)
     (tmp_path / "file").write_bytes(b"")
-    assert_refused(tmp_path / "file", b"", "header too small")
+    assert_refused(tmp_path / "file", b"", "(?i)header ?too ?small")
     for path, fault in [
         (tmp_path / "none" / "a.segmap", "no folder"),
         (tmp_path / "file" / "a.segmap", "no folder"),

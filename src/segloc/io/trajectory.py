@@ -88,9 +88,8 @@ class Trajectory:
         start, end = self.stamps[pair]
         share = (stamp - start) / (end - start)
         T = np.eye(4)
-        T[:3, :3] = Slerp([0.0, 1.0], Rotation.from_matrix(self.poses[pair, :3, :3]))(
-            share
-        ).as_matrix()
+        ends = Rotation.from_matrix(np.array(self.poses[pair, :3, :3]))  # older SciPy writes there
+        T[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
         T[:3, 3] = (1 - share) * self.poses[after - 1, :3, 3] + share * self.poses[after, :3, 3]
         return T
 
@@ -239,7 +238,7 @@ def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> Non
     rows[:, 0] = trajectory.stamps
     rows[:, 1:4] = trajectory.poses[:, :3, 3]
     if len(trajectory):
-        rows[:, 4:] = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
+        rows[:, 4:] = Rotation.from_matrix(np.array(trajectory.poses[:, :3, :3])).as_quat()
     rows[:, 4:] *= np.where(rows[:, 7:] < 0, -1.0, 1.0)  # q and -q are the same rotation
     header = "# stamp tx ty tz qx qy qz qw\n" + (f"# {remark}\n" if remark else "")
     write_text(path, _format_rows(rows, "%.9f", header))

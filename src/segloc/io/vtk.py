@@ -16,6 +16,8 @@ _TYPES = {
     "char": "i1", "short": "i2", "int": "i4", "long": "i8", "vtktypeint64": "i8",
     "unsigned_char": "u1", "unsigned_short": "u2", "unsigned_int": "u4", "unsigned_long": "u8",
 }  # fmt: skip
+_WORD = re.compile(rb"(?<!\S)(?![-+]?(?:nan|inf|infinity)(?!\S))[a-z]", re.I)
+"""Where the next section of a file begins."""
 _POINTS = re.compile(rb"^POINTS[ \t]+(\S{1,40})[ \t]+(\w{1,40})[ \t]*\r?\n", re.M | re.I)
 
 
@@ -61,10 +63,12 @@ def _parse_ascii(data: bytes, count: int) -> Scan:
     require_bytes(len(data) + 1, 6 * count, f"{count} points")  # a digit and a space each at least
     if not count:
         return Scan(np.empty((0, 3), dtype=np.float32))
+    end = _WORD.search(data)
     try:
-        values = np.fromstring(data, dtype=np.float64, count=3 * count, sep=" ")
+        # Without a count: with one, and too few numbers, the rest is whatever was in memory.
+        values = np.fromstring(data[: end.start()] if end else data, dtype=np.float64, sep=" ")
     except (ValueError, DeprecationWarning) as error:  # in which of the two ways: by its version
         raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
     if len(values) < 3 * count:
         raise DatasetError(f"{count} points need {3 * count} numbers, but there are {len(values)}")
-    return scan_from_columns(list(values.reshape(-1, 3).T))
+    return scan_from_columns(list(values[: 3 * count].reshape(-1, 3).T))

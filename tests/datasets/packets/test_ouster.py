@@ -14,7 +14,8 @@ from samples.datasets import START, Drive
 from samples.ouster import COLUMNS, PIXELS, TURN_S, Ouster, capture, ip_packets, recorded
 
 from segloc.datasets import RecordedSequence, open_sequence
-from segloc.datasets.packets.ouster_packets import gather, read_sensor
+from segloc.datasets.packets.ouster_packets import read_sensor
+from segloc.datasets.packets.ouster_turns import gather
 from segloc.errors import DatasetError
 from segloc.types import Float64, Scan
 

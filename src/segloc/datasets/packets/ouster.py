@@ -15,7 +15,8 @@ from ...types import Scan
 from ..layout import choose
 from ..recorded import Found
 from .captures import datagrams, mapped
-from .ouster_packets import FIELDS, FRAME, Sensor, Turns, gather, read_sensor
+from .ouster_packets import FIELDS, FRAME, Sensor, read_sensor
+from .ouster_turns import Turns, gather
 
 NAME = "Ouster packets"
 INNER: tuple[str, ...] = ()

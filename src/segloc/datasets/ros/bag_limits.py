@@ -1,4 +1,4 @@
-"""Limits on what the chunks and messages of bags unpack to, which the package rosbags has none of."""
+"""Limits on what chunks and messages of bags unpack to; the package rosbags has none."""
 
 from __future__ import annotations
 

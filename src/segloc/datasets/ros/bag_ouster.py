@@ -17,7 +17,8 @@ import numpy as np
 
 from ...errors import DatasetError
 from ...types import Scan
-from ..packets.ouster_packets import FIELDS, FRAME, Sensor, Turns, gather, read_sensor
+from ..packets.ouster_packets import FIELDS, FRAME, Sensor, read_sensor
+from ..packets.ouster_turns import Turns, gather
 from ..recorded import Found
 from .bag_file import BagFile, faults_of
 from .bag_poses import find_track
