@@ -49,7 +49,7 @@ def test_every_function_is_in_the_table() -> None:
 def test_coordinates_of_maps_lose_nothing() -> None:
     """UTM and ECEF coordinates, and a height grid of a centimetre at 10 000 km."""
     arguments = bindings._matches()
-    options = (0.6, 1.0, 1.0, 3.0, 16, 4, 1)
+    options = (0.6, 1.0, 1.0, 3.0, 15.0, 16, 4, 1)
     for place in ([4.5e5, 5.4e6, 100.0], [-6.4e6, 6.3e6, 6.2e6], [1e7, -1e7, 0.0]):
         moved = {**arguments, "map": arguments["query"] + place}
         poses, inliers, _ = _native.consensus(*moved.values(), *options)
@@ -80,7 +80,7 @@ import numpy as np
 from samples import bindings
 from segloc import _native
 a = list(bindings._matches(200).values())
-def find(threads): return _native.consensus(*a, 0.6, 1.0, 1.0, 3.0, 16, 4, threads)[0].tobytes()
+def find(threads): return _native.consensus(*a, 0.6, 1.0, 1.0, 3.0, 15.0, 16, 4, threads)[0].tobytes()
 expected, stop = find(2), threading.Event()
 def go_on():
     while not stop.is_set(): find(2)

@@ -254,6 +254,7 @@ def test_rigid_fit_of_three_points_is_exact() -> None:
     poses, inliers = _native.prosac(
         query, geometry.transform(T, query), index, index, ordered=True, yaw_only=False,
         edge_tolerance=0.5, inlier_tolerance=0.6, min_edge=3.0, chance=0.01, separation=3.0,
+        separation_deg=15.0,
         max_draws=1000, max_hypotheses=8, seed=0,
     )  # fmt: skip
     assert inliers.tolist() == [3]

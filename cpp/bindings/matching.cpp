@@ -117,7 +117,7 @@ Out<float> pair_features_(In2<float> query, In2<float> map, In1<int64_t> rows, I
   {
     nb::gil_scoped_release release;
     require_usable(query.data(), query.size(), "query");
-    require_usable(map.data(), map.size(), "site");
+    require_usable(map.data(), map.size(), "mapped");
     pair_features(task, layout, threads, output.data());
   }
   return to_numpy(std::move(output), {task.pairs, F});
@@ -170,13 +170,13 @@ void bind_matching(nb::module_& m) {
       .def_prop_ro("lists", [](const BoundIndex& bound) { return bound.index.lists(); });
   m.def("order_matches", &order_matches_, "query"_a.noconvert(), "map"_a.noconvert(),
         "score"_a.noconvert());
-  m.def("pair_features", &pair_features_, "query"_a.noconvert(), "site"_a.noconvert(),
+  m.def("pair_features", &pair_features_, "query"_a.noconvert(), "mapped"_a.noconvert(),
         "rows"_a.noconvert(), "columns"_a.noconvert(), "layout"_a, "threads"_a = 0);
   nb::class_<Forest>(m, "Forest")
       .def("__init__", &construct_forest, "roots"_a.noconvert(), "feature"_a.noconvert(),
            "threshold"_a.noconvert(), "first_child"_a.noconvert(), "features"_a)
       .def("predict", &predict, "features"_a.noconvert(), "threads"_a = 0)
-      .def("predict_pairs", &predict_pairs, "query"_a.noconvert(), "site"_a.noconvert(),
+      .def("predict_pairs", &predict_pairs, "query"_a.noconvert(), "mapped"_a.noconvert(),
            "rows"_a.noconvert(), "columns"_a.noconvert(), "layout"_a, "threads"_a = 0)
       .def_prop_ro("features", &Forest::features);
 }

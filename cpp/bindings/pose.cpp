@@ -41,23 +41,26 @@ void require_matches(const In2<double>& query, const In2<double>& map,
 // Tolerances below this would make more cells than there are places.
 constexpr double kLeastTolerance = 1e-3;
 constexpr std::size_t kMostDraws = 1'000'000'000;
+constexpr double kPi = 3.14159265358979323846;
 
 auto consensus_(const In2<double>& query, const In2<double>& map,
                 const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
                 double inlier_tolerance, double height_tolerance, double distinct_radius,
-                double separation, std::size_t max_refined, std::size_t max_hypotheses,
-                int threads) {
+                double separation, double separation_deg, std::size_t max_refined,
+                std::size_t max_hypotheses, int threads) {
   require_matches(query, map, match_query, match_map);
   require_between(inlier_tolerance, kLeastTolerance, 1e6, "inlier_tolerance");
   require_between(height_tolerance, 0.0, kLongest, "height_tolerance");
   require_between(distinct_radius, 0.0, kLongest, "distinct_radius");
   require_between(separation, 0.0, kLongest, "separation");
+  require_between(separation_deg, 0.0, 180.0, "separation_deg");
   const std::size_t n = match_query.shape(0);
   ConsensusOptions options;
   options.inlier_tolerance = inlier_tolerance;
   options.height_tolerance = height_tolerance;
   options.distinct_radius = distinct_radius;
   options.separation = separation;
+  options.separation_angle = separation_deg * kPi / 180.0;
   options.max_refined = max_refined;
   options.max_hypotheses = max_hypotheses;
   std::vector<PoseHypothesis> found;
@@ -110,13 +113,15 @@ auto pose_votes_(const In2<double>& query, const In2<double>& map,
 auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::int64_t>& match_query,
              const In1<std::int64_t>& match_map, bool ordered, bool yaw_only, double edge_tolerance,
              double inlier_tolerance, double min_edge, double chance, double separation,
-             std::size_t max_draws, std::size_t max_hypotheses, std::uint64_t seed) {
+             double separation_deg, std::size_t max_draws, std::size_t max_hypotheses,
+             std::uint64_t seed) {
   require_matches(query, map, match_query, match_map);
   require_between(edge_tolerance, 0.0, kLongest, "edge_tolerance");
   require_between(inlier_tolerance, 0.0, kLongest, "inlier_tolerance");
   require_between(min_edge, 0.0, kLongest, "min_edge");
   require_between(chance, 0.0, 1.0, "chance");
   require_between(separation, 0.0, kLongest, "separation");
+  require_between(separation_deg, 0.0, 180.0, "separation_deg");
   require(max_draws <= kMostDraws, "max_draws must be at most " + std::to_string(kMostDraws));
   ProsacOptions options;
   options.ordered = ordered;
@@ -126,6 +131,7 @@ auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::in
   options.min_edge = min_edge;
   options.chance = chance;
   options.separation = separation;
+  options.separation_angle = separation_deg * kPi / 180.0;
   options.max_draws = max_draws;
   options.max_hypotheses = max_hypotheses;
   options.seed = seed;
@@ -157,8 +163,8 @@ void bind_pose(nb::module_& m) {
   m.def("consensus", &consensus_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
         nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
         nb::arg("inlier_tolerance"), nb::arg("height_tolerance"), nb::arg("distinct_radius"),
-        nb::arg("separation"), nb::arg("max_refined"), nb::arg("max_hypotheses"),
-        nb::arg("threads"));
+        nb::arg("separation"), nb::arg("separation_deg"), nb::arg("max_refined"),
+        nb::arg("max_hypotheses"), nb::arg("threads"));
 
   m.def("pose_votes", &pose_votes_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
         nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("tolerance"),
@@ -167,8 +173,8 @@ void bind_pose(nb::module_& m) {
   m.def("prosac", &prosac_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
         nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("ordered"),
         nb::arg("yaw_only"), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
-        nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("max_draws"),
-        nb::arg("max_hypotheses"), nb::arg("seed"));
+        nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("separation_deg"),
+        nb::arg("max_draws"), nb::arg("max_hypotheses"), nb::arg("seed"));
 }
 
 }  // namespace segloc::bindings

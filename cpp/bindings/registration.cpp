@@ -74,13 +74,13 @@ void bind_registration(nb::module_& m) {
              double support) {
             require_points(points);
             require_usable(points.data(), points.size(), "points");
-            require_length(max_correspondence_distance, "reach");
+            require_length(max_correspondence_distance, "max_correspondence_distance");
             require_length(support, "support");
             nb::gil_scoped_release release;
             new (self)
                 Surface(points.data(), points.shape(0), max_correspondence_distance, support);
           },
-          nb::arg("points").noconvert(), nb::arg("reach"), nb::arg("support"))
+          nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"))
       .def("__len__", &Surface::size)
       .def("normals", &normals_)
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),

@@ -28,12 +28,12 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
 
 auto count_visible(const VisibilityCheck& check, const In2<float>& map,
                    const In2<double>& T_query_map, double radius, double margin) {
-  require_points(map, "site");
-  require_transform(T_query_map, "T_local_site");
+  require_points(map, "points");
+  require_transform(T_query_map, "T_local_map");
   require_between(radius, kShortest, check.radius(), "radius");
   require_between(margin, 0.0, kLongest, "margin");
   nb::gil_scoped_release release;
-  require_usable(map.data(), map.size(), "site");
+  require_usable(map.data(), map.size(), "points");
   const VisibilityCheck::Counts counts =
       check.count(map.data(), map.shape(0), T_query_map.data(), radius, margin);
   return std::make_tuple(counts.confirmed, counts.violations);
@@ -42,7 +42,7 @@ auto count_visible(const VisibilityCheck& check, const In2<float>& map,
 }  // namespace
 
 void bind_verification(nb::module_& m) {
-  nb::class_<VisibilityCheck>(m, "Sight")
+  nb::class_<VisibilityCheck>(m, "VisibilityCheck")
       .def(
           "__init__",
           [](VisibilityCheck* self, const In2<float>& structure, const In2<float>& ground,
@@ -59,8 +59,8 @@ void bind_verification(nb::module_& m) {
           },
           nb::arg("structure").noconvert(), nb::arg("ground").noconvert(), nb::arg("range"),
           nb::arg("bin_deg"), nb::arg("radius"))
-      .def("look", &count_visible, nb::arg("site").noconvert(), nb::arg("T_local_site").noconvert(),
-           nb::arg("radius"), nb::arg("margin"));
+      .def("count", &count_visible, nb::arg("points").noconvert(),
+           nb::arg("T_local_map").noconvert(), nb::arg("radius"), nb::arg("margin"));
 
   nb::class_<PointIndex>(m, "PointIndex")
       .def(

@@ -14,7 +14,6 @@ namespace segloc {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kSameYaw = 15.0 * kPi / 180.0;
 constexpr double kSameStart = 0.75 * kPi / 180.0;
 constexpr double kShare = 0.4;  // of the most votes: cells with fewer votes are not searched,
 constexpr std::size_t kFewestCells = 64;  // except for the best so many
@@ -42,9 +41,9 @@ bool explains(const PoseHypothesis& pose, const MatchTable& f, const PoseStart& 
          std::fabs(wrap(pose.yaw - start.pose.yaw)) < kSameStart;
 }
 
-bool same_place(const PoseHypothesis& a, const PoseHypothesis& b, double separation) {
-  return std::hypot(a.t[0] - b.t[0], a.t[1] - b.t[1]) < separation &&
-         std::fabs(wrap(a.yaw - b.yaw)) < kSameYaw;
+bool same_place(const PoseHypothesis& a, const PoseHypothesis& b, const ConsensusOptions& o) {
+  return std::hypot(a.t[0] - b.t[0], a.t[1] - b.t[1]) < o.separation &&
+         std::fabs(wrap(a.yaw - b.yaw)) < o.separation_angle;
 }
 
 }  // namespace
@@ -87,9 +86,8 @@ std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const 
   std::vector<PoseHypothesis> distinct;
   for (const PoseHypothesis& pose : refined) {
     if (distinct.size() >= o.max_hypotheses) break;
-    const bool known = std::any_of(distinct.begin(), distinct.end(), [&](const auto& other) {
-      return same_place(pose, other, o.separation);
-    });
+    const bool known = std::any_of(distinct.begin(), distinct.end(),
+                                   [&](const auto& other) { return same_place(pose, other, o); });
     if (!known) distinct.push_back(pose);
   }
   for (PoseHypothesis& pose : distinct) {

@@ -8,12 +8,14 @@
 namespace segloc {
 
 struct ConsensusOptions {
-  double inlier_tolerance = 0.6;  // a match agrees with a pose if it lies closer, metres
-  double height_tolerance = 1.0;  // the same along z, metres
-  double distinct_radius = 1.0;   // query segments closer than this count as one object, metres
-  double separation = 3.0;        // hypotheses closer than this (and than 15 degrees) are one
-  std::size_t max_refined = 128;  // candidates that are refined
-  std::size_t max_hypotheses = 8;
+  // Their values have one home: PoseConfig of the Python package.
+  double inlier_tolerance;  // a match agrees with a pose if it lies closer, metres
+  double height_tolerance;  // the same along z, metres
+  double distinct_radius;   // query segments closer than this count as one object, metres
+  double separation;        // hypotheses closer than this, and than the angle, are one, metres
+  double separation_angle;  // radians
+  std::size_t max_refined;  // candidates that are refined
+  std::size_t max_hypotheses;
   std::size_t max_votes = 32768;  // matches that vote; the first ones
   std::size_t max_cells = 512;    // cells of poses that are searched
 };

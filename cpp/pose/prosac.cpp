@@ -164,7 +164,8 @@ class Search {
     const auto p = a.apply(source_), q = b.apply(source_);
     double trace = 0.0;
     for (int k = 0; k < 9; ++k) trace += a.R[k] * b.R[k];
-    return std::hypot(p[0] - q[0], p[1] - q[1], p[2] - q[2]) < o_.separation && trace > 2.93;
+    return std::hypot(p[0] - q[0], p[1] - q[1], p[2] - q[2]) < o_.separation &&
+           trace > 1.0 + 2.0 * std::cos(o_.separation_angle);
   }
 
   void remember(const SampledHypothesis& hypothesis) {

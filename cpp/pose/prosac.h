@@ -10,17 +10,19 @@
 namespace segloc {
 
 struct ProsacOptions {
-  bool ordered = true;             // false: RANSAC, every sample from all matches
-  bool yaw_only = false;           // yaw and translation from 2 matches; else SE(3) from 3
-  double edge_tolerance = 0.5;     // edges of a sample must agree to this, metres
-  double inlier_tolerance = 0.6;   // metres
-  double min_edge = 3.0;           // shorter edges make a sample degenerate, metres
-  double chance = 0.01;            // probability that a match fits a wrong pose (beta of the paper)
-  double missed = 0.05;            // probability of having missed a better set (eta of the paper)
-  double separation = 3.0;         // hypotheses closer than this are one, metres
-  std::size_t max_draws = 200000;  // T_N of the paper, and the limit
-  std::size_t max_hypotheses = 8;
-  std::uint64_t seed = 0;
+  // Their values have one home: PoseConfig of the Python package.
+  bool ordered;             // false: RANSAC, every sample from all matches
+  bool yaw_only;            // yaw and translation from 2 matches; else SE(3) from 3
+  double edge_tolerance;    // edges of a sample must agree to this, metres
+  double inlier_tolerance;  // metres
+  double min_edge;          // shorter edges make a sample degenerate, metres
+  double chance;            // probability that a match fits a wrong pose (beta of the paper)
+  double separation;        // hypotheses closer than this, and than the angle, are one, metres
+  double separation_angle;  // radians
+  std::size_t max_draws;    // T_N of the paper, and the limit
+  std::size_t max_hypotheses;
+  std::uint64_t seed;
+  double missed = 0.05;  // probability of having missed a better set (eta of the paper)
 };
 
 struct SampledHypothesis {

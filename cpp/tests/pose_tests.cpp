@@ -10,6 +10,32 @@
 namespace segloc {
 namespace {
 
+constexpr double kApart = 0.26;  // radians
+
+ConsensusOptions consensus_options() {
+  ConsensusOptions options{};
+  options.inlier_tolerance = 0.6;
+  options.height_tolerance = options.distinct_radius = 1.0;
+  options.separation = 3.0;
+  options.separation_angle = kApart;
+  options.max_refined = 128;
+  options.max_hypotheses = 8;
+  return options;
+}
+
+ProsacOptions prosac_options() {
+  ProsacOptions options{};
+  options.ordered = true;
+  options.edge_tolerance = 0.5;
+  options.inlier_tolerance = 0.6;
+  options.min_edge = options.separation = 3.0;
+  options.separation_angle = kApart;
+  options.chance = 0.01;
+  options.max_draws = 200000;
+  options.max_hypotheses = 8;
+  return options;
+}
+
 void poses() {
   std::mt19937 engine(3);
   std::uniform_real_distribution<double> uniform(-40.0, 40.0);
@@ -25,8 +51,9 @@ void poses() {
       index[i] = std::int64_t(i);
     }
     const auto found = consensus(query.data(), n, map.data(), index.data(), index.data(), n,
-                                 ConsensusOptions{}, 2);
-    const auto sampled = prosac(query.data(), map.data(), index.data(), index.data(), n, {});
+                                 consensus_options(), 2);
+    const auto sampled =
+        prosac(query.data(), map.data(), index.data(), index.data(), n, prosac_options());
     if (n < 200) continue;
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
     CHECK(std::fabs(found[0].t[0] - 5e6) < 0.5 && std::fabs(sampled[0].T.t[0] - 5e6) < 0.5);
@@ -44,7 +71,7 @@ void far_segments() {
   map[3 * n - 5] = -1e10;
   for (const int threads : {1, 3}) {
     const auto found = consensus(query.data(), n, map.data(), index.data(), index.data(), n,
-                                 ConsensusOptions{}, threads);
+                                 consensus_options(), threads);
     CHECK(!found.empty() && found[0].inliers + 6 >= n);
     CHECK(std::hypot(found[0].t[0], found[0].t[1]) < 0.1);
   }

@@ -32,6 +32,7 @@ def consensus(
     height_tolerance: float,
     distinct_radius: float,
     separation: float,
+    separation_deg: float,
     max_refined: int,
     max_hypotheses: int,
     threads: int,
@@ -48,12 +49,13 @@ def prosac(
     min_edge: float,
     chance: float,
     separation: float,
+    separation_deg: float,
     max_draws: int,
     max_hypotheses: int,
     seed: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
 
-class Sight:
+class VisibilityCheck:
     def __init__(
         self,
         structure: NDArray[np.float32],
@@ -62,16 +64,18 @@ class Sight:
         bin_deg: float,
         radius: float,
     ) -> None: ...
-    def look(
+    def count(
         self,
-        site: NDArray[np.float32],
-        T_local_site: NDArray[np.float64],
+        points: NDArray[np.float32],
+        T_local_map: NDArray[np.float64],
         radius: float,
         margin: float,
     ) -> tuple[int, int]: ...
 
 class Surface:
-    def __init__(self, points: NDArray[np.float32], reach: float, support: float) -> None: ...
+    def __init__(
+        self, points: NDArray[np.float32], max_correspondence_distance: float, support: float
+    ) -> None: ...
     def __len__(self) -> int: ...
     def normals(self) -> NDArray[np.float64]: ...
     def align(
@@ -155,7 +159,7 @@ def gestalt(
 ) -> NDArray[np.float32]: ...
 def pair_features(
     query: NDArray[np.float32],
-    site: NDArray[np.float32],
+    mapped: NDArray[np.float32],
     rows: NDArray[np.int64],
     columns: NDArray[np.int64],
     layout: tuple[int, bool, int],
@@ -175,7 +179,7 @@ class Forest:
     def predict_pairs(
         self,
         query: NDArray[np.float32],
-        site: NDArray[np.float32],
+        mapped: NDArray[np.float32],
         rows: NDArray[np.int64],
         columns: NDArray[np.int64],
         layout: tuple[int, bool, int],

@@ -82,6 +82,7 @@ def _poses() -> Iterator[tuple[str, Call]]:
         "height_tolerance": 1.0,
         "distinct_radius": 1.0,
         "separation": 3.0,
+        "separation_deg": 15.0,
         "max_refined": 16,
         "max_hypotheses": 4,
         "threads": 2,
@@ -97,6 +98,7 @@ def _poses() -> Iterator[tuple[str, Call]]:
         "min_edge": 3.0,
         "chance": 0.01,
         "separation": 3.0,
+        "separation_deg": 15.0,
         "max_draws": 1000,
         "max_hypotheses": 4,
         "seed": 0,
@@ -114,10 +116,10 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     sample = {"x": 0.0, "y": 1.0, "radius": 5.0, "count": 100}
     yield "PointIndex.sample", Call(index.sample, sample)
     view = {"structure": points, "ground": points, "range": 30.0, "bin_deg": 1.0, "radius": 0.5}
-    yield "Sight", Call(_native.Sight, view)
-    look = {"site": points, "T_local_site": eye, "radius": 0.5, "margin": 1.0}
-    yield "Sight.look", Call(_native.Sight(**view).look, look)
-    surface = {"points": points, "reach": 1.0, "support": 1.0}
+    yield "VisibilityCheck", Call(_native.VisibilityCheck, view)
+    count = {"points": points, "T_local_map": eye, "radius": 0.5, "margin": 1.0}
+    yield "VisibilityCheck.count", Call(_native.VisibilityCheck(**view).count, count)
+    surface = {"points": points, "max_correspondence_distance": 1.0, "support": 1.0}
     yield "Surface", Call(lambda **a: _native.Surface(**a).normals(), surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
@@ -155,7 +157,7 @@ def _matching() -> Iterator[tuple[str, Call]]:
     rows, columns = (rng.integers(0, n, 50) for n in (20, 200))
     scores = {"query": rows, "map": columns, "score": rng.random(50, dtype=np.float32)}
     yield "order_matches", Call(_native.order_matches, scores, frozenset({"query", "map", "score"}))
-    pairs = {"query": queries, "site": database, "rows": rows, "columns": columns}
+    pairs = {"query": queries, "mapped": database, "rows": rows, "columns": columns}
     pairs |= {"layout": (4, True, 2), "threads": 2}
     yield "pair_features", Call(_native.pair_features, pairs)
     tree = {
@@ -168,7 +170,7 @@ def _matching() -> Iterator[tuple[str, Call]]:
     yield "Forest", Call(_native.Forest, tree, frozenset({"threshold"}))
     forest = _native.Forest(**tree)
     seen = _native.pair_features(**pairs)
-    free = frozenset({"features", "query", "site"})  # leaves are finite, wherever a pair ends
+    free = frozenset({"features", "query", "mapped"})  # leaves are finite, wherever a pair ends
     yield "Forest.predict", Call(forest.predict, {"features": seen, "threads": 2}, free)
     yield "Forest.predict_pairs", Call(forest.predict_pairs, pairs, free)
 
@@ -243,7 +245,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
     _poses: ("consensus", "pose_votes", "prosac"),
     _clouds: (
         *("PointIndex", "PointIndex.overlap", "PointIndex.sample"),
-        *("Sight", "Sight.look", "Surface", "Surface.align"),
+        *("VisibilityCheck", "VisibilityCheck.count", "Surface", "Surface.align"),
     ),
     _descriptors: (
         *("segment_moments", "esf", "gestalt", "voxel_shapes"),

@@ -16,7 +16,7 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc._native import PointIndex, Sight
+from segloc._native import PointIndex, VisibilityCheck
 from segloc.config import differences
 from segloc.errors import WeightsError
 from segloc.localization import Reason
@@ -73,7 +73,7 @@ def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
 def reference_visibility(
     structure: Float32, ground: Float32, prior_map: Float32, T: Pose, reach: float, bin_deg: float
 ) -> tuple[int, int]:
-    """What ``Sight.look`` counts, with 0.4 m to be near and 0.7 m to be behind."""
+    """What ``VisibilityCheck.count`` counts, with 0.4 m to be near and 0.7 m to be behind."""
     shape = round(360 / bin_deg), round(180 / bin_deg) + 1
 
     def pixels(points: Float32) -> tuple[tuple[Int64, Int64], Float64]:
@@ -113,7 +113,7 @@ def test_what_of_a_map_is_seen_and_what_violates_free_space(
     others = rng.uniform([-25, -25, -2], [25, 25, 4], (200, 3))
     prior_map = geometry.transform(geometry.inverse(T), np.concatenate([mapped, others]))
     prior_map = prior_map.astype(np.float32)
-    counts = Sight(structure, ground, reach, bin_deg, 0.5).look(prior_map, T, 0.4, 0.7)
+    counts = VisibilityCheck(structure, ground, reach, bin_deg, 0.5).count(prior_map, T, 0.4, 0.7)
     expected = reference_visibility(structure, ground, prior_map, T, reach, bin_deg)
     assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
 
@@ -128,7 +128,7 @@ def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_j
     ground = floor.reshape(-1, 3).astype(np.float32)
 
     def shares(live: Float32, prior_map: Float32) -> tuple[int, int]:
-        return Sight(live, ground, 30.0, 2.0, 0.4).look(prior_map, np.eye(4), 0.4, 0.7)
+        return VisibilityCheck(live, ground, 30.0, 2.0, 0.4).count(prior_map, np.eye(4), 0.4, 0.7)
 
     assert shares(wall(8), wall(8)) == (len(y), 0)
     assert shares(wall(8), wall(11)) == (0, 0)  # hidden

@@ -21,13 +21,13 @@ class QueryView:
     def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
         radius = max(config.seen_radius, config.coarse_radius)
         self._margin = config.visibility_margin
-        self._image = _native.Sight(
+        self._image = _native.VisibilityCheck(
             scene.structure, scene.ground, config.visibility_range, config.visibility_bin, radius
         )
 
     def judged(self, points: Float32, T_local_map: Pose, radius: float) -> tuple[int, int]:
         """How many of (N, 3) map points are seen, and how many violate free space."""
-        seen, violations = self._image.look(points, T_local_map, radius, self._margin)
+        seen, violations = self._image.count(points, T_local_map, radius, self._margin)
         return seen, violations
 
 

@@ -143,6 +143,7 @@ def _options(names: set[str]) -> dict[str, Any]:
     return {
         **config.model_dump(include=names),
         "separation": config.separation.metres,
+        "separation_deg": config.separation.degrees,
         "max_hypotheses": config.max_candidates,
     }
 
