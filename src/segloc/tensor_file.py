@@ -96,7 +96,7 @@ class TensorFile:
         return array
 
     def _fill(self, part: NDArray[Any]) -> None:
-        rest = memoryview(part.view(np.uint8))
+        rest = part.view(np.uint8).data
         while len(rest):
             count = self._stream.readinto(rest)
             if not count:

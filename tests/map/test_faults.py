@@ -203,7 +203,7 @@ def test_a_folder_that_may_only_be_read(place: Path, tmp_path: Path) -> None:
                    for c in (mount, again)):  # fmt: skip
                 pytest.skip("root may write anywhere, and may not mount here")
         assert len(SegmentMap.load(tmp_path / "a.segmap")) == 3
-        with pytest.raises(SeglocError, match="cannot be written: (read-only|permission)"):
+        with pytest.raises(SeglocError, match=r"cannot be written: (read-only|permission)"):
             make_map(2).save(tmp_path / "a.segmap")
         code, errors = segloc(tmp_path, "map", "merge", "a.segmap", "a.segmap", "--out", "a.segmap")
         assert code == 1
