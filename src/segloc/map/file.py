@@ -150,7 +150,7 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
     extremes: dict[str, Extremes] = {}
     for name in shapes:
         digest, extremes[name] = hashlib.blake2b(digest_size=16), Extremes()
-        arrays[name] = file.read(name, _both(digest.update, extremes[name].see))
+        arrays[name] = file.read(name, _shown_to(digest, extremes[name]))
         if texts.get(f"{_CHECKSUM}.{name}") != digest.hexdigest():
             raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
     contents = _contents(path, arrays, texts)
@@ -159,10 +159,10 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
     return contents
 
 
-def _both(first: Callable[[Any], None], second: Callable[[Any], None]) -> Callable[[Array], None]:
+def _shown_to(digest: hashlib.blake2b, extremes: Extremes) -> Callable[[Array], None]:
     def look(part: Array) -> None:
-        first(part)
-        second(part)
+        digest.update(part.data)
+        extremes.see(part)
 
     return look
 
