@@ -6,7 +6,8 @@ BIN := $(VENV)/bin
 SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test quick test-lowest fuzz evaluate lint sanitize wheel-check clean
+.PHONY: demo test quick test-lowest fuzz evaluate lint wheel-check clean
+.PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
 demo: $(VENV)/.demo
 	$(BIN)/segloc demo --out demo
@@ -52,11 +53,42 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The kernels' own tests, under AddressSanitizer and UndefinedBehaviorSanitizer.
+# Builds that watch themselves. The kernels' own tests, under AddressSanitizer and UBSan:
+CHECKED := -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1"
+VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+SANITIZED := build/sanitize
 sanitize: $(VENV)/.dev
-	$(BIN)/cmake -S cpp/tests -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo -DSEGLOC_SANITIZE=ON
-	$(BIN)/cmake --build build/sanitize --parallel 2
-	build/sanitize/kernel_tests
+	$(BIN)/cmake -S . -B $(SANITIZED) $(CHECKED) -DSEGLOC_SANITIZE=address -DSEGLOC_TESTS=ON \
+	  -DPython_EXECUTABLE=$(abspath $(BIN))/python -DSKBUILD_PROJECT_VERSION=$(VERSION)
+	$(BIN)/cmake --build $(SANITIZED) --parallel 2 --target kernel_tests
+	$(SANITIZED)/cpp/tests/kernel_tests
+
+# The Python module likewise, in tests of what it is given: shapes, values and types of all kinds.
+# Python itself is not built so: the sanitizer is loaded before it, and its own leaks are not ours.
+sanitize-python: sanitize $(VENV)/.test
+	$(BIN)/cmake --build $(SANITIZED) --parallel 2 --target _native
+	SEGLOC_NATIVE="$$(ls $(abspath $(SANITIZED))/_native*.so)" PYTHONPATH=$(abspath tests/sanitized):src \
+	  ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=1 PYTHONMALLOC=malloc \
+	  LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so.6)" \
+	  $(PYTEST) -m "not slow and not data and not torch" -k "not localizes and not test_own" \
+	  tests/test_bindings.py tests/test_pose.py tests/test_matching.py tests/test_segmentation.py \
+	  tests/test_registration.py tests/verification tests/descriptors
+
+# The kernels' tests, several callers at once among them, under ThreadSanitizer: on demand. It wants
+# its memory where it looks for it.
+sanitize-threads: $(VENV)/.dev
+	$(BIN)/cmake -S cpp/tests -B build/sanitize-threads $(CHECKED) -DSEGLOC_SANITIZE=thread
+	$(BIN)/cmake --build build/sanitize-threads --parallel 2
+	TSAN_OPTIONS=halt_on_error=1 setarch $$(uname -m) -R build/sanitize-threads/kernel_tests
+
+# Random inputs for SECONDS each, by Clang's libFuzzer. What breaks one is left in build/fuzz.
+FUZZERS := $(patsubst cpp/fuzz/%_fuzzer.cpp,%,$(wildcard cpp/fuzz/*_fuzzer.cpp))
+fuzz-native: $(VENV)/.dev
+	CXX=clang++ $(BIN)/cmake -S cpp/fuzz -B build/fuzz $(CHECKED)
+	$(BIN)/cmake --build build/fuzz --parallel 2
+	set -e; for name in $(FUZZERS); do mkdir -p build/fuzz/corpus/$$name; \
+	  build/fuzz/$${name}_fuzzer -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 \
+	  -verbosity=0 -artifact_prefix=build/fuzz/$$name- build/fuzz/corpus/$$name cpp/fuzz/seeds/$$name; done
 
 # The wheel must install and localize where there is nothing else: no torch, no compiler, no plotting,
 # no laboratory. The wheel of the experiments adds its verbs.

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from samples.plaza import Plaza
 from samples.real import real
+
+settings.register_profile("sanitized", deadline=None, max_examples=20)  # several times slower
+if "SEGLOC_NATIVE" in os.environ:
+    settings.load_profile("sanitized")
 
 PACKAGES = {"torch": "torch", "rosbags": "ros"}
 """Marks by what a test, or its module at the top, skips without."""

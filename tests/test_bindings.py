@@ -102,6 +102,9 @@ assert find(2) == expected
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.skipif(
+    "asan" in os.environ.get("LD_PRELOAD", ""), reason="the sanitizer's own locks are inherited"
+)
 def test_children_compute_while_the_parent_does() -> None:
     """The pool's threads and locks are not inherited: a child makes its own."""
     done = run("-W", "ignore::DeprecationWarning", "-c", FORKS, timeout=120.0)

@@ -33,11 +33,12 @@ size_t full_in_row(const uint16_t* above, const uint16_t* here, size_t columns, 
   if (votes(columns - 1, 0) >= fewest) found[count++] = y * static_cast<uint32_t>(columns);
   for (size_t first = 0; first < columns; first += kBlockCells) {
     const uint16_t *a = above + first, *b = here + first;
+    const uint16_t *before_a = a - 1, *before_b = b - 1;
     uint16_t most = 0;
     for (size_t i = 0; i < kBlockCells;
          ++i) {  // in the first block also a window of two rows' ends
-      const auto sum = static_cast<uint16_t>((a[i] & kVotes) + (a[i - 1] & kVotes) +
-                                             (b[i] & kVotes) + (b[i - 1] & kVotes));
+      const auto sum = static_cast<uint16_t>((a[i] & kVotes) + (before_a[i] & kVotes) +
+                                             (b[i] & kVotes) + (before_b[i] & kVotes));
       most = sum > most ? sum : most;
     }
     if (most < fewest) continue;

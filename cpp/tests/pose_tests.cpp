@@ -77,10 +77,40 @@ void far_segments() {
   }
 }
 
+// Whatever a binding lets through has places in every table, or is refused.
+void absurd_segments() {
+  const std::size_t n = 60;
+  std::vector<std::int64_t> index(n);
+  for (std::size_t i = 0; i < n; ++i) index[i] = std::int64_t(i);
+  for (const double size : {0.0, 1e-9, 1.0, 1e6, 1e9, 9e14}) {
+    for (const double other : {0.0, 1e-9, 1e7, 9e14}) {
+      std::vector<double> query(3 * n), map(3 * n);
+      for (std::size_t i = 0; i < 3 * n; ++i) {
+        query[i] = size * (double(i * 7 % 60) / 30.0 - 1.0);
+        map[i] = other * (double(i * 11 % 60) / 30.0 - 1.0);
+      }
+      ConsensusOptions options;
+      options.inlier_tolerance = 1e-3;
+      try {
+        for (const auto& pose :
+             consensus(query.data(), n, map.data(), index.data(), index.data(), n, options, 2)) {
+          CHECK(std::isfinite(pose.yaw + pose.t[0] + pose.t[1] + pose.t[2]));
+        }
+      } catch (const std::invalid_argument&) {
+        CHECK(size + other > 1e8);
+      }
+      for (const auto& pose : prosac(query.data(), map.data(), index.data(), index.data(), n, {})) {
+        CHECK(std::isfinite(pose.T.t[0] + pose.T.t[1] + pose.T.t[2]));
+      }
+    }
+  }
+}
+
 }  // namespace
 }  // namespace segloc
 
 void pose_tests() {
   segloc::poses();
   segloc::far_segments();
+  segloc::absurd_segments();
 }
