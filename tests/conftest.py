@@ -14,9 +14,10 @@ from hypothesis import settings
 from samples.plaza import Plaza
 from samples.real import real
 
+# No deadlines: how long an example takes says more of the machine than of the code.
+settings.register_profile("usual", deadline=None)
 settings.register_profile("sanitized", deadline=None, max_examples=20)  # several times slower
-if "SEGLOC_NATIVE" in os.environ:
-    settings.load_profile("sanitized")
+settings.load_profile("sanitized" if "SEGLOC_NATIVE" in os.environ else "usual")
 
 PACKAGES = {"torch": "torch", "rosbags": "ros"}
 """Marks by what a test, or its module at the top, skips without."""

@@ -80,7 +80,8 @@ import numpy as np
 from samples import bindings
 from segloc import _native
 a = list(bindings._matches(200).values())
-def find(threads): return _native.consensus(*a, 0.6, 1.0, 1.0, 3.0, 15.0, 16, 4, threads)[0].tobytes()
+def find(threads):
+    return _native.consensus(*a, 0.6, 1.0, 1.0, 3.0, 15.0, 16, 4, threads)[0].tobytes()
 expected, stop = find(2), threading.Event()
 def go_on():
     while not stop.is_set(): find(2)

@@ -157,7 +157,7 @@ def test_refuses_wrong_input() -> None:
         Surface(np.full((3, 3), np.nan, np.float32), REACH, SUPPORT)
     with pytest.raises(ValueError, match="shape"):
         Surface(np.zeros((3, 2), np.float32), REACH, SUPPORT)
-    with pytest.raises(ValueError, match="reach must be from"):
+    with pytest.raises(ValueError, match="max_correspondence_distance must be from"):
         Surface(points, 0.0, SUPPORT)
     surface = Surface(points, REACH, SUPPORT)
     with pytest.raises(ValueError, match="shape"):
