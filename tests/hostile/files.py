@@ -192,7 +192,7 @@ add("scan", "zeros.xyz", bytes(5_000_000), "xyz")
 add("scan", "huge.xyz", b"1e999 1e-999 nan\n" * 9, may_be_read=True)
 add("scan", "rows.txt", b"1 2 3\n" * (MOST_POINTS + 9), LIMIT)
 add("scan", "blank.txt", b"\n" * 9_000_000, may_be_read=True)
-add("scan", "comments.txt", b"#\n" * 3_000_000, may_be_read=True)
+add("scan", "comments.txt", b"#\n" * 1_000_000, may_be_read=True)
 add("scan", "nan.bin", b"\xff" * 16_000, may_be_read=True)
 add("scan", "far.bin", np.full((400, 4), 3e38, "<f4").tobytes(), "something else")
 add("scan", "many.bin", np.tile(np.float32([1, 50, 9, 0.1]), MOST_POINTS + 1).tobytes(), LIMIT)
@@ -406,8 +406,21 @@ def metadata(text: bytes) -> Callable[[Path], object]:
 
 
 add("sequence", "laughs.d", metadata(LAUGHS.encode()), "metadata")
-add("sequence", "deep.d", metadata(b"[" * 20_000), "bag")
-add("sequence", "long.d", metadata(b"a: [b, c]\n" * 200_000), "metadata of")
+add("sequence", "block.d", metadata(b"".join(b" " * k + b"a:\n" for k in range(400))), "nested")
+
+
+def deep_qos(path: Path) -> None:
+    """A topic in SQLite whose quality of service is nested."""
+    import sqlite3
+
+    bag("sqlite3", "", 1600)(path)
+    with sqlite3.connect(next(path.glob("*.db3"))) as database:
+        database.execute("UPDATE topics SET offered_qos_profiles = ?", ["[" * 20_000])
+
+
+add("sequence", "qos.d", deep_qos, "nested")
+add("sequence", "deep.d", metadata(b"[" * 20_000), "nested")
+add("sequence", "long.d", metadata(b"a: [b, c]\n" * 200_000), "metadata.yaml of")
 add("sequence", "list.d", metadata(b"rosbag2_bagfile_information: [1]"), "bag")
 
 

@@ -194,6 +194,8 @@ def euler_poses(xyz: Float64, angles: Float64) -> Float64:
 
     R = Rz(yaw) Ry(pitch) Rx(roll).
     """
+    if not len(xyz):  # older SciPy refuses to turn nothing
+        return np.empty((0, 4, 4))
     return _assembled(xyz, Rotation.from_euler("ZYX", angles[:, ::-1]))
 
 
@@ -205,6 +207,8 @@ def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
     DatasetError
         If a quaternion is not near unit length; names ``where`` and the row.
     """
+    if not len(xyz):
+        return np.empty((0, 4, 4))
     with np.errstate(all="ignore"):
         good = np.abs(np.linalg.norm(xyzw, axis=1) - 1) < 0.05
     if not good.all():
@@ -225,6 +229,8 @@ def matrix_poses(rows: Float64, where: str) -> Float64:
         If one is far from a rotation; names ``where`` and the row.
     """
     matrices = rows.reshape(-1, 3, 4)
+    if not len(matrices):
+        return np.empty((0, 4, 4))
     with np.errstate(all="ignore"):
         good = np.abs(np.linalg.det(matrices[:, :, :3]) - 1) < 0.1
     if not good.all():

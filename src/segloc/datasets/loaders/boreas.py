@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...errors import DatasetError
 from ...types import Scan
 from ..binary import float_rows
 from ..layout import holds_scans, in_seconds, scan_files
@@ -56,6 +57,8 @@ def parse(data: bytes) -> Scan:
 def _track(path: Path, name: str) -> Track:
     rows = read_table(path, _COLUMNS, header=True)
     rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        raise DatasetError(f"{path}: no poses")
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     # Rotation by -yaw about z, then -pitch about y, then -roll about x.
     poses[:, :3, :3] = Rotation.from_euler("zyx", -rows[:, :3:-1]).as_matrix()

@@ -8,10 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...budget import check_bytes
 from ...errors import DatasetError, MissingDependency, SeglocError
 from ...io.fields import one_line
-from .bag_limits import MOST_METADATA_BYTES, limit_chunks, limit_rosbags
+from .bag_limits import MOST_METADATA_BYTES, check_metadata, limit_chunks, limit_rosbags
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -48,7 +47,8 @@ def _check_beginnings(paths: tuple[Path, ...]) -> None:
     """Name what is no bag in other words than those of a parser that lost its way."""
     for path in paths:
         if not path.is_file():
-            check_bytes((path / "metadata.yaml").stat().st_size, "metadata", MOST_METADATA_BYTES)
+            with (path / "metadata.yaml").open(encoding="utf-8", errors="replace") as text:
+                check_metadata(text.read(MOST_METADATA_BYTES + 1), "metadata.yaml")
             continue
         with path.open("rb") as file:
             head = file.read(16)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import bz2
+import re
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ...budget import check_bytes, most_message_bytes
@@ -12,7 +14,11 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 MOST_METADATA_BYTES = 1 << 20
-"""Of a ROS 2 bag's metadata.yaml: its parser takes seconds for so much."""
+"""Of a ROS 2 bag's metadata.yaml, and of what it says of a topic's quality of service."""
+_DEEPEST = 64
+
+
+_BRACKETS = re.compile(r"[\[\]{}]")
 
 
 class _Decompressor(Protocol):
@@ -69,12 +75,40 @@ class _Zstd:
         return unpacked(self._module.ZstdDecompressor(), data)
 
 
+def check_metadata(text: str, what: str) -> None:
+    """Refuse YAML that takes its parser minutes: long, or nested deep.
+
+    Raises
+    ------
+    DatasetError
+    """
+    check_bytes(len(text), what, MOST_METADATA_BYTES)
+    deepest = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
+    depth = 0
+    for mark in _BRACKETS.findall(text):
+        depth += 1 if mark in "[{" else -1
+        deepest = max(deepest, depth)
+    if deepest > _DEEPEST:
+        raise DatasetError(f"{what} is nested deeper than {_DEEPEST} levels")
+
+
+def _limited(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def limited(profiles: Any) -> Any:
+        if isinstance(profiles, str):
+            check_metadata(profiles, "the quality of service of a topic")
+        return parse_qos(profiles)
+
+    return limited
+
+
 def limit_rosbags() -> None:
-    """Put limited decompressors into the modules of rosbags; it has no setting for them."""
-    from rosbags.rosbag2 import reader, storage_mcap
+    """Put limited functions into the modules of rosbags; it has no setting for them."""
+    from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
 
     if isinstance(reader.zstd, _Zstd):
         return
+    for module in (reader, storage_mcap, storage_sqlite3):
+        module.parse_qos = _limited(module.parse_qos)
     zstd = reader.zstd
     storage_mcap.DECOMPRESSORS.update(
         lz4=lambda data, size: unpacked(_lz4(), data, size),
