@@ -6,7 +6,7 @@ python tests/map/agreement.py ../shared/data
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import combinations, permutations
 from pathlib import Path
 
@@ -58,14 +58,18 @@ def kitti(data: Path) -> None:
     poses = folder.with_suffix(".tum")
     maps = [build_map(open_sequence(folder, poses, part), CONFIG) for part in PARTS]
     show("KITTI 00, parts", combinations(maps, 2))
-    rng, wrong = np.random.default_rng(1), []
+    show("KITTI 00, wrong frames", wrong_frames(maps))
+
+
+def wrong_frames(maps: list[SegmentMap]) -> Iterator[tuple[SegmentMap, SegmentMap]]:
+    """Pairs of maps put onto each other somewhere, but for those that come to lie right."""
+    rng = np.random.default_rng(1)
     for n in range(240):
         a, b = (maps[k] for k in rng.choice(len(maps), 2, replace=False))
         i, j = rng.integers(len(a.trajectory)), rng.integers(len(b.trajectory))
         other = put_onto(a, i, b, j, [0, np.pi, rng.uniform(0, 2 * np.pi)][n % 3])
         if np.linalg.norm(other.trajectory[j, :2, 3] - b.trajectory[j, :2, 3]) > 5:
-            wrong.append((a, other))
-    show("KITTI 00, wrong frames", wrong)
+            yield a, other
 
 
 def session(world: World, number: int, sensor: Lidar, conditions: Conditions) -> SegmentMap:
