@@ -16,8 +16,8 @@ evaluate: $(VENV)/.evaluate
 	$(BIN)/segloc evaluate all --suite six --scale $(SCALE) --out evaluation
 
 # One process a core, one thread each. Files stay whole: their fixtures are made once.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(CORES) --dist loadfile
 CORES ?= logical
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(CORES) --dist loadfile
 
 test: $(VENV)/.test
 	$(PYTEST)
