@@ -146,7 +146,7 @@ def test_a_moved_cloud_gives_moved_segments() -> None:
         np.zeros((1000, 3)),
         np.linspace([0, 0, 0], [40, 0, 0], 500),
         np.linspace([0, 0, 0], [0, 0, 20], 500),
-        np.full((10, 3), 1e6),
+        np.full((10, 3), 9e4),
     ],
 )
 def test_degenerate_clouds_give_few_or_no_segments(points: np.ndarray, num_scans: int) -> None:

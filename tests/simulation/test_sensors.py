@@ -212,10 +212,10 @@ def around_a_corner(radius: float = 0.8) -> np.ndarray:
 def test_platforms_keep_their_height_and_their_limits(name: str, small: World) -> None:
     platform = PLATFORMS[name]()
     motion = platform.motion(small.terrain, around_a_corner(), np.random.default_rng(1))
-    assert motion.way is not None
-    speed = np.diff(motion.way) / np.diff(motion.stamps)
+    assert motion.travelled is not None
+    speed = np.diff(motion.travelled) / np.diff(motion.stamps)
     assert speed.max() <= platform.speed_mps * 1.001
-    slowest = motion.way[int(speed.argmin())]
+    slowest = motion.travelled[int(speed.argmin())]
     assert abs(slowest - 25.6) < 1.5
     assert speed.min() < 0.8 * platform.speed_mps
     gain = np.diff(speed) / np.diff(motion.stamps)[1:]
@@ -333,7 +333,7 @@ def test_swathes_of_a_push_broom_show_the_street(small: World, route: Route) -> 
     assert len(rows) == 3
     for i in range(len(rows)):
         cloud = rows.scan(i)
-        assert cloud.stamp == float(rows.indices[i])
+        assert rows.stamps is not None and cloud.stamp == rows.stamps[i]
         world = cloud.points @ rows.poses[i, :3, :3].T + rows.poses[i, :3, 3]
         low = world[world[:, 2] < small.terrain.height(*world[:, :2].T) + 0.05]
         assert len(low) > 2000

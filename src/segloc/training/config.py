@@ -46,7 +46,7 @@ class TrainConfig(Section):
     quality_limit: int = Field(20000, ge=1, description="segments the quality head is fitted to")
     validate_every: int = Field(250, ge=1)
     patience: int = Field(8, ge=1, description="validations without a better one until the end")
-    max_minutes: float = Field(math.inf, gt=0)
+    max_minutes: float = Field(math.inf, gt=0, allow_inf_nan=True)
     threads: int = Field(1, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
     precision: Literal["auto", "float32", "bfloat16"] = Field(

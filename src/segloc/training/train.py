@@ -199,12 +199,16 @@ class _Run:
         return np.column_stack([some, some[indices[:, 1:]]])
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
-        vectors = self.task.describe(self._on_cpu(model), dataset)
+        fault = ConfigError(
+            f"descriptors are no usable numbers any more at step {self.step}; "
+            "try a smaller learning_rate"
+        )
+        try:
+            vectors = self.task.describe(self._on_cpu(model), dataset)
+        except ValueError as error:  # the native network takes no such weights
+            raise fault from error
         if not (np.abs(vectors) < _LARGEST).all():
-            raise ConfigError(
-                f"descriptors are no usable numbers any more at step {self.step}; "
-                "try a smaller learning_rate"
-            )
+            raise fault
         return vectors
 
     def _on_cpu(self, model: nn.Module) -> nn.Module:

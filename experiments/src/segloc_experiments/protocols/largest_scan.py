@@ -16,6 +16,8 @@ from pathlib import Path
 
 from segloc.budget import MOST_POINTS
 
+from ..script import head, parser
+
 BLOCK = 1_000_000
 SUFFIXES = (".bin", ".pcd", ".ply", ".npz", ".laz", ".xyz", "-lists.ply")
 
@@ -56,23 +58,33 @@ def read(path: Path) -> None:
     print(f"{path.stat().st_size / 1e6:.0f} | {memory:.0f} | {spent:.1f}")
 
 
-def main(count: int) -> None:
-    print("| format | file, MB | memory, MB | seconds |\n|---|---|---|---|")
+def measure(count: int) -> None:
+    """A row for each format: written by one process, read by another."""
+    print(head("format", "file, MB", "memory, MB", "seconds"))
     for suffix in SUFFIXES:
         with tempfile.TemporaryDirectory() as folder:
             path = str(Path(folder) / f"scan{suffix}")
-            command = [sys.executable, "-m", __spec__.name]
-            subprocess.run([*command, "write", path, str(count)], check=True)
+            command = [sys.executable, "-m", "segloc_experiments.protocols.largest_scan"]
+            subprocess.run([*command, "write", path, "--points", str(count)], check=True)
             done = subprocess.run(
                 [*command, "read", path], check=True, capture_output=True, text=True
             )
             print(f"| {suffix.lstrip('-.')} | {done.stdout.strip()} |", flush=True)
 
 
-if __name__ == "__main__":
-    if sys.argv[1:2] == ["write"]:
-        write(Path(sys.argv[2]), int(sys.argv[3]))
-    elif sys.argv[1:2] == ["read"]:
-        read(Path(sys.argv[2]))
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("step", nargs="?", choices=("all", "write", "read"), default="all")
+    options.add_argument("path", nargs="?", type=Path)
+    options.add_argument("--points", type=int, default=MOST_POINTS)
+    args = options.parse_args()
+    if args.step == "write":
+        write(args.path, args.points)
+    elif args.step == "read":
+        read(args.path)
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else MOST_POINTS)
+        measure(args.points)
+
+
+if __name__ == "__main__":
+    main()
