@@ -23,7 +23,7 @@ test: $(VENV)/.test
 	$(PYTEST)
 
 quick: $(VENV)/.test
-	$(PYTEST) -m "not slow and not data and not torch"
+	$(PYTEST) -m "not slow and not data and not torch and not fuzz"
 
 # The quick tests with Python 3.10 and exactly the lowest versions that pyproject.toml allows.
 LOWEST := build/lowest
