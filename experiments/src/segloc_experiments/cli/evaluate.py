@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from segloc.cli import evaluate as own
 from segloc.cli.console import note, progress, say
-from segloc.cli.results import check_folder
 from segloc.errors import ConfigError, MissingDependency
 
-from ..paper.workspace import Workspace
+if TYPE_CHECKING:
+    from ..paper.workspace import Workspace
 
 _EXPLAINED = {
     "roc": "Which descriptor tells whether two segments are of one object? (Fig. 5)",
@@ -108,6 +108,10 @@ def _workspace(
     threads: int,
     workers: int,
 ) -> Workspace:
+    from segloc.cli.results import check_folder
+
+    from ..paper.workspace import Workspace
+
     check_folder(out)
     means = (seed, threads, workers, own.chosen(methods), progress, note, own.command_line())
     return Workspace(out, *means, suite=suite, scale=scale, data=kitti)
