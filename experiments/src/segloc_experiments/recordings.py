@@ -14,7 +14,7 @@ from segloc.datasets import Derived
 from segloc.files import replacing
 from segloc.simulation import SimulatedSequence
 from segloc.simulation.motion.paths import on_ground
-from segloc.types import Float64, Recording, Scan
+from segloc.types import Float64, Recording, Scan, stamp_at
 
 LOWEST_DEG, HIGHEST_DEG, BEAMS = -24.9, 2.0, 64
 """Elevations of an HDL-64E."""
@@ -54,7 +54,7 @@ class FewerBeams(Derived[Recording]):
         points = super().scan(i).points
         elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
         beam = np.floor((elevation - LOWEST_DEG) / (HIGHEST_DEG - LOWEST_DEG) * BEAMS)
-        return Scan(points[beam % self.keep_every == 0], stamp=float(self.indices[i]))
+        return Scan(points[beam % self.keep_every == 0], stamp=stamp_at(self, i))
 
 
 class Surveyed(Derived[SimulatedSequence]):
@@ -96,8 +96,7 @@ class Kept(Derived[SimulatedSequence]):
             self.folder.mkdir(parents=True, exist_ok=True)
             with replacing(path) as stream:  # several runs may share the folder
                 np.save(stream, super().scan(i).points)
-        stamp = float(self.indices[i])
-        return Scan(np.load(path), stamp=stamp, T_odom_sensor=self.poses[i])
+        return Scan(np.load(path), stamp=stamp_at(self, i), T_odom_sensor=self.poses[i])
 
 
 def kept(drive: SimulatedSequence, root: Path | None) -> Kept:

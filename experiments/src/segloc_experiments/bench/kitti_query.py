@@ -19,7 +19,7 @@ from segloc import Config, Scan, _native, build_map
 from segloc.datasets import Sequence
 from segloc.local_cloud import Accumulator, LocalCloudConfig, window
 from segloc.system import processor
-from segloc.types import LocalCloud
+from segloc.types import LocalCloud, stamp_at
 
 from .. import kitti00
 from ..script import parser
@@ -49,7 +49,7 @@ def kitti_scene(folder: Path, method: str, queries: int, accumulated: bool = Fal
 
 def alone(scans: Sequence, k: int) -> Scan:
     """One scan, without its pose."""
-    return Scan(scans.scan(k).points, stamp=float(scans.indices[k]))
+    return Scan(scans.scan(k).points, stamp=stamp_at(scans, k))
 
 
 def gathered(scans: Sequence, k: int) -> LocalCloud:
