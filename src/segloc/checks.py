@@ -21,6 +21,9 @@ MOST_METRES = 1e8
 MOST_LOCAL_METRES = 1e5
 """A local cloud's points lie around the sensor: farther ones are in another frame or unit."""
 
+ROTATION_TOLERANCE = 1e-3
+"""Of the entries of R R^T, from those of the identity."""
+
 _WIDEST_ROW = 64  # (3, N) instead of (N, 3)
 
 
@@ -135,11 +138,18 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
         raise InvalidScan(f"{name} has values that are not finite")
     if np.abs(T[:3, 3]).max() > MOST_METRES:
         raise InvalidScan(f"{name} lies {np.abs(T[:3, 3]).max():.3g} m from the origin: metres?")
-    if np.abs(R).max() > 2 or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+    if not are_rotations(R):
         raise InvalidScan(f"{name} is not a rigid transform")
     if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InvalidScan(f"{name} must end with the row 0 0 0 1")
     return T
+
+
+def are_rotations(R: Float64) -> NDArray[np.bool_]:
+    """Which of (..., 3, 3) matrices are rotations, to ``ROTATION_TOLERANCE``; (...) bool."""
+    with np.errstate(all="ignore"):  # what overflows is none
+        error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1), initial=0)
+        return np.asarray((error <= ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
 
 
 def _shown(shape: tuple[int, ...]) -> str:

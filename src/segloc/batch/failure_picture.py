@@ -10,7 +10,8 @@ import numpy as np
 from .. import geometry
 from ..errors import MissingDependency
 from ..types import Float64
-from .failures import Case, gathered
+from .failures import Case
+from .run import query_scans
 
 if TYPE_CHECKING:
     from ..localizer import Localizer
@@ -44,7 +45,9 @@ def draw_case(
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingDependency("matplotlib", "report", "drawing") from error
-    scene = localizer.segmenter.segment(gathered(localizer, sequence, position, sequence.scan))
+    config = localizer.config.local_cloud
+    (scans,) = query_scans(sequence, np.array([position]), config)
+    scene = localizer.segmenter.segment(localizer.accumulator.gather(scans))
     T = np.array(case.T_map_local)
     middle = T[:2, 3]
     figure = Figure(figsize=(8.0, 8.4), dpi=110, facecolor="white")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,15 +12,14 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import DatasetError
-from ..local_cloud import window
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from ..verification import Verdict
+from .run import query_scans
 from .score import COVERAGE_RADIUS_M, Tolerance, distances_to_path
 
 if TYPE_CHECKING:
     from ..localizer import Localizer
     from ..segmentation import Segmentation
-    from ..types import Recording
     from .scenario import QuerySet
 
 REPEAT_RADIUS_M = 0.5
@@ -41,7 +39,6 @@ STAGES = (
 )
 
 _MIN_ALIGNED = 0.3
-_SCANS_IN_MEMORY = 64
 
 
 @dataclass(frozen=True)
@@ -142,25 +139,15 @@ def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
     if truths is None:
         raise DatasetError(f"{sequence.name}: no true poses")
     near = distances_to_path(truths, localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
-    read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)
+    positions = query_set.positions[near]
+    queries = query_scans(sequence, positions, localizer.config.local_cloud)
     tree = cKDTree(localizer.prior_map.centroids)
     cases = []
-    for position, truth in zip(query_set.positions[near].tolist(), truths[near], strict=True):
-        cloud = gathered(localizer, sequence, position, read)
-        index = int(sequence.indices[position])
+    indices = sequence.indices[positions].tolist()
+    for scans, truth, index in zip(queries, truths[near], indices, strict=True):
+        cloud = localizer.accumulator.gather(scans)
         cases.append(_examine(localizer, tree, cloud, truth, index))
     return Funnel(len(near), tuple(cases))
-
-
-def gathered(localizer: Localizer, sequence: Recording, position: int, read: Any) -> LocalCloud:
-    """The local cloud of a query: one scan, or with poses those of the path behind it."""
-    scans = range(position, position + 1)
-    if sequence.poses is not None:
-        config = localizer.config.local_cloud
-        scans = window(
-            sequence.poses, position, config.window_m, centred=False, max_gap_m=config.max_gap_m
-        )
-    return localizer.accumulator.gather([read(i) for i in scans])
 
 
 def _examine(

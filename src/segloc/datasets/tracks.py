@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..budget import check_points
+from ..checks import MOST_METRES
 from ..errors import DatasetError
 from ..io.fields import one_line
 from ..io.scans import read_file
-from ..io.trajectory import FARTHEST_M, LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
+from ..io.trajectory import LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
 from ..motion import interpolated
 from ..types import Float64, Int64, Pose
 
@@ -56,8 +57,9 @@ class Track:
     def __post_init__(self) -> None:
         far, broken = too_far(self.poses), torn(self.poses)
         if far.any():
+            first = int(far.argmax()) + 1
             raise DatasetError(
-                f"{self.source}: pose {int(far.argmax()) + 1}: a position beyond {FARTHEST_M:.0e} m"
+                f"{self.source}: pose {first}: a position beyond {MOST_METRES:.0e} m"
             )
         if broken.any():
             raise DatasetError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..budget import check_points
+from ..checks import MOST_METRES
 from ..errors import DatasetError
 from ..types import Float32, Scan
 
@@ -13,7 +14,6 @@ _FEWEST_ROWS = 100
 _MANY_ROWS = 30_000
 _STEP = 61  # prime to all widths, so that sampled rows of a wrong width still mix all columns
 _LEAST_RATIO = 1.5
-_FARTHEST_M = 1e8  # farther than any coordinate on Earth
 _MOST_BEYOND = 0.01  # share of rows
 _RECORDS = {19: "Avia", 22: "Velodyne", 25: "early Aeva", 26: "Ouster", 29: "Aeva"}
 """Bytes of a point in HeLiPR's files, which are called .bin, too."""
@@ -40,7 +40,7 @@ def parse_kitti(data: bytes) -> Scan:
     check_points(len(rows))
     if _beyond(rows) > _MOST_BEYOND:
         raise DatasetError(
-            f"rows of {widths[0]} float32 lie farther than {_FARTHEST_M:.0e} m off: they are "
+            f"rows of {widths[0]} float32 lie farther than {MOST_METRES:.0e} m off: they are "
             f"something else{_other_records(len(data))}"
         )
     return Scan(rows)
@@ -61,7 +61,7 @@ def _values(data: bytes) -> Float32:
 def _beyond(rows: Float32) -> float:
     """Share of the rows with coordinates that no sensor measures; those of no return have none."""
     points = rows[np.isfinite(rows[:, :3]).all(axis=1), :3]
-    return float((np.abs(points) > _FARTHEST_M).any(axis=1).mean()) if len(points) else 0.0
+    return float((np.abs(points) > MOST_METRES).any(axis=1).mean()) if len(points) else 0.0
 
 
 def _other_records(size: int) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..budget import check_points
+from ..checks import MOST_METRES, are_rotations
 from ..errors import DatasetError
 from ..files import write_text
 from ..types import Float64, Pose
@@ -18,9 +19,6 @@ from .fields import faults_of, one_line
 from .scans import read_file
 
 _UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals
-_ROTATION_TOLERANCE = 1e-3
-FARTHEST_M = 1e8
-"""Of any coordinate: 15 times the Earth's radius, so that poses of any datum fit."""
 LONGEST_STEP_M = 1e5
 """From one pose to the next. Recordings may be cut, but not between a pose and no pose at all."""
 _KINDS: dict[int, Literal["tum", "kitti"]] = {8: "tum", 12: "kitti"}
@@ -41,7 +39,7 @@ class Trajectory:
     ------
     DatasetError
         If a shape is wrong, a value is not finite, a pose is not rigid or lies beyond
-        ``FARTHEST_M``, or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not
+        ``MOST_METRES``, or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not
         rise.
     """
 
@@ -99,16 +97,14 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
     R = poses[:, :3, :3]
     finite = np.isfinite(poses).all(axis=(1, 2))
     with np.errstate(all="ignore"):
-        error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0)
-        rigid = (error <= _ROTATION_TOLERANCE) & (np.linalg.det(R) > 0)
         rising = np.diff(stamps, prepend=-np.inf) > 0
-    rigid &= (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
+    rigid = are_rotations(R) & (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
     faults = {
         "a stamp that is not finite": ~np.isfinite(stamps),
         "a value that is not finite": ~finite,
         "not a rigid transform": ~rigid,
         "stamps that do not rise": ~rising,
-        f"a position beyond {FARTHEST_M:.0e} m": too_far(poses),
+        f"a position beyond {MOST_METRES:.0e} m": too_far(poses),
         f"a position more than {LONGEST_STEP_M / 1000:.0f} km from the one before": torn(poses),
     }
     bad = np.logical_or.reduce(list(faults.values()))
@@ -119,9 +115,9 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
 
 
 def too_far(poses: Float64) -> NDArray[np.bool_]:
-    """Which of (N, 4, 4) poses lie beyond ``FARTHEST_M``."""
+    """Which of (N, 4, 4) poses lie beyond ``MOST_METRES``."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(poses[:, :3, 3]) > FARTHEST_M).any(axis=1))
+        return np.asarray((np.abs(poses[:, :3, 3]) > MOST_METRES).any(axis=1))
 
 
 def torn(poses: Float64) -> NDArray[np.bool_]:

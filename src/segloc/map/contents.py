@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import MOST_METRES, are_rotations
 from ..types import Float32, Float64
 
 Array = NDArray[Any]
-
-MAX_COORDINATE_M = 1e8
-"""Of origin, centroids and poses: UTM and earth-centred frames stay below a tenth of it."""
 
 MAX_CLOUD_M = 1e6
 """From the cloud's origin: farther out float32 is coarser than 6 cm."""
@@ -30,10 +28,10 @@ _LARGEST = float(np.finfo(np.float64).max)
 _MOST_TEXT = 1000  # characters of a name
 
 RANGES: dict[str, tuple[float, float]] = {
-    "origin": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
-    "centroids": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "origin": (-MOST_METRES, MOST_METRES),
+    "centroids": (-MOST_METRES, MOST_METRES),
     "stamps": (-_LARGEST, _LARGEST),
-    "trajectory": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "trajectory": (-MOST_METRES, MOST_METRES),
     "vectors": (-1e15, 1e15),  # so that squares of distances are finite
     "quality": (0, 1),
     "cloud": (-MAX_CLOUD_M, MAX_CLOUD_M),
@@ -146,8 +144,7 @@ def _outside(name: str, array: Array) -> str:
 
 def _pose_fault(poses: Float64) -> str | None:
     R = poses[:, :3, :3]
-    skewed = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > 1e-3
-    skewed |= np.linalg.det(R) < 0
+    skewed = ~are_rotations(R)
     skewed |= np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9
     return f"trajectory: row {int(np.argmax(skewed))} is no rigid pose" if skewed.any() else None
 
