@@ -178,7 +178,7 @@ def test_two_equal_places_are_both_reported() -> None:
     assert min(error(h, twin, query) for h in found[:2]) < 0.5
 
 
-def test_close_segments_are_one_witness() -> None:
+def test_close_segments_are_one_object() -> None:
     query, prior_map, matches, T = scene(2, true=10)
     doubled = np.vstack([query, query + np.array([0.2, 0.1, 0.6])])
     again = Matches(

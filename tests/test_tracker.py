@@ -65,7 +65,7 @@ def test_views_below_the_gates_are_believed_once_they_agree(
 
 
 @pytest.mark.slow
-def test_standing_still_is_no_second_witness(prior_map: SegmentMap, plaza: Plaza) -> None:
+def test_standing_still_is_no_second_view(prior_map: SegmentMap, plaza: Plaza) -> None:
     tracker = Tracker(gated(prior_map, min_confidence=1.0))
     assert not any(track.localized for track in walk(tracker, plaza, step=0.0))
 

@@ -143,10 +143,10 @@ def votes(query: Query) -> Figure:
     low = prior_map.centroids[:, :2].min(axis=0)
     high = prior_map.centroids[:, :2].max(axis=0)
     cells = np.floor(voted).astype(np.int64)
-    ballots = np.unique(np.column_stack([matches.query, cells]), axis=0)[:, 1:]
-    inside = ((ballots >= low) & (ballots < high)).all(axis=1)
+    voters = np.unique(np.column_stack([matches.query, cells]), axis=0)[:, 1:]
+    inside = ((voters >= low) & (voters < high)).all(axis=1)
     edges = [np.arange(math.floor(a), math.ceil(b) + 1.0) for a, b in zip(low, high, strict=True)]
-    counts, _, _ = np.histogram2d(*ballots[inside].T + 0.5, bins=edges)
+    counts, _, _ = np.histogram2d(*voters[inside].T + 0.5, bins=edges)
     figure = Figure(figsize=(6.4, 5.0), facecolor="white")
     axes = figure.subplots()
     image = axes.pcolormesh(edges[0], edges[1], counts.T, cmap="magma", norm=PowerNorm(0.35))

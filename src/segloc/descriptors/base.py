@@ -116,7 +116,7 @@ def _discover() -> None:
     for plugin in entry_points(group=PLUGINS):
         try:
             factory = plugin.load()
-        except Exception as error:  # whatever a stranger's package does must not end ours
+        except Exception as error:  # whatever another package does must not end ours
             _broken[plugin.name] = f"{plugin.value}: {error}"
             continue
         if plugin.name not in _entries:
