@@ -24,7 +24,7 @@ LAYERS = (
     Layer("cli"),
     Layer(ROOT),
     Layer("batch alignment training"),
-    Layer("simulation"),
+    Layer("simulation pictures"),
     Layer("datasets"),
     Layer("tracker"),
     Layer("localizer"),
@@ -57,7 +57,7 @@ PACKAGES = {
     "velodyne_decoder": "datasets.packets",
     "kiss_icp": "datasets.odometry",
     "embreex": "simulation",
-    "matplotlib": "batch alignment",
+    "matplotlib": "pictures batch",
     "typer": "cli",
     "rich": "cli",
 }

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import MissingDependency
+from ..pictures import blank, png
 from ..types import Float64
 from .align import Alignment
 from .loops import Loop
@@ -108,14 +108,8 @@ def picture(alignment: Alignment) -> bytes:
     MissingDependency
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependency("matplotlib", "report", "drawing") from error
     rows = len(alignment.components)
-    figure = Figure(figsize=(12, 5.5 * rows), dpi=110, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank((12, 5.5 * rows), 110, layout="constrained")
     axes = figure.subplots(rows, 2, squeeze=False)
     for row, members in zip(axes, alignment.components, strict=True):
         for side, title, poses in zip(
@@ -123,9 +117,7 @@ def picture(alignment: Alignment) -> bytes:
         ):
             _draw(side, alignment, members, poses)
             side.set_title(title, loc="left")
-    image = io.BytesIO()
-    figure.savefig(image, format="png", metadata={"Software": None})
-    return image.getvalue()
+    return png(figure)
 
 
 def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:

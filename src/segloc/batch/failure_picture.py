@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .. import geometry
-from ..errors import MissingDependency
+from ..pictures import blank, png
 from ..types import Float64
 from .failures import Case
 from .run import query_scans
@@ -40,18 +39,12 @@ def draw_case(
     MissingDependency
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependency("matplotlib", "report", "drawing") from error
     config = localizer.config.local_cloud
     (scans,) = query_scans(sequence, np.array([position]), config)
     scene = localizer.segmenter.segment(localizer.accumulator.gather(scans))
     T = np.array(case.T_map_local)
     middle = T[:2, 3]
-    figure = Figure(figsize=(8.0, 8.4), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = blank((8.0, 8.4), 110)
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.93))
     axes.set_axis_off()
     axes.set_aspect("equal")
@@ -78,6 +71,4 @@ def draw_case(
     axes.legend(loc="upper right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
     title = f"{case.index}: {case.stage} ({case.segments} segments, {case.repeated} repeated, "
     figure.text(0.02, 0.965, f"{title}{case.matched} matched, {case.inliers} inliers)", fontsize=11)
-    image = io.BytesIO()
-    figure.savefig(image, format="png", metadata={"Software": None})
-    return image.getvalue()
+    return png(figure)

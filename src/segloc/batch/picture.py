@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import MissingDependency
 from ..map.segment_map import SegmentMap
+from ..pictures import blank, png
 from ..types import Float64
 from .score import PATH_BREAK_M, Evaluation
 
@@ -36,14 +35,8 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> bytes:
     MissingDependency
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependency("matplotlib", "report", "drawing") from error
     low, high = _extent(prior_map, evaluation)
-    figure = Figure(figsize=_figure_size(high - low), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = blank(_figure_size(high - low), _DPI)
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.95))
     axes.set_axis_off()
     axes.set_aspect("equal")
@@ -57,9 +50,7 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> bytes:
         loc="upper right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9, borderpad=0.8
     )
     figure.text(0.02, 0.975, title, fontsize=13, fontweight="bold", color=_DARK, va="center")
-    image = io.BytesIO()
-    figure.savefig(image, format="png", metadata={"Software": None})
-    return image.getvalue()
+    return png(figure)
 
 
 def _extent(prior_map: SegmentMap, evaluation: Evaluation) -> tuple[Float64, Float64]:
