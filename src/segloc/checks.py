@@ -12,7 +12,7 @@ from .errors import InvalidScan
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Pose = NDArray[np.float64]
-
+"""A (4, 4) float64 homogeneous transform. ``T_a_b`` takes points from frame b to frame a."""
 
 MOST_METRES = 1e8
 """Positions farther from the origin of any frame are refused: UTM and ECEF coordinates are below

@@ -17,13 +17,12 @@ from .checks import (
     checked_stamp,
     checked_times,
 )
+from .checks import Float32 as Float32
+from .checks import Float64 as Float64
+from .checks import Pose as Pose
 from .errors import InvalidScan
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
-Pose = NDArray[np.float64]
-"""A (4, 4) float64 homogeneous transform. ``T_a_b`` takes points from frame b to frame a."""
 
 
 class Scan:

@@ -354,6 +354,17 @@ def test_bugs_show_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
         run("map", "info", "x.segmap")
 
 
+def test_an_interrupted_import_is_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def half_imported(_: Any) -> None:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(SegmentMap, "load", half_imported)
+    assert run("map", "info", "x.segmap") == 130
+    assert capsys.readouterr().err == "segloc: interrupted\n"
+
+
 @pytest.mark.slow
 def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
     arguments = ["localize", str(toy.run_2), "--map", str(toy.map), "--out", str(tmp_path / "out")]

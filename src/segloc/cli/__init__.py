@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from importlib.metadata import entry_points
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -90,20 +90,31 @@ def main() -> None:
     """
     try:
         app()
-    except (SeglocError, OSError, MemoryError) as error:
-        print(f"segloc: error: {_one_line(error)}", file=sys.stderr)
-        sys.exit(1)
     except KeyboardInterrupt:
-        _say_interrupted()
-        sys.exit(_INTERRUPTED)
+        _end_interrupted()
     except SystemExit as end:
         if end.code == _INTERRUPTED:  # by typer, which says nothing
-            _say_interrupted()
+            _end_interrupted()
         raise
+    except Exception as error:
+        if _is_interrupt(error):
+            _end_interrupted()
+        if not isinstance(error, (SeglocError, OSError, MemoryError)):
+            raise
+        print(f"segloc: error: {_one_line(error)}", file=sys.stderr)
+        sys.exit(1)
 
 
-def _say_interrupted() -> None:
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: in the middle of an import it ends as an ImportError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _end_interrupted() -> NoReturn:
     print("segloc: interrupted", file=sys.stderr)
+    sys.exit(_INTERRUPTED)
 
 
 def _one_line(error: Exception) -> str:
