@@ -17,7 +17,8 @@ evaluate: $(VENV)/.evaluate
 
 # One process a core, one thread each. Files stay whole: their fixtures are made once.
 CORES ?= logical
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(CORES) --dist loadfile
+ALONE := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+PYTEST := $(ALONE) $(BIN)/python -m pytest -n $(CORES) --dist loadfile
 
 test: $(VENV)/.test
 	$(PYTEST)
@@ -38,7 +39,7 @@ else
 	$(LOWEST)/bin/python .ci/lowest.py $(LOWEST_EXTRAS) test-tools > $(LOWEST)/lowest.txt
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  -c $(LOWEST)/lowest.txt ".[$(LOWEST_EXTRAS),test-tools]"
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n $(CORES) \
+	$(ALONE) $(LOWEST)/bin/python -m pytest -n $(CORES) \
 	  --dist loadfile -W default::DeprecationWarning -m "not slow and not data and not torch" tests
 endif
 

@@ -29,6 +29,7 @@ def run(*command: str, timeout: float = 300.0) -> subprocess.CompletedProcess[st
     )
 
 
+@pytest.mark.fuzz
 @pytest.mark.parametrize("name", bindings.NAMES)
 def test_arguments_are_refused_or_answered(name: str) -> None:
     """In a child: a crash is a failure of this test, not the end of all."""

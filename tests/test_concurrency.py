@@ -35,6 +35,7 @@ def bits(result: Localization) -> bytes:
     return T.tobytes() + np.float64(result.confidence).tobytes()
 
 
+@pytest.mark.slow
 def test_threads_share_a_localizer(localizer: Localizer, scans: list[Scan]) -> None:
     expected = [bits(localizer.localize(scan)) for scan in scans]
     with ThreadPoolExecutor(8) as pool:

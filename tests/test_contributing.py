@@ -58,6 +58,7 @@ def test_the_files_of_each_recipe_are_where_it_says(what: str) -> None:
         assert (path.parent if "NAME" in name else path).exists(), name
 
 
+@pytest.mark.slow
 def test_a_descriptor_of_a_package_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plaza: Plaza
 ) -> None:
@@ -112,6 +113,7 @@ def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_allclose(recording.poses, poses, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     from segloc.simulation import SENSORS, Route, simulate_session, town

@@ -27,6 +27,7 @@ else:
 """
 
 
+@pytest.mark.slow
 def test_the_readme_passes_mypy(tmp_path: Path) -> None:
     pytest.importorskip("mypy")
     (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)[:1]

@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+from samples.marks import pytest_ignore_collect as pytest_ignore_collect
 from samples.real import SHARED
 
 

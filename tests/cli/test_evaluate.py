@@ -32,6 +32,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_two_recordings_are_mapped_localized_and_reported(
     recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -49,6 +50,7 @@ def test_two_recordings_are_mapped_localized_and_reported(
     assert {"own-details.csv", "own-details.tex"} <= names
 
 
+@pytest.mark.slow
 def test_without_truth_answers_are_counted_but_not_judged(recordings: Path, tmp_path: Path) -> None:
     query = tmp_path / "query"
     shutil.copytree(recordings / "test_0", query)
@@ -76,6 +78,7 @@ def test_what_the_user_can_mend_is_one_line(
         evaluate(*arguments, "--out", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_errors_end_with_status_one(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file")
     code = "import sys; from segloc.cli import main; main()"
@@ -86,6 +89,7 @@ def test_errors_end_with_status_one(tmp_path: Path) -> None:
     assert done.stderr.startswith("segloc: error: ") and "is not a folder" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_report_is_made_again_of_what_is_stored(tmp_path: Path) -> None:
     curve = (np.arange(3.0), np.arange(3.0))
     figure = Figure("f", "F", "lines", {"a": curve})

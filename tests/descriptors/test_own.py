@@ -59,6 +59,7 @@ def retrained(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_trained_weights_can_be_used(recording: Path, tmp_path: Path) -> None:
     weights = retrained(tmp_path / "mine.safetensors")
     run, site = CliRunner(), str(tmp_path / "site.segmap")
@@ -84,6 +85,7 @@ def test_methods_without_weights_say_so(tmp_path: Path) -> None:
         create("geo", weights=tmp_path / "x.safetensors")
 
 
+@pytest.mark.slow
 def test_a_descriptor_of_another_package_is_found(recording: Path, tmp_path: Path) -> None:
     package = tmp_path / "packages"
     info = package / "boxes_descriptor-1.0.dist-info"

@@ -79,6 +79,7 @@ def plaza_scene():
     return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
 
 
+@pytest.mark.slow
 def test_a_padded_map_has_the_size_that_was_wanted_and_still_localizes(plaza_scene):
     size = 3 * len(plaza_scene.prior_map) + 7
     measured = query.query_row("query", plaza_scene, 1, 1, segments=size)
@@ -117,6 +118,7 @@ SMALLEST = {
 """What makes each benchmark small."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", suite.BENCHMARKS)
 def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, monkeypatch):
     """With PyTorch, ONNX Runtime and the other rivals where they are installed."""
@@ -141,6 +143,7 @@ def test_pytorch_runs_in_its_own_forms():
     assert ops._is_native()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("verbs")
 def test_the_command_line_writes_every_figure(tmp_path: Path):
     file = tmp_path / "bench.json"

@@ -48,6 +48,7 @@ def table(study: Study, name: str) -> Table:
     return next(each for each in study.tables if each.name == name)
 
 
+@pytest.mark.slow
 def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspace) -> None:
     """Segments shared by all methods give what a map and a localizer of one method give."""
     opened = SuiteScenario(TINY, "small", 0).open()
@@ -64,6 +65,7 @@ def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspa
             np.testing.assert_array_equal(answer["T_map_sensor"], result.T_map_sensor.ravel())
 
 
+@pytest.mark.slow
 def test_the_tables_count_what_was_answered(study: Study) -> None:
     ours = table(study, "localizations-consensus")
     assert ours.columns[-2:] == (METHOD, "profile")
@@ -80,6 +82,7 @@ def test_the_tables_count_what_was_answered(study: Study) -> None:
     assert table(study, "localizations-paper").source == "paper"
 
 
+@pytest.mark.slow
 def test_the_map_shows_every_query(study: Study) -> None:
     (figure,) = study.figures
     shown = sum(len(figure.series[key][0]) for key in ("localized", "not localized"))
@@ -87,6 +90,7 @@ def test_the_map_shows_every_query(study: Study) -> None:
     assert len(figure.series["map"][0]) > 100
 
 
+@pytest.mark.slow
 def test_a_second_run_localizes_nothing(
     study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +102,7 @@ def test_a_second_run_localizes_nothing(
     assert again.tables == study.tables
 
 
+@pytest.mark.slow
 def test_what_is_damaged_is_localized_again(
     study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +123,7 @@ def test_what_is_damaged_is_localized_again(
     assert again.tables == study.tables
 
 
+@pytest.mark.slow
 def test_false_answers_stand_in_brackets(study: Study, workspace: Workspace) -> None:
     (result,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
     answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
