@@ -186,7 +186,7 @@ sys.addaudithook(watch)
 from segloc.cli import main
 main()
 """
-"""The command line, which says when it first reads and writes a file, and stays where it is HELD."""
+"""The command line, which says when it first reads and writes a file, and stays at HELD."""
 
 
 def interrupted(folder: Path, command: str, moment: str, after_s: float) -> tuple[int, str]:
