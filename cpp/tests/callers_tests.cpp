@@ -52,8 +52,8 @@ class Shared {
       rows[i] = int64_t(i % kQueries);
       columns[i] = int64_t(i);
     }
-    const PairTask task = {queries_.data(), vectors_.data(), kDim, rows.data(), columns.data(),
-                           kRows};
+    const PairTask task = {queries_.data(), vectors_.data(), kDim,
+                           rows.data(),     columns.data(),  kRows};
     std::vector<float> scores(kRows);
     forest_.predict_pairs(task, {1, true, 2}, threads, scores.data());
     all.insert(all.end(), scores.begin(), scores.end());

@@ -23,7 +23,7 @@ MEET_M, MEET_HEIGHT_M = 5.0, 2.0
 """Paths meet where they come this near: about a street's width, and less than a storey."""
 
 MIN_AGREEMENT = 0.5
-MOST_GAIN = 0.2
+MOST_GAIN = 0.1
 """Measured: docs/alignment.md has the figures."""
 
 _AROUND_M = 15.0  # what both saw well
