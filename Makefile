@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test quick test-lowest fuzz evaluate lint wheel-check clean
+.PHONY: demo test quick test-lowest test-newest fuzz evaluate lint wheel-check clean
 .PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
 demo: $(VENV)/.demo
@@ -23,25 +23,32 @@ PYTEST := $(ALONE) $(BIN)/python -m pytest -n $(CORES) --dist loadfile
 test: $(VENV)/.test
 	$(PYTEST)
 
+QUICK := -m "not slow and not data and not torch and not fuzz"
 quick: $(VENV)/.test
-	$(PYTEST) -m "not slow and not data and not torch and not fuzz"
+	$(PYTEST) $(QUICK)
 
-# The quick tests with Python 3.10 and exactly the lowest versions that pyproject.toml allows.
-LOWEST := build/lowest
+# The quick tests of an installed wheel: with Python 3.10 and exactly the lowest versions that
+# pyproject.toml allows, and with Python 3.13 and the newest of everything.
+EXTRAS := io,sim,report,baselines,odometry,ros,packets
 LOWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.10.*/bin/python) $(shell command -v python3.10))
-LOWEST_EXTRAS := io,sim,report,baselines,odometry,ros,packets
+NEWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.13.*/bin/python) $(shell command -v python3.13))
+
+# Of a Python, a name for its folder, and options for pip and for pytest.
+define test_installed
+	$(if $(1),,$(error no such Python: name one by $(shell echo $(2) | tr a-z A-Z)_PYTHON=...))
+	$(1) -m venv build/$(2)
+	build/$(2)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade $(3) \
+	  ".[$(EXTRAS),test-tools]"
+	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) tests
+endef
 
 test-lowest:
-ifeq ($(LOWEST_PYTHON),)
-	@echo "test-lowest: skipped: no Python 3.10 (name one by LOWEST_PYTHON=...)"
-else
-	$(LOWEST_PYTHON) -m venv $(LOWEST)
-	$(LOWEST)/bin/python .ci/lowest.py $(LOWEST_EXTRAS) test-tools > $(LOWEST)/lowest.txt
-	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  -c $(LOWEST)/lowest.txt ".[$(LOWEST_EXTRAS),test-tools]"
-	$(ALONE) $(LOWEST)/bin/python -m pytest -n $(CORES) \
-	  --dist loadfile -W default::DeprecationWarning -m "not slow and not data and not torch" tests
-endif
+	mkdir -p build
+	$(LOWEST_PYTHON) .ci/lowest.py $(EXTRAS) test-tools > build/lowest.txt
+	$(call test_installed,$(LOWEST_PYTHON),lowest,-c build/lowest.txt,-W default::DeprecationWarning)
+
+test-newest:
+	$(call test_installed,$(NEWEST_PYTHON),newest,--upgrade-strategy eager)
 
 # Coverage-guided fuzzing of the readers, a minute a target. What is found joins tests/hostile/found.
 SECONDS ?= 60

@@ -1,6 +1,7 @@
 // One function for each room of the library.
 #include <cstdio>
 
+void callers_tests();
 void common_tests();
 void descriptors_tests();
 void io_tests();
@@ -23,6 +24,7 @@ int main() {
   segmentation_tests();
   training_tests();
   verification_tests();
-  std::puts("kernel tests: 10 passed, 0 failed");
+  callers_tests();
+  std::puts("kernel tests: 11 passed, 0 failed");
   return 0;
 }

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import TypeVar
+from multiprocessing import resource_tracker
+from typing import Any, TypeVar
 
 from .errors import SeglocError
 
@@ -18,9 +20,51 @@ Result = TypeVar("Result")
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
 
+class _Pool(ProcessPoolExecutor):
+    """Processes that Ctrl-C, which a terminal sends them too, reaches only while they work.
+
+    Elsewhere, such as while they start, it would end them in a traceback of many lines. A process
+    begins with the signals blocked that are blocked where it is made.
+    """
+
+    def submit(self, fn: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        if os.name == "posix":
+            resource_tracker.ensure_running()  # or it is started below, and unblocks the signal
+        with _interrupts("SIG_BLOCK"):
+            return super().submit(_work, fn, *given, **named)
+
+
+@contextmanager
+def _interrupts(way: str) -> Iterator[None]:
+    """Hold interrupts back until the block is over, or let them through in it; not on Windows."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(getattr(signal, way), {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_interrupted = False  # then what else is queued for this process is not begun
+
+
+def _work(work: Callable[..., Result], *given: Any, **named: Any) -> Result:
+    global _interrupted
+    try:
+        with _interrupts("SIG_UNBLOCK"):
+            if _interrupted:
+                raise KeyboardInterrupt
+            return work(*given, **named)
+    except KeyboardInterrupt:
+        _interrupted = True
+        raise
+
+
 def process_pool(workers: int) -> ProcessPoolExecutor:
     """A pool of fresh processes: forked ones would inherit the ray caster's stopped threads."""
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    return _Pool(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
 @contextmanager

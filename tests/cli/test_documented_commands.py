@@ -106,7 +106,7 @@ def test_documented_commands_exist(path: Path) -> None:
         ("segloc map destroy RUN", "no 'destroy'"),
         ("segloc map build RUN --outt a.segmap", "No such option"),
         ("segloc map build RUN", "Missing option"),
-        ("segloc localize RUN --map a.segmap --every far", "valid number"),
+        ("segloc localize RUN --map a.segmap --every far", "Invalid value"),
         ("segloc train METHOD data --out w.safetensors  # any", None),
         ("segloc align A B --out aligned [--pairs]", None),
     ],

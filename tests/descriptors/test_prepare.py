@@ -82,7 +82,8 @@ def test_pca3d_removes_any_rotation() -> None:
     extent = out[0].std(axis=0)
     assert extent[0] > extent[1] > extent[2]
     # A rotation, not a reflection: distances and handedness survive.
-    assert np.linalg.det(np.linalg.lstsq(points - points.mean(0), _matched(points, out[0]))[0]) > 0
+    fit = np.linalg.lstsq(points - points.mean(0), _matched(points, out[0]), rcond=None)[0]
+    assert np.linalg.det(fit) > 0
 
 
 def _matched(points: np.ndarray, out: np.ndarray) -> np.ndarray:

@@ -372,6 +372,10 @@ for packing in ("BZ2", "LZ4"):
 add("sequence", "message.sqlite3", bag("sqlite3", "MESSAGE", LARGE), LIMIT)
 add("sequence", "message.mcap.d", bag("mcap", "MESSAGE", LARGE), LIMIT)
 add("sequence", "storage.mcap.d", bag("mcap", "STORAGE", LARGE), LIMIT)
+# Every message is within the limit, the file is not.
+for kind in ("sqlite3", "mcap"):
+    add("sequence", f"file.{kind}.d", bag(kind, "FILE", 3_000_000, count=18),
+        f"compressed file.*{LIMIT}")  # fmt: skip
 SIZES = (160_000, 12)
 for kind, packing in (("ros1", ""), ("ros1", "LZ4"), ("sqlite3", ""), ("mcap", ""),
                       ("mcap", "STORAGE")):  # fmt: skip
@@ -379,6 +383,25 @@ for kind, packing in (("ros1", ""), ("ros1", "LZ4"), ("sqlite3", ""), ("mcap", "
         suffix = ".bag" if kind == "ros1" else ".d"
         add("sequence", f"cut-{kind}{packing.lower()}-{share}{suffix}",
             cut(bag(kind, packing, SIZES[0], count=SIZES[1]), share), "cut|bag|read")  # fmt: skip
+
+
+def ros1_index(connections: int, chunks: int) -> Callable[[Path], object]:
+    """A ROS 1 bag whose index names its one connection and its one chunk several times."""
+
+    def make(path: Path) -> None:
+        bag("ros1", "", 16, count=2000)(path)
+        data = bytearray(path.read_bytes())
+        (index,) = struct.unpack_from("<Q", data, data.index(b"index_pos=") + 10)
+        chunk = data.index(b"op=\x06", index) - 8
+        struct.pack_into("<I", data, data.index(b"conn_count=") + 11, connections)
+        struct.pack_into("<I", data, data.index(b"chunk_count=") + 12, chunks)
+        path.write_bytes(data[:index] + data[index:chunk] * connections + data[chunk:] * chunks)
+
+    return make
+
+
+add("sequence", "chunks.bag", ros1_index(1, 20_000), "its index is longer")
+add("sequence", "connections.bag", ros1_index(3, 1), "one number")
 
 
 def lying_mcap(path: Path) -> None:

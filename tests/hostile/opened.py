@@ -2,18 +2,22 @@
 
 LIST holds a line of JSON a file, ``[name, how, path]``. REPORT gets one before each,
 ``["at", name]``, and one behind it, ``[what, text]``: "read" or "refused", or "broken" for whatever
-must not happen.
+must not happen. A file that takes more than ``LONGEST_S`` of processor time ends the process by the
+signal SIGXCPU.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import resource
 import sys
+import time
 from pathlib import Path
 from typing import TextIO
 
 MEMORY = 2 << 30
+LONGEST_S = 10  # of all threads together, so that a busy machine makes no difference
 SCANS = 5  # of a recording that are read
 
 
@@ -112,6 +116,12 @@ def opened(how: str, path: Path) -> tuple[str, str]:
         return "broken", f"{type(error).__name__}: {error}"[:1000]
 
 
+def limit_processor_time() -> None:
+    """End the process when it has computed for so long from now on."""
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + LONGEST_S, most))
+
+
 def main(listed: Path, report: TextIO) -> None:
     import segloc.cli  # what it needs is loaded before the limit counts
 
@@ -120,6 +130,7 @@ def main(listed: Path, report: TextIO) -> None:
     for line in listed.read_text().splitlines():
         name, how, path = json.loads(line)
         print(json.dumps(["at", name]), file=report, flush=True)
+        limit_processor_time()
         print(json.dumps(opened(how, Path(path))), file=report, flush=True)
 
 

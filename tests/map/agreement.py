@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, SegmentMap, build_map, geometry, open_sequence
-from segloc.map.same_place import meeting
+from segloc.map.same_place import MIN_AGREEMENT, MOST_GAIN, meeting
 from segloc.map.voxel_cloud import VoxelCloud
 from segloc.simulation import Conditions, Route, World, hdl64e, simulate_session, town, vlp16
 from segloc.simulation.drives import mapped_way
@@ -47,10 +47,14 @@ def put_onto(a: SegmentMap, i: int, b: SegmentMap, j: int, turn: float) -> Segme
 
 
 def show(name: str, pairs: Iterable[tuple[SegmentMap, SegmentMap]]) -> None:
-    found = [meeting(a, b).agreement for a, b in pairs]
-    known = np.sort([value for value in found if value is not None])
-    spread = " ".join(f"{np.quantile(known, q):.2f}" for q in (0, 0.5, 0.95, 1))
-    print(f"{name}: {len(known)} of {len(found)} meet; least, median, 95 %, most: {spread}")
+    found = [meeting(a, b) for a, b in pairs]
+    known = [item for item in found if item.agreement is not None]
+    passing = sum(item.agreement >= MIN_AGREEMENT and item.gain <= MOST_GAIN for item in known)
+    print(f"{name}: {len(known)} of {len(found)} meet; {passing} pass; least, median, 95 %, most")
+    for what in ("agreement", "gain"):
+        values = [getattr(item, what) for item in known]
+        spread = " ".join(f"{np.quantile(values, q):.2f}" for q in (0, 0.5, 0.95, 1))
+        print(f"  {what}: {spread}", flush=True)
 
 
 def kitti(data: Path) -> None:

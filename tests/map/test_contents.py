@@ -179,9 +179,10 @@ def test_absurd_origins_and_voxels_make_no_map() -> None:
 
 SHRINKING = """
 import os, sys, threading, time
-from segloc.errors import MapFormatError, WeightsError
+from segloc.errors import DatasetError, MapFormatError, WeightsError
 from segloc.descriptors.weightfile import read_weights
 from segloc.map.segment_map import SegmentMap
+from segloc.training.shards import load_dataset
 from pathlib import Path
 
 path, kind, trials = sys.argv[1], sys.argv[2], int(sys.argv[3])
@@ -198,9 +199,11 @@ for trial in range(trials):
     try:
         if kind == "map":
             assert len(SegmentMap.load(path)) == 20_000
-        else:
+        elif kind == "weights":
             assert len(read_weights(Path(path), "network").tensors) == 1
-    except (MapFormatError, WeightsError) as error:
+        else:
+            assert len(load_dataset(Path(path).parent)) == 40_000
+    except (MapFormatError, WeightsError, DatasetError) as error:
         assert str(error).startswith(path), error
         refused += 1
     thread.join()
@@ -208,8 +211,31 @@ print(refused)
 """
 
 
+def write_dataset(folder: Path, segments: int) -> Path:
+    """A dataset of one shard, which is returned."""
+    from segloc.training.extract import Extract
+    from segloc.training.labels import LabelConfig
+    from segloc.training.shards import Session, finish, write_shard
+
+    rng = np.random.default_rng(0)
+    extract = Extract(
+        points=rng.normal(size=(20 * segments, 3)).astype(np.float32),
+        offsets=np.arange(segments + 1) * 20,
+        centroids=np.arange(3 * segments).reshape(-1, 3) * 10.0,
+        heights=np.ones(segments, np.float32),
+        extents=np.ones((segments, 3)),
+        lengths=np.zeros(segments, np.float32),
+        objects=np.full(segments, -1),
+        structure=np.empty((0, 3), np.float32),
+    )
+    session = Session("place", "a", "eye")
+    write_shard(folder, session, extract, "x")
+    finish(folder, [session], LabelConfig())
+    return folder / session.file
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["map", "weights"])
+@pytest.mark.parametrize("kind", ["map", "weights", "shard"])
 def test_files_that_shrink_while_they_are_read(kind: str, tmp_path: Path) -> None:
     from segloc.descriptors.weightfile import write_weights
 
@@ -221,8 +247,10 @@ def test_files_that_shrink_while_they_are_read(kind: str, tmp_path: Path) -> Non
         prior_map.add(Descriptors(vectors.astype(np.float32)), np.zeros((20_000, 3)),
                       np.ones(20_000, int), session=0, stamp=0.0, cloud=cloud)  # fmt: skip
         prior_map.save(path)
-    else:
+    elif kind == "weights":
         write_weights(path, "network", {"w": np.ones((2000, 1000), np.float32)}, {}, {})
+    else:
+        path = write_dataset(tmp_path / "data", segments=40_000)
     command = [sys.executable, "-c", SHRINKING, str(path), kind, "150", "0.03"]
     child = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
     assert child.returncode == 0, (child.returncode, child.stderr)

@@ -90,6 +90,21 @@ def test_another_place_and_another_frame_are_refused(one: SegmentMap, again: Seg
         check_same_place(one, storey)
 
 
+@pytest.mark.slow
+def test_a_small_place_turned_by_ten_degrees_is_refused() -> None:
+    """Two sessions of one day in a laboratory, each in its own frame."""
+    folder = real("mid360_lab")
+    maps = [
+        build_map(open_sequence(folder / name / "scans", folder / name / poses), CONFIG)
+        for poses in ("poses_own_frame.tum", "poses.tum")
+        for name in ("0622b", "0622c")
+    ]
+    assert meeting(*maps[:2]).agreement > MIN_AGREEMENT
+    with pytest.raises(MapMismatch, match="much better if one is turned"):
+        check_same_place(*maps[:2])
+    check_same_place(*maps[2:])
+
+
 def test_what_cannot_be_judged_passes(one: SegmentMap) -> None:
     nothing = SegmentMap.empty("geo", one.fingerprint, one.dim)
     check_same_place(one, nothing)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
@@ -187,7 +187,10 @@ class BagWriter:
         if self.kind == "ros1":
             return self._write1(path.with_suffix(".bag"), compress)
         plugin = StoragePlugin.SQLITE3 if self.kind == "sqlite3" else StoragePlugin.MCAP
-        with Writer2(path, version=9, storage_plugin=plugin) as writer:
+        writer = Writer2(path, version=9, storage_plugin=plugin)
+        if compress:
+            writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+        with writer:
             topics: dict[str, Any] = {}
             for time, topic, kind, message in self.messages:
                 if topic not in topics:

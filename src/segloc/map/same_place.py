@@ -3,6 +3,8 @@
 Where both were driven, their clouds must agree better than they do when one of them is shifted by
 a few metres: ground, and streets alike, agree with anything. So ``agreement`` is the share of the
 points with a point of the other cloud nearby, as the part of the way from its chance value to one.
+And no turn of one of them by some degrees may agree much better: small places still agree somewhat
+when they are turned.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .. import geometry
 from ..errors import MapMismatch
 from ..types import Float64
 from .segment_map import SegmentMap
@@ -20,11 +23,14 @@ MEET_M, MEET_HEIGHT_M = 5.0, 2.0
 """Paths meet where they come this near: about a street's width, and less than a storey."""
 
 MIN_AGREEMENT = 0.5
+MOST_GAIN = 0.1
 """Measured: docs/alignment.md has the figures."""
 
 _AROUND_M = 15.0  # what both saw well
 _NEAR_M = 1.0  # positions of two passes agree to about a metre
 _SHIFTS_M = (4.0, 6.0)
+_TURNS_DEG = (-15.0, -10.0, -5.0, 5.0, 10.0, 15.0)
+_OPPOSITE = tuple(1 + _TURNS_DEG.index(-turn) for turn in _TURNS_DEG)
 _MOST_POINTS = 20_000
 _LEAST_POINTS = 200
 _MOST_MEETINGS = 300
@@ -42,11 +48,14 @@ class Meeting:
         Points compared there; too few tell nothing.
     agreement : float or None
         0 by chance, 1 if every point is in both clouds; None where too few points were compared.
+    gain : float
+        How much larger it is, at most, with one of the clouds turned by 5 to 15 degrees.
     """
 
     places: int
     points: int
     agreement: float | None
+    gain: float = 0.0
 
 
 def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = False) -> None:
@@ -81,6 +90,12 @@ def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = 
             f"the maps are in two frames: where their paths meet ({found.places} poses), their "
             f"clouds agree little more than by chance ({found.agreement:.2f} < {MIN_AGREEMENT:g})"
         )
+    if found.agreement is not None and found.gain > MOST_GAIN:
+        raise MapMismatch(
+            f"the maps are in two frames: where their paths meet ({found.places} poses), their "
+            f"clouds agree much better if one is turned by some degrees ({found.agreement:.2f}, "
+            f"and {found.agreement + found.gain:.2f})"
+        )
 
 
 def meets(mine: SegmentMap, theirs: SegmentMap) -> bool:
@@ -99,8 +114,9 @@ def meeting(mine: SegmentMap, theirs: SegmentMap) -> Meeting:
     fewest = min(map(len, clouds))
     if fewest < _LEAST_POINTS:
         return Meeting(len(places), fewest, None)
-    agreement = (_agreement(clouds[0], clouds[1]) + _agreement(clouds[1], clouds[0])) / 2
-    return Meeting(len(places), fewest, agreement)
+    a, b = (cloud - chosen.mean(axis=0) for cloud in clouds)
+    as_they_are, *turned = (_agreements(a, b) + _agreements(b, a)[[0, *_OPPOSITE]]) / 2
+    return Meeting(len(places), fewest, float(as_they_are), float(max(turned) - as_they_are))
 
 
 def _places(mine: SegmentMap, theirs: SegmentMap) -> Float64:
@@ -129,15 +145,19 @@ def _around(points: Float64, places: Float64) -> Float64:
     return points[np.isfinite(distances)]
 
 
-def _agreement(points: Float64, others: Float64) -> float:
+def _agreements(points: Float64, others: Float64) -> Float64:
+    """Of points as they are, and turned about the origin by ``_TURNS_DEG``."""
     tree = cKDTree(others)
     some = points[:: len(points) // _MOST_POINTS + 1]
 
-    def share(shift: Float64) -> float:
-        distances, _ = tree.query(some + shift, distance_upper_bound=_NEAR_M)
+    def share(points: Float64) -> float:
+        distances, _ = tree.query(points, distance_upper_bound=_NEAR_M)
         return float(np.isfinite(distances).mean())
 
     angles = np.arange(8) * np.pi / 4
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(8)])
-    by_chance = np.mean([share(m * way) for way, m in zip(ring, _SHIFTS_M * 4, strict=True)])
-    return float((share(np.zeros(3)) - by_chance) / max(1 - by_chance, 1e-3))
+    by_chance = np.mean([share(some + m * way) for way, m in zip(ring, _SHIFTS_M * 4, strict=True)])
+    turns = [geometry.yaw_transform(np.radians(turn)) for turn in (0.0, *_TURNS_DEG)]
+    shares = np.array([share(geometry.transform(T, some)) for T in turns])
+    agreements: Float64 = (shares - by_chance) / max(1 - by_chance, 1e-3)
+    return agreements

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from .. import tensor_file
 from ..errors import DatasetError
 from ..files import replacing
+from ..tensor_file import TensorFileError
 from ..types import Float32, Float64, Int64, Segments
 
 FAR_M = 20.0
@@ -169,12 +171,11 @@ class SegmentDataset:
         DatasetError
             If the file cannot be read or its arrays do not fit together.
         """
+        arrays, metadata = read_arrays(path)
         try:
-            with safe_open(path, framework="np") as file:
-                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                names = json.loads((file.metadata() or {}).get("sensor_names", '["unknown"]'))
+            names = json.loads(metadata.get("sensor_names", '["unknown"]'))
             dataset = SegmentDataset(**arrays, sensor_names=tuple(names))
-        except (OSError, SafetensorError, TypeError, ValueError) as error:
+        except (TypeError, ValueError) as error:
             raise DatasetError(f"{path}: not a dataset: {error}") from error
         return dataset.checked(path)
 
@@ -237,6 +238,28 @@ class SegmentDataset:
             sensors=np.concatenate(sensors).astype(np.int64),
             sensor_names=names,
         )
+
+
+def read_arrays(
+    path: Path, names: Iterable[str] | None = None
+) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Arrays of a file in safetensors layout, all of them by default, and its metadata.
+
+    They are read, not mapped into memory: a file may shrink while others write it.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read or lacks one of them.
+    """
+    try:
+        with tensor_file.opened(path) as file:
+            wanted = file.tensors if names is None else names
+            return {name: file.read(name) for name in wanted}, file.metadata
+    except KeyError as error:
+        raise DatasetError(f"{path}: not a dataset: it has no array {error}") from error
+    except (OSError, TensorFileError) as error:
+        raise DatasetError(f"{path}: not a dataset: {error}") from error
 
 
 def packed(parts: Sequence[Float32]) -> tuple[Float32, Int64]:

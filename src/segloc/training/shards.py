@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from .. import tensor_file
 from ..errors import DatasetError
 from ..files import replacing, write_text
+from ..tensor_file import TensorFileError
 from ..types import Int64
-from .dataset import FAR_M, SegmentDataset
+from .dataset import FAR_M, SegmentDataset, read_arrays
 from .extract import Extract, ExtractConfig
 from .labels import LabelConfig, LabelCounts, count_labels, label_objects
 
@@ -61,9 +62,9 @@ def write_shard(folder: Path, session: Session, extract: Extract, options: str) 
 def finished(folder: Path, session: Session, options: str) -> bool:
     """Whether a session's shard is there, made with these options."""
     try:
-        with safe_open(folder / session.file, framework="np") as file:
-            return bool((file.metadata() or {}).get("options") == options)
-    except (OSError, SafetensorError):
+        with tensor_file.opened(folder / session.file) as file:
+            return file.metadata.get("options") == options
+    except (OSError, TensorFileError):
         return False
 
 
@@ -75,11 +76,7 @@ def read_array(folder: Path, session: Session, name: str) -> Any:
     DatasetError
         If the shard cannot be read or has no such array.
     """
-    try:
-        with safe_open(folder / session.file, framework="np") as file:
-            return file.get_tensor(name)
-    except (OSError, SafetensorError) as error:
-        raise DatasetError(f"{folder / session.file}: {error}") from error
+    return read_arrays(folder / session.file, [name])[0][name]
 
 
 def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> LabelCounts:
@@ -184,21 +181,13 @@ def load_dataset(path: Path) -> SegmentDataset:
     sessions = _listed(path)
     if not sessions:
         raise DatasetError(f"{path}: the dataset is empty")
-    labels = _labels(path)
+    labels, _ = read_arrays(path / _LABELS)
     places = sorted({session.place for session in sessions})
     parts = [
         _place(path, [session for session in sessions if session.place == place], labels)
         for place in places
     ]
     return SegmentDataset.concatenate(parts)
-
-
-def _labels(path: Path) -> dict[str, Int64]:
-    try:
-        with safe_open(path / _LABELS, framework="np") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
-        raise DatasetError(f"{path / _LABELS}: {error}") from error
 
 
 def _place(path: Path, sessions: Sequence[Session], labels: dict[str, Int64]) -> SegmentDataset:
@@ -216,12 +205,8 @@ def _session(
     sensor_names: tuple[str, ...],
     labels: dict[str, Int64],
 ) -> SegmentDataset:
-    try:
-        with safe_open(path / session.file, framework="np") as file:
-            arrays = {f.name: file.get_tensor(f.name) for f in fields(Extract)
-                      if f.name not in ("structure", "extents")}  # fmt: skip
-    except (OSError, SafetensorError) as error:
-        raise DatasetError(f"{path / session.file}: {error}") from error
+    names = [f.name for f in fields(Extract) if f.name not in ("structure", "extents")]
+    arrays, _ = read_arrays(path / session.file, names)
     P = len(arrays["lengths"])
     own = labels.get(session.file)
     if own is None or len(own) != P:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import bz2
+import os
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
-from ...budget import check_bytes, most_message_bytes
+from ...budget import check_bytes, check_points, most_bytes, most_message_bytes
 from ...errors import DatasetError
 
 if TYPE_CHECKING:
@@ -15,7 +16,10 @@ if TYPE_CHECKING:
 
 MOST_METADATA_BYTES = 1 << 20
 """Of a ROS 2 bag's metadata.yaml, and of what it says of a topic's quality of service."""
+MOST_GROWTH = 32
+"""Of a file of a bag that is compressed whole; clouds shrink to a half or a third."""
 _DEEPEST = 64
+_INDEX_ENTRY_BYTES = 12  # ROS 1
 
 
 _BRACKETS = re.compile(r"[\[\]{}]")
@@ -62,8 +66,28 @@ def unpack_lz4(data: bytes) -> bytes:
     return unpacked(_lz4(), data)
 
 
+class _LimitedFile:
+    """A compressed file as it is read, up to a number of bytes."""
+
+    def __init__(self, file: BinaryIO, limit: int) -> None:
+        self._file, self._limit, self._count = file, limit, 0
+
+    def __enter__(self) -> _LimitedFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._file.read(min(size, self._limit + 1) if size >= 0 else self._limit + 1)
+        self._count += len(data)
+        if self._count > self._limit:
+            check_bytes(self._count, "a compressed file with upwards", self._limit)
+        return data
+
+
 class _Zstd:
-    """The module of zstd as rosbags sees it, but for :func:`decompress`."""
+    """The module of zstd as rosbags sees it, but for what unpacks."""
 
     def __init__(self, module: Any) -> None:
         self._module = module
@@ -73,6 +97,11 @@ class _Zstd:
 
     def decompress(self, data: bytes) -> bytes:
         return unpacked(self._module.ZstdDecompressor(), data)
+
+    def open(self, file: BinaryIO, mode: str) -> _LimitedFile:
+        """A file to unpack: a recording has no most points, so what it may hold is of its size."""
+        limit = max(most_bytes(), MOST_GROWTH * os.fstat(file.fileno()).st_size)
+        return _LimitedFile(self._module.open(file, mode), limit)
 
 
 def check_metadata(text: str, what: str) -> None:
@@ -101,12 +130,28 @@ def _limited(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return limited
 
 
+def _counted(read_index: Callable[..., None]) -> Callable[..., None]:
+    """Records of a ROS 1 bag's index, each read once: chunks may name the same ones."""
+
+    def counted(reader: Any, place: int, indexes: dict[int, list[Any]]) -> None:
+        begin = reader.bio.tell()
+        read_index(reader, place, indexes)
+        reader.index_bytes = getattr(reader, "index_bytes", 0) + reader.bio.tell() - begin
+        if reader.index_bytes > os.fstat(reader.bio.fileno()).st_size:
+            raise DatasetError("its index is longer than the file: chunks share records of it")
+        check_points(reader.index_bytes // _INDEX_ENTRY_BYTES, "messages in its index")
+
+    return counted
+
+
 def limit_rosbags() -> None:
     """Put limited functions into the modules of rosbags; it has no setting for them."""
+    from rosbags.rosbag1 import Reader
     from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
 
     if isinstance(reader.zstd, _Zstd):
         return
+    Reader.read_index_data = _counted(Reader.read_index_data)
     for module in (reader, storage_mcap, storage_sqlite3):
         module.parse_qos = _limited(module.parse_qos)
     zstd = reader.zstd
@@ -118,7 +163,13 @@ def limit_rosbags() -> None:
 
 
 def limit_chunks(reader: AnyReader) -> None:
-    """Let an opened ROS 1 bag unpack its chunks within the limit."""
+    """Let an opened ROS 1 bag unpack its chunks within the limit.
+
+    Raises
+    ------
+    DatasetError
+        If two of its connections have one number: each would have the messages of both.
+    """
     from rosbags.rosbag1.reader import Compression, decompressors
 
     ours = {
@@ -126,6 +177,8 @@ def limit_chunks(reader: AnyReader) -> None:
         decompressors[Compression.LZ4.value]: unpack_lz4,
     }
     for bag in () if reader.is2 else reader.readers:
+        if len({item.id for item in bag.connections}) < len(bag.connections):
+            raise DatasetError("two connections of the bag have one number")
         for place, chunk in bag.chunks.items():
             if chunk.decompressor in ours:
                 bag.chunks[place] = chunk._replace(decompressor=ours[chunk.decompressor])
