@@ -1,0 +1,164 @@
+"""How many landmarks of a query lie on landmarks of the map at a pose, and where most do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .. import geometry
+from ..types import Candidate, Float64, Int64, Pose
+from .config import LandmarkConfig
+
+_COARSE = 2.0
+"""Times the tolerance: within it lie the landmarks of a pose that is not refined yet."""
+_HOPELESS = 0.5
+"""Of the support of the first: with less, taken coarsely, a candidate is not refined."""
+_TIGHTENING = (2.0, 1.4, 1.0)
+"""Times the tolerance, from one step of the refinement to the next."""
+_FEWEST = 3
+_FEWEST_TILTED = 8
+"""Landmarks from which roll and pitch are fitted, too; below, the median axis says more."""
+_SHIFT_M = 10.0
+"""How far a pose is moved in search of a rival nearby."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well a query lies on the map at a pose.
+
+    Attributes
+    ----------
+    T_map_local : (4, 4) float64
+    inliers : int
+        Landmarks of the query that lie on one of the map, each on another one.
+    support : float
+        The sum over them of 1 - (distance / tolerance)^2: what lies there by chance lies at the
+        rim, and counts half.
+    rmse : float
+        Root mean square of their horizontal distances, metres.
+    """
+
+    T_map_local: Pose
+    inliers: int
+    support: float
+    rmse: float
+
+
+class MapLandmarks:
+    """The landmarks of a map, ready to be compared with those of queries.
+
+    Parameters
+    ----------
+    positions : (M, 3) float64
+        Map frame, whose z axis points up.
+    config : LandmarkConfig
+    """
+
+    def __init__(self, positions: Float64, config: LandmarkConfig) -> None:
+        self._positions, self._config = positions, config
+        self._tree = cKDTree(positions[:, :2])
+
+    def best(self, query: Float64, candidates: Sequence[Candidate]) -> list[Agreement]:
+        """The most promising candidates refined, the best supported first.
+
+        Those that have far less support than the first are not refined: a pose that is moved by a
+        metre does not gain that much.
+
+        Parameters
+        ----------
+        query : (N, 3) float64
+            Landmarks in the local frame.
+        candidates : sequence of Candidate
+        """
+        rough = self._coarse(query, candidates)
+        order = np.argsort(-rough, kind="stable")[: self._config.max_refined]
+        refined = [self.refined(query, candidates[order[0]].T_map_local)]
+        for k in order[1:]:
+            if rough[k] >= _HOPELESS * refined[0].support:
+                refined.append(self.refined(query, candidates[k].T_map_local))
+        return sorted(refined, key=lambda found: -found.support)
+
+    def refined(self, query: Float64, T_map_local: Pose) -> Agreement:
+        """The pose near a given one at which the landmarks lie best on each other."""
+        T = T_map_local
+        for step in _TIGHTENING:
+            rows, mapped, _ = self._pairs(query, T, step * self._config.tolerance)
+            if len(rows) < _FEWEST:
+                break
+            T = _fitted(query[rows], self._positions[mapped])
+        return self._at(query, T)
+
+    def shifted(self, query: Float64, T_map_local: Pose) -> Agreement | None:
+        """The best pose with the same heading a few metres away: what rows of a plantation make.
+
+        None where the map has nothing there.
+        """
+        moved = geometry.transform(T_map_local, query)[:, :2]
+        low, high = moved.min(axis=0) - _SHIFT_M, moved.max(axis=0) + _SHIFT_M
+        where = self._positions[:, :2]
+        near = where[((where > low) & (where < high)).all(axis=1)]
+        shifts = (near[:, None] - moved[None]).reshape(-1, 2)
+        shifts = shifts[(np.abs(shifts) < _SHIFT_M).all(axis=1)]
+        shifts = shifts[np.hypot(shifts[:, 0], shifts[:, 1]) > _COARSE * self._config.tolerance]
+        if not len(shifts):
+            return None
+        T = T_map_local.copy()
+        T[:2, 3] += _densest(shifts, self._config.tolerance)
+        return self.refined(query, T)
+
+    def _coarse(self, query: Float64, candidates: Sequence[Candidate]) -> Float64:
+        """Support of each candidate where it stands; here a map's landmark may count twice."""
+        tolerance = _COARSE * self._config.tolerance
+        moved = np.array([geometry.transform(c.T_map_local, query)[:, :2] for c in candidates])
+        distances, _ = self._tree.query(moved, distance_upper_bound=tolerance)
+        support: Float64 = np.maximum(1 - (distances / tolerance) ** 2, 0.0).sum(axis=1)
+        return support
+
+    def _at(self, query: Float64, T_map_local: Pose) -> Agreement:
+        tolerance = self._config.tolerance
+        _, _, distances = self._pairs(query, T_map_local, tolerance)
+        rmse = float(np.sqrt(np.mean(distances**2))) if len(distances) else 0.0
+        return Agreement(T_map_local, len(distances), _support(distances, tolerance), rmse)
+
+    def _pairs(self, query: Float64, T: Pose, radius: float) -> tuple[Int64, Int64, Float64]:
+        """Landmarks on each other, one to one, the nearest first; with their distances."""
+        moved = geometry.transform(T, query)
+        distances, mapped = self._tree.query(moved[:, :2], distance_upper_bound=radius)
+        rows = np.flatnonzero(np.isfinite(distances))
+        height = np.abs(moved[rows, 2] - self._positions[mapped[rows], 2])
+        rows = rows[height < self._config.height_tolerance]
+        rows = rows[np.argsort(distances[rows], kind="stable")]
+        _, first = np.unique(mapped[rows], return_index=True)
+        rows = rows[np.sort(first)]
+        return rows, mapped[rows], distances[rows]
+
+
+def _support(distances: Float64, tolerance: float) -> float:
+    return float((1 - (distances / tolerance) ** 2).sum())
+
+
+def _densest(shifts: Float64, cell: float) -> Float64:
+    """Where most of (N, 2) points lie within two by two cells."""
+    across = 2 * int(np.ceil(_SHIFT_M / cell)) + 1
+    column, line = np.floor((shifts + _SHIFT_M) / cell).astype(np.int64).T
+    counts = np.bincount(column * across + line, minlength=across * across)
+    counts = counts.reshape(across, across)
+    windows = counts[1:, 1:] + counts[:-1, 1:] + counts[1:, :-1] + counts[:-1, :-1]
+    best = np.unravel_index(np.argmax(windows), windows.shape)
+    densest: Float64 = (np.array(best) + 1.0) * cell - _SHIFT_M
+    return densest
+
+
+def _fitted(source: Float64, target: Float64) -> Pose:
+    """The rigid transform that takes (N, 3) points to others with the least squares."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    if len(source) < _FEWEST_TILTED:
+        turn = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+        R = geometry.yaw_transform(np.arctan2(turn, float((a[:, :2] * b[:, :2]).sum())))[:3, :3]
+    else:
+        U, _, Vt = np.linalg.svd(a.T @ b)
+        R = Vt.T @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ U.T
+    return geometry.rigid(R, target.mean(axis=0) - R @ source.mean(axis=0))
