@@ -21,8 +21,10 @@ _TIGHTENING = (2.0, 1.4, 1.0)
 _FEWEST = 3
 _FEWEST_TILTED = 8
 """Landmarks from which roll and pitch are fitted, too; below, the median axis says more."""
-_SHIFT_M = 10.0
-"""How far a pose is moved in search of a rival nearby."""
+_SHIFT_M = 8.0
+"""How far a pose is moved, along each axis, in search of a rival nearby."""
+_ENOUGH = 48
+"""Landmarks, those nearest to the sensor, that tell where a rival may be."""
 
 
 @dataclass(frozen=True)
@@ -91,22 +93,25 @@ class MapLandmarks:
             T = _fitted(query[rows], self._positions[mapped])
         return self._at(query, T)
 
-    def shifted(self, query: Float64, T_map_local: Pose) -> Agreement | None:
+    def shifted(self, query: Float64, found: Agreement) -> Agreement | None:
         """The best pose with the same heading a few metres away: what rows of a plantation make.
 
-        None where the map has nothing there.
+        None where too few landmarks would lie on the map there.
         """
-        moved = geometry.transform(T_map_local, query)[:, :2]
-        low, high = moved.min(axis=0) - _SHIFT_M, moved.max(axis=0) + _SHIFT_M
-        where = self._positions[:, :2]
-        near = where[((where > low) & (where < high)).all(axis=1)]
-        shifts = (near[:, None] - moved[None]).reshape(-1, 2)
-        shifts = shifts[(np.abs(shifts) < _SHIFT_M).all(axis=1)]
-        shifts = shifts[np.hypot(shifts[:, 0], shifts[:, 1]) > _COARSE * self._config.tolerance]
-        if not len(shifts):
+        T_map_local = found.T_map_local
+        nearest = np.argsort(np.hypot(query[:, 0], query[:, 1]), kind="stable")[:_ENOUGH]
+        x, y = geometry.transform(T_map_local, query[nearest])[:, :2].T
+        u, v = self._positions[:, :2].T
+        near = (u > x.min() - _SHIFT_M) & (u < x.max() + _SHIFT_M)
+        near &= (v > y.min() - _SHIFT_M) & (v < y.max() + _SHIFT_M)
+        along, across = u[near, None] - x, v[near, None] - y
+        elsewhere = (np.abs(along) < _SHIFT_M) & (np.abs(across) < _SHIFT_M)
+        elsewhere &= along**2 + across**2 > (_COARSE * self._config.tolerance) ** 2
+        shift, count = _densest(along[elsewhere], across[elsewhere], self._config.tolerance)
+        if count * len(query) < _HOPELESS * found.support * len(nearest):
             return None
         T = T_map_local.copy()
-        T[:2, 3] += _densest(shifts, self._config.tolerance)
+        T[:2, 3] += shift
         return self.refined(query, T)
 
     def _coarse(self, query: Float64, candidates: Sequence[Candidate]) -> Float64:
@@ -119,37 +124,34 @@ class MapLandmarks:
 
     def _at(self, query: Float64, T_map_local: Pose) -> Agreement:
         tolerance = self._config.tolerance
-        _, _, distances = self._pairs(query, T_map_local, tolerance)
+        _, mapped, distances = self._pairs(query, T_map_local, tolerance)
+        order = np.argsort(distances, kind="stable")
+        _, first = np.unique(mapped[order], return_index=True)  # each with the nearest
+        distances = distances[order[first]]
         rmse = float(np.sqrt(np.mean(distances**2))) if len(distances) else 0.0
-        return Agreement(T_map_local, len(distances), _support(distances, tolerance), rmse)
+        support = float((1 - (distances / tolerance) ** 2).sum())
+        return Agreement(T_map_local, len(distances), support, rmse)
 
     def _pairs(self, query: Float64, T: Pose, radius: float) -> tuple[Int64, Int64, Float64]:
-        """Landmarks on each other, one to one, the nearest first; with their distances."""
+        """Landmarks of the query with the nearest of the map, and their distances."""
         moved = geometry.transform(T, query)
         distances, mapped = self._tree.query(moved[:, :2], distance_upper_bound=radius)
         rows = np.flatnonzero(np.isfinite(distances))
         height = np.abs(moved[rows, 2] - self._positions[mapped[rows], 2])
         rows = rows[height < self._config.height_tolerance]
-        rows = rows[np.argsort(distances[rows], kind="stable")]
-        _, first = np.unique(mapped[rows], return_index=True)
-        rows = rows[np.sort(first)]
         return rows, mapped[rows], distances[rows]
 
 
-def _support(distances: Float64, tolerance: float) -> float:
-    return float((1 - (distances / tolerance) ** 2).sum())
-
-
-def _densest(shifts: Float64, cell: float) -> Float64:
-    """Where most of (N, 2) points lie within two by two cells."""
-    across = 2 * int(np.ceil(_SHIFT_M / cell)) + 1
-    column, line = np.floor((shifts + _SHIFT_M) / cell).astype(np.int64).T
-    counts = np.bincount(column * across + line, minlength=across * across)
-    counts = counts.reshape(across, across)
+def _densest(along: Float64, across: Float64, cell: float) -> tuple[Float64, int]:
+    """Where most of so many shifts lie within two by two cells, and how many."""
+    size = 2 * int(np.ceil(_SHIFT_M / cell)) + 1
+    column, line = (((d + _SHIFT_M) / cell).astype(np.int64) for d in (along, across))
+    counts = np.bincount(column * size + line, minlength=size * size)
+    counts = counts.reshape(size, size)
     windows = counts[1:, 1:] + counts[:-1, 1:] + counts[1:, :-1] + counts[:-1, :-1]
     best = np.unravel_index(np.argmax(windows), windows.shape)
     densest: Float64 = (np.array(best) + 1.0) * cell - _SHIFT_M
-    return densest
+    return densest, int(windows[best])
 
 
 def _fitted(source: Float64, target: Float64) -> Pose:

@@ -16,9 +16,10 @@ class Effort(Section):
     )
     alike: int = Field(1, ge=1, le=100, description="map triangles proposed for each")
     most_landmarks: int = Field(
-        48, ge=3, le=10_000, description="of a query: those nearest to the sensor"
+        40, ge=3, le=10_000, description="of a query: those nearest to the sensor"
     )
     most_matches: int = Field(400, ge=3, le=30_000, description="the best ones are kept")
+    most_candidates: int = Field(6, ge=1, le=1000, description="poses that are compared")
 
 
 class LandmarkConfig(Section):
@@ -33,7 +34,9 @@ class LandmarkConfig(Section):
     efforts: tuple[Effort, ...] = Field(
         (
             Effort(),
-            Effort(neighbours=10, alike=8, most_landmarks=64, most_matches=2000),
+            Effort(
+                neighbours=10, alike=8, most_landmarks=64, most_matches=3000, most_candidates=24
+            ),
         ),
         min_length=1,
         description="one after the other, until a pose is believed or is ambiguous",
@@ -42,7 +45,7 @@ class LandmarkConfig(Section):
     key_noise_height_m: float = Field(0.5, gt=0, le=10, description="of differences of height")
     key_noise_diameter_m: float = Field(0.1, gt=0, le=10, description="of diameters")
     most_key_noise: float = Field(
-        5.0, gt=0, le=100, description="triangles that differ by more of it do not match"
+        4.0, gt=0, le=100, description="triangles that differ by more of it do not match"
     )
     pose: PoseConfig = PoseConfig(max_candidates=24)
     tolerance: float = Field(
@@ -54,7 +57,10 @@ class LandmarkConfig(Section):
         8.0, ge=3, le=1000, description="landmarks on the map, weighted by how well they fit"
     )
     min_share: float = Field(
-        0.22, ge=0, le=1, description="the same as a share of the query's landmarks"
+        0.2, ge=0, le=1, description="the same as a share of the query's landmarks"
+    )
+    min_confidence: float = Field(
+        0.8, ge=0, le=1, description="probability above which a pose is believed"
     )
     max_rival: float = Field(
         0.75, gt=0, le=1, description="ambiguous where another place has this share of the support"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from ..localization import Reason
 from .agreement import Agreement
 from .config import LandmarkConfig
 
-_SLOPE, _HALF = 40.0, 0.2
-"""TODO."""
+CHANCE_SUPPORT = 3.0
+"""What some wrong place of a map has almost always; a rival is not taken to have less."""
+CONFIDENCE = (9.59, 12.16, 13.49)
+"""Log-odds that a pose is right: a constant, times log(share), times log(ratio). Fitted by
+``segloc_experiments.calibration.landmarks``."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,10 @@ def decide(
     """Believe a pose, or say why not.
 
     A pose is believed when enough of the query's landmarks lie on the map's, in number and as a
-    share, and no other place has nearly as many.
+    share, no other place has nearly as many, and its calibrated probability is high enough.
     """
-    share = best.support / max(landmarks, 1)
-    confidence = float(1 / (1 + np.exp(-_SLOPE * (share - _HALF))))
+    share, ratio = best.support / max(landmarks, 1), ratio_to_rival(best, rival)
+    confidence = probability(share, ratio)
     reason, message = None, ""
     if best.support < config.min_support:
         reason = Reason.TOO_FEW_INLIERS
@@ -68,4 +70,19 @@ def decide(
         at = f"{rival.T_map_local[0, 3]:.0f}, {rival.T_map_local[1, 3]:.0f}"
         reason = Reason.AMBIGUOUS
         message = f"ambiguous (another place, at {at}, explains the query about as well)"
+    elif confidence < config.min_confidence:
+        reason = Reason.TOO_UNCERTAIN
+        message = f"too uncertain ({confidence:.2f} < {config.min_confidence:.2f})"
     return LandmarkVerdict(reason, message, confidence, best, rival)
+
+
+def ratio_to_rival(best: Agreement, rival: Agreement | None) -> float:
+    """How many times as much support as the rival, or as chance."""
+    return best.support / max(rival.support if rival else 0.0, CHANCE_SUPPORT)
+
+
+def probability(share: float, ratio: float) -> float:
+    """How likely a pose with such support is to be right, in [0, 1]."""
+    constant, of_share, of_ratio = CONFIDENCE
+    logit = constant + of_share * math.log(max(share, 1e-3)) + of_ratio * math.log(max(ratio, 1e-3))
+    return 1 / (1 + math.exp(-max(-50.0, min(50.0, logit))))

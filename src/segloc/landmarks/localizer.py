@@ -13,7 +13,7 @@ from ..stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, Matches, Pose
 from .agreement import Agreement, MapLandmarks
 from .config import LandmarkConfig
-from .decision import LandmarkVerdict, decide
+from .decision import LandmarkVerdict, decide, ratio_to_rival
 from .landmark_map import LandmarkMap
 from .landmarks import Landmarks, levelling
 from .triangles import TriangleIndex
@@ -81,7 +81,8 @@ class LandmarkLocalizer:
             columns = landmarks.moved(T_local_sensor)
         counts: dict[str, int] = {"segments": len(landmarks)}
         best: LandmarkVerdict | None = None
-        for index in self._indices:
+        for effort, index in enumerate(self._indices, start=1):
+            counts["efforts"] = effort
             verdict = self._attempt(columns, index, counts, times)
             if best is None or verdict.rank > best.rank:
                 best = verdict
@@ -99,7 +100,7 @@ class LandmarkLocalizer:
             matches = index.matches(positions, columns[:, 6])
         counts["matches"] = len(matches)
         with times("pose"):
-            candidates = self._candidates(positions, matches)
+            candidates = self._candidates(positions, matches)[: index.effort.most_candidates]
         counts["candidates"] = len(candidates)
         with times("verification"):
             return self._judged(positions, candidates, counts)
@@ -124,7 +125,7 @@ class LandmarkLocalizer:
         verdict = decide(best, rival, len(positions), self.config)
         if verdict.reason is not None:
             return verdict
-        shifted = self._map.shifted(positions, best.T_map_local)
+        shifted = self._map.shifted(positions, best)
         rival = _best_elsewhere(best, [a for a in (rival, shifted) if a is not None])
         return decide(best, rival, len(positions), self.config)
 
@@ -140,11 +141,11 @@ def _answer(
     best, rival = verdict.best, verdict.rival
     if best is not None:
         common["inliers"], common["rmse"] = best.inliers, best.rmse
-        common["overlap"] = best.inliers / landmarks
+        common["overlap"] = best.support / landmarks
+        common["inlier_ratio"] = ratio_to_rival(best, rival)
     if best is not None and rival is not None:
         T = rival.T_map_local @ T_local_sensor
-        common["runner_up"] = RunnerUp(T, rival.inliers, rival.inliers / landmarks)
-        common["inlier_ratio"] = best.inliers / max(rival.inliers, 1)
+        common["runner_up"] = RunnerUp(T, rival.inliers, rival.support / landmarks)
     common["confidence"] = verdict.confidence
     if verdict.reason is not None or best is None:
         return NotLocalized(

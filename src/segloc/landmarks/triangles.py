@@ -18,6 +18,8 @@ from ..types import Float64, Int64, Matches
 from .config import Effort, LandmarkConfig
 
 DIMENSION = 8
+_SPREAD = 8.0
+"""Both triangles have noise, and it has tails: four times what one with normal noise would have."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,13 @@ class Triangles:
 
 
 def triangles_of(
-    positions: Float64, diameters: Float64, neighbours: int, config: LandmarkConfig
+    positions: Float64,
+    diameters: Float64,
+    neighbours: int,
+    config: LandmarkConfig,
+    chosen: Int64 | None = None,
 ) -> Triangles:
-    """The triangles of every landmark with each pair of its nearest neighbours.
+    """The triangles of landmarks with each pair of their nearest neighbours.
 
     Parameters
     ----------
@@ -51,14 +57,17 @@ def triangles_of(
         Of fewer landmarks than that, all are neighbours.
     config : LandmarkConfig
         Says what the noise is.
+    chosen : (C,) int64, optional
+        Those whose triangles are wanted; all by default.
     """
     count = len(positions)
     near = min(neighbours, count - 1)
     if near < 2:
         return Triangles(np.empty((0, DIMENSION)), np.empty((0, 3), np.int64))
-    _, around = cKDTree(positions[:, :2]).query(positions[:, :2], near + 1)
+    chosen = np.arange(count) if chosen is None else chosen
+    _, around = cKDTree(positions[:, :2]).query(positions[chosen, :2], near + 1)
     nearer, farther = np.array(list(combinations(range(1, near + 1), 2))).T
-    own = np.repeat(np.arange(count), len(nearer))
+    own = np.repeat(chosen, len(nearer))
     corners = np.stack([own, around[:, nearer].ravel(), around[:, farther].ravel()], axis=1)
     return Triangles(_keys(positions, diameters, corners, config), corners.astype(np.int64))
 
@@ -93,7 +102,8 @@ class TriangleIndex:
     def __init__(
         self, positions: Float64, diameters: Float64, effort: Effort, config: LandmarkConfig
     ) -> None:
-        self._config, self._effort, self._count = config, effort, len(positions)
+        self.effort = effort
+        self._config, self._count = config, len(positions)
         found = triangles_of(positions, diameters, effort.neighbours, config)
         self._corners = found.corners
         # Eight numbers and a bound of the distance: a tree looks at few of the keys.
@@ -108,33 +118,27 @@ class TriangleIndex:
             Local frame, whose z axis points up.
         diameters : (N,) float64
         """
-        query = triangles_of(positions, diameters, self._effort.neighbours, self._config)
-        query = self._nearest_to_sensor(query, positions)
+        around = np.argsort(np.hypot(positions[:, 0], positions[:, 1]), kind="stable")
+        # Of those near the sensor, the neighbours are most likely to be in view, too.
+        chosen = np.sort(around[: self.effort.most_landmarks])
+        query = triangles_of(positions, diameters, self.effort.neighbours, self._config, chosen)
         if self._tree is None or not len(query.keys):
             none = np.empty(0, np.int64)
             return Matches(none, none, none.astype(np.float32), none.astype(np.float32))
         distance, row = self._tree.query(
-            query.keys, self._effort.alike, distance_upper_bound=self._config.most_key_noise
+            query.keys, self.effort.alike, distance_upper_bound=self._config.most_key_noise
         )
         distance = distance.reshape(len(query.keys), -1)
         asked, rank = np.nonzero(np.isfinite(distance))
         corners = self._corners[row.reshape(distance.shape)[asked, rank]]
-        likelihood = np.exp(-(distance[asked, rank] ** 2) / 8)  # of both: twice the variance, doubled
+        likelihood = np.exp(
+            -(distance[asked, rank] ** 2) / 8
+        )  # of both: twice the variance, doubled
         return self._summed(query.corners[asked].ravel(), corners.ravel(), likelihood)
-
-    def _nearest_to_sensor(self, query: Triangles, positions: Float64) -> Triangles:
-        """Those of the landmarks whose neighbours are most likely to be in view, too."""
-        if len(positions) <= self._effort.most_landmarks:
-            return query
-        order = np.argsort(np.hypot(positions[:, 0], positions[:, 1]), kind="stable")
-        chosen = np.zeros(len(positions), bool)
-        chosen[order[: self._effort.most_landmarks]] = True
-        keep = chosen[query.corners[:, 0]]
-        return Triangles(query.keys[keep], query.corners[keep])
 
     def _summed(self, query: Int64, mapped: Int64, likelihood: Float64) -> Matches:
         pairs, which = np.unique(query * self._count + mapped, return_inverse=True)
         score = np.bincount(which, np.repeat(likelihood, 3))
-        best = np.argsort(-score, kind="stable")[: self._effort.most_matches]
+        best = np.argsort(-score, kind="stable")[: self.effort.most_matches]
         scores = score[best].astype(np.float32)
         return Matches(pairs[best] // self._count, pairs[best] % self._count, -scores, scores)
