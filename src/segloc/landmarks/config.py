@@ -16,7 +16,7 @@ class Effort(Section):
     )
     alike: int = Field(1, ge=1, le=100, description="map triangles proposed for each")
     most_landmarks: int = Field(
-        40, ge=3, le=10_000, description="of a query: those nearest to the sensor"
+        32, ge=3, le=10_000, description="of a query: those nearest to the sensor"
     )
     most_matches: int = Field(400, ge=3, le=30_000, description="the best ones are kept")
     most_candidates: int = Field(6, ge=1, le=1000, description="poses that are compared")

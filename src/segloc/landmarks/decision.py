@@ -11,7 +11,7 @@ from .config import LandmarkConfig
 
 CHANCE_SUPPORT = 3.0
 """What some wrong place of a map has almost always; a rival is not taken to have less."""
-CONFIDENCE = (9.59, 12.16, 13.49)
+CONFIDENCE = (8.79, 11.34, 12.51)
 """Log-odds that a pose is right: a constant, times log(share), times log(ratio). Fitted by
 ``segloc_experiments.calibration.landmarks``."""
 

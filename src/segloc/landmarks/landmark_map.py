@@ -91,7 +91,7 @@ class LandmarkMap:
         SeglocError
         """
         count = len(self)
-        arrays = {
+        arrays: dict[str, mapfile.Array] = {
             "origin": np.zeros(3),
             "centroids": self.positions,
             "stamps": np.zeros(count),

@@ -81,7 +81,8 @@ def _directions(axes: Float64 | None, count: int) -> Float64:
     bad = np.flatnonzero((lengths < 1e-6) | (lengths > 1e6))
     if len(bad):
         raise InvalidScan(f"axes: row {bad[0]} is no direction (its length is {lengths[bad[0]]:g})")
-    return rows / lengths[:, None]
+    unit: Float64 = rows / lengths[:, None]
+    return unit
 
 
 def levelling(axes: Float64) -> Pose:

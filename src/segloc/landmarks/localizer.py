@@ -58,7 +58,7 @@ class LandmarkLocalizer:
         where = prior_map.positions, prior_map.diameters
         self._indices = [TriangleIndex(*where, e, self.config) for e in self.config.efforts]
         self._estimator = PoseEstimator(self.config.pose, threads=1)
-        self._map = MapLandmarks(prior_map.positions, self.config)
+        self._map = MapLandmarks(prior_map, self.config)
 
     def localize(self, landmarks: Landmarks) -> Localization:
         """The pose of the sensor in the map, or the reason why there is none.
@@ -103,7 +103,7 @@ class LandmarkLocalizer:
             candidates = self._candidates(positions, matches)[: index.effort.most_candidates]
         counts["candidates"] = len(candidates)
         with times("verification"):
-            return self._judged(positions, candidates, counts)
+            return self._judged(columns, candidates, counts)
 
     def _candidates(self, positions: Float64, matches: Matches) -> list[Candidate]:
         if not len(matches):
@@ -111,7 +111,7 @@ class LandmarkLocalizer:
         return self._estimator.estimate(positions, self.prior_map.positions, matches)
 
     def _judged(
-        self, positions: Float64, candidates: list[Candidate], counts: dict[str, int]
+        self, columns: Float64, candidates: list[Candidate], counts: dict[str, int]
     ) -> LandmarkVerdict:
         for what, reason in (
             ("segments", Reason.NO_SEGMENTS),
@@ -120,14 +120,14 @@ class LandmarkLocalizer:
         ):
             if not counts[what]:
                 return LandmarkVerdict(reason, reason.value)
-        best, *others = self._map.best(positions, candidates)
+        best, *others = self._map.best(columns, candidates)
         rival = _best_elsewhere(best, others)
-        verdict = decide(best, rival, len(positions), self.config)
+        verdict = decide(best, rival, len(columns), self.config)
         if verdict.reason is not None:
             return verdict
-        shifted = self._map.shifted(positions, best)
+        shifted = self._map.shifted(columns, best)
         rival = _best_elsewhere(best, [a for a in (rival, shifted) if a is not None])
-        return decide(best, rival, len(positions), self.config)
+        return decide(best, rival, len(columns), self.config)
 
 
 def _best_elsewhere(best: Agreement, others: list[Agreement]) -> Agreement | None:

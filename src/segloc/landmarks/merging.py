@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..types import Float64, Int64
+from .neighbours import nearest
 
 _SQUEEZED = np.array([1.0, 1.0, 0.2])
 """Where a stem leaves the ground is known worse than where it stands."""
@@ -62,9 +63,8 @@ class Merger:
         """Which of the landmarks are known, and as which mean; one each, the nearest."""
         if not len(self._means) or not len(columns):
             return np.empty(0, np.int64), np.empty(0, np.int64)
-        distance, mean = cKDTree(self._means[:, :3] * _SQUEEZED).query(
-            columns[:, :3] * _SQUEEZED, distance_upper_bound=self._radius
-        )
+        tree = cKDTree(self._means[:, :3] * _SQUEEZED)
+        distance, mean = nearest(tree, columns[:, :3] * _SQUEEZED, within=self._radius)
         rows = np.flatnonzero(np.isfinite(distance))
         rows = rows[np.argsort(distance[rows], kind="stable")]
         found, first = np.unique(mean[rows], return_index=True)

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ..types import Float64, Int64, Matches
 from .config import Effort, LandmarkConfig
+from .neighbours import nearest
 
 DIMENSION = 8
 _SPREAD = 8.0
@@ -65,7 +66,7 @@ def triangles_of(
     if near < 2:
         return Triangles(np.empty((0, DIMENSION)), np.empty((0, 3), np.int64))
     chosen = np.arange(count) if chosen is None else chosen
-    _, around = cKDTree(positions[:, :2]).query(positions[chosen, :2], near + 1)
+    _, around = nearest(cKDTree(positions[:, :2]), positions[chosen, :2], near + 1)
     nearer, farther = np.array(list(combinations(range(1, near + 1), 2))).T
     own = np.repeat(chosen, len(nearer))
     corners = np.stack([own, around[:, nearer].ravel(), around[:, farther].ravel()], axis=1)
@@ -125,8 +126,8 @@ class TriangleIndex:
         if self._tree is None or not len(query.keys):
             none = np.empty(0, np.int64)
             return Matches(none, none, none.astype(np.float32), none.astype(np.float32))
-        distance, row = self._tree.query(
-            query.keys, self.effort.alike, distance_upper_bound=self._config.most_key_noise
+        distance, row = nearest(
+            self._tree, query.keys, self.effort.alike, self._config.most_key_noise
         )
         distance = distance.reshape(len(query.keys), -1)
         asked, rank = np.nonzero(np.isfinite(distance))
