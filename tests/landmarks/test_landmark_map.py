@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples import stems
+from samples.source import PROJECT
 
-from segloc import geometry
+from segloc import Localizer, geometry
 from segloc.errors import InvalidScan, MapFormatError, SeglocError
 from segloc.landmarks import LandmarkConfig, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.landmarks.landmarks import levelling
@@ -110,3 +111,19 @@ def test_a_map_of_segments_is_refused(tmp_path: Path) -> None:
     SegmentMap.empty("geo", "geo-1", 7).save(tmp_path / "geo.segmap")
     with pytest.raises(MapFormatError, match="a map of geo, not of landmarks"):
         LandmarkMap.load(tmp_path / "geo.segmap")
+
+
+def test_a_localizer_of_segments_refuses_a_map_of_landmarks(tmp_path: Path) -> None:
+    stems.surveyed(stems.stand(5)).save(tmp_path / "trees.segmap")
+    with pytest.raises(SeglocError, match="landmarks"):
+        Localizer(SegmentMap.load(tmp_path / "trees.segmap"))
+
+
+def test_the_page_shows_what_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = (PROJECT / "docs" / "landmarks.md").read_text("utf-8")
+    code = page.split("```python\n")[1].split("```")[0]
+    exec(compile(code, "docs/landmarks.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("[25. 30.]")

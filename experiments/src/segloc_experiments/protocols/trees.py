@@ -31,6 +31,7 @@ from segloc.types import Float64, Int64
 from ..intervals import wilson
 from ..script import head, parser, row
 
+BEGIN, END = "<!-- begin trees -->", "<!-- end trees -->"
 BEHIND_M = 50.0
 REVISIT_M = 3.0
 RIGHT_M, RIGHT_DEG = 2.0, 5.0
@@ -221,6 +222,12 @@ def table(runs: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def written(page: str, runs: dict[str, dict[str, Any]]) -> str:
+    """The page with the table of these runs between its marks."""
+    before, rest = page.split(BEGIN)
+    return f"{before}{BEGIN}\n{table(runs)}\n{END}{rest.split(END)[1]}"
+
+
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("data", type=Path)
@@ -230,7 +237,12 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--every", type=int, default=1, help="of so many queries, one")
     options.add_argument("--mirrored", action="store_true", help="maps in which nothing is")
+    options.add_argument("--page", type=Path, help="a page whose table is that of OUT; no run")
     args = options.parse_args()
+    if args.page:
+        stored = json.loads(args.out.read_text("utf-8"))
+        write_text(args.page, written(args.page.read_text("utf-8"), stored))
+        return
     thinning = Thinning(args.keep, args.noise, args.seed)
     found = list(outcomes(Forest.load(args.data), thinning, args.every, args.mirrored))
     name = "all" if args.keep == 1 else f"{100 * args.keep:.0f} %, moved by {args.noise:g} m"
