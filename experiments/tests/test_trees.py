@@ -66,8 +66,8 @@ def test_the_page_has_the_stored_figures() -> None:
 
 
 def test_a_regression_tells_right_from_wrong() -> None:
-    found = [(0.6 + 0.01 * k, 3.0, True) for k in range(20)]
-    found += [(0.2 + 0.01 * k, 1.1, False) for k in range(20)]
+    found = [(0.6 + 0.01 * k, 3.0, 40.0, True) for k in range(20)]
+    found += [(0.2 + 0.01 * k, 1.1, 12.0, False) for k in range(20)]
     rows, right = calibration.features(found)
     p = 1 / (1 + np.exp(-rows @ calibration.fitted(rows, right)))
     assert p[right == 1].min() > 0.8 and p[right == 0].max() < 0.2

@@ -54,7 +54,7 @@ class LandmarkConfig(Section):
     height_tolerance: float = Field(2.0, gt=0, le=100, description="the same along z, metres")
     max_refined: int = Field(4, ge=2, le=100, description="candidates that are refined")
     min_support: float = Field(
-        8.0, ge=3, le=1000, description="landmarks on the map, weighted by how well they fit"
+        10.0, ge=3, le=1000, description="landmarks on the map, weighted by how well they fit"
     )
     min_share: float = Field(
         0.2, ge=0, le=1, description="the same as a share of the query's landmarks"

@@ -11,9 +11,10 @@ from .config import LandmarkConfig
 
 CHANCE_SUPPORT = 3.0
 """What some wrong place of a map has almost always; a rival is not taken to have less."""
-CONFIDENCE = (8.79, 11.34, 12.51)
+CONFIDENCE = (2.42, 8.48, 14.81)
 """Log-odds that a pose is right: a constant, times log(share), times log(ratio). Fitted by
 ``segloc_experiments.calibration.landmarks``."""
+_LEAST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ def ratio_to_rival(best: Agreement, rival: Agreement | None) -> float:
 
 
 def probability(share: float, ratio: float) -> float:
-    """How likely a pose with such support is to be right, in [0, 1]."""
+    """How likely a pose with enough support is to be right, in [0, 1]."""
     constant, of_share, of_ratio = CONFIDENCE
-    logit = constant + of_share * math.log(max(share, 1e-3)) + of_ratio * math.log(max(ratio, 1e-3))
+    logit = constant + of_share * math.log(max(share, _LEAST))
+    logit += of_ratio * math.log(max(ratio, _LEAST))
     return 1 / (1 + math.exp(-max(-50.0, min(50.0, logit))))

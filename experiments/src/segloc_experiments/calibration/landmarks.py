@@ -2,11 +2,12 @@
 
     python -m segloc_experiments.calibration.landmarks
 
-Wild and planted stands are mapped along a path and queried up to 16 m beside it, with 20 to 100 %
-of the stems, noise of 5 to 15 cm and up to 40 % false detections: in their own map, in its mirror
-image and in the map of another stand. Every query gets its best pose, believed or not; a logistic
-regression on the logarithms of its share and of its ratio to the rival says how likely it is to be
-right. Nothing real is among them.
+Wild and planted stands are mapped along a path and queried up to 16 m beside it, seeing 20 to 100 %
+of the stems within 8 to 28 m, with noise of 5 to 15 cm and up to 40 % false detections: in their
+own map, in its mirror image and in the map of another stand. Every query gets its best pose,
+believed or not; a logistic regression on the logarithms of its share and of its ratio to the rival
+says how likely it is to be right. Poses with too little support to be believed at all are left
+out. Nothing real is among them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from ..stems import Detector, planted, pose_at, surveyed, wild
 
 SIZE_M = 120.0
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
+LEAST_SUPPORT = 8.0
+"""Less than what is ever believed: small numbers make their own rules."""
 RIDGE = 0.01
 """Keeps the weights finite where right and wrong are told apart without fault."""
 
@@ -55,8 +58,8 @@ def stands(seed: int) -> Iterator[tuple[Landmarks, LandmarkMap, np.random.Genera
         yield stems, surveyed(stems, path, Detector(), rng), rng
 
 
-def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, bool]]:
-    """Share, ratio and whether it is right, of the best pose of each query."""
+def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, float, bool]]:
+    """Share, ratio, support and whether it is right, of the best pose of each query."""
     others = [made for _, made, _ in stands(seed + 1)]
     config = believing()
     for k, (stems, own, rng) in enumerate(stands(seed)):
@@ -66,13 +69,15 @@ def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, bool]]:
             share = i / max(queries - 1, 1)
             where = rng.uniform(-16, 16, 2) + [25 + 70 * share, 40 + 40 * share]
             T = pose_at(where[0], where[1], rng)
-            keep, noise, invented = rng.uniform([0.2, 0.05, 0.0], [1.0, 0.15, 0.4])
-            detector = Detector(keep=keep, noise_m=noise, invented=invented)
-            found = localizers[i % 4].localize(detector.seen(stems, T, rng))
+            radius, keep, noise, invented = rng.uniform([8, 0.2, 0.05, 0.0], [28, 1.0, 0.15, 0.4])
+            detector = Detector(radius, keep, noise, invented)
+            query = detector.seen(stems, T, rng)
+            found = localizers[i % 4].localize(query)
             if found.localized and found.inlier_ratio is not None:
                 metres, degrees = pose_errors(found.T_map_sensor[None], T[None])
                 right = metres[0] < RIGHT_M and degrees[0] < RIGHT_DEG and i % 4 < 2
-                yield found.overlap, found.inlier_ratio, bool(right)
+                support = found.overlap * len(query)
+                yield found.overlap, found.inlier_ratio, support, bool(right)
 
 
 def fitted(rows: Float64, right: Float64) -> Float64:
@@ -93,11 +98,12 @@ def fitted(rows: Float64, right: Float64) -> Float64:
     return weights
 
 
-def features(found: list[tuple[float, float, bool]]) -> tuple[Float64, Float64]:
-    """Rows of 1, log(share), log(ratio), and what is right as 1 or 0."""
+def features(found: list[tuple[float, float, float, bool]]) -> tuple[Float64, Float64]:
+    """Rows of 1, log(share), log(ratio), and what is right as 1 or 0; see ``LEAST_SUPPORT``."""
     table = np.array(found, np.float64)
+    table = table[table[:, 2] >= LEAST_SUPPORT]
     logs = np.log(np.maximum(table[:, :2], 1e-3))
-    return np.column_stack([np.ones(len(table)), logs]), table[:, 2]
+    return np.column_stack([np.ones(len(table)), logs]), table[:, 3]
 
 
 def main() -> None:
@@ -114,8 +120,8 @@ def main() -> None:
     print(f"{np.mean((p - held_right) ** 2):.4f}, {int(held_right.sum())} of {len(p)} right")
     wrong = np.column_stack([p, held_rows])[held_right == 0]
     print("most likely wrong ones (probability, share, ratio):")
-    for likely, _, share, ratio in wrong[np.argsort(-wrong[:, 0])][:5]:
-        print(f"  {likely:.3f} {np.exp(share):.2f} {np.exp(ratio):.2f}")
+    for likely, _, *logs in wrong[np.argsort(-wrong[:, 0])][:5]:
+        print(f"  {likely:.3f}", *(f"{value:.2f}" for value in np.exp(logs)))
     print(f"right and at least 0.8 likely: {int((held_right * (p >= 0.8)).sum())}")
 
 
