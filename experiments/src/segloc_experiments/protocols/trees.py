@@ -256,7 +256,8 @@ def main() -> None:
         write_text(args.out, json.dumps(runs, indent=1) + "\n")
     print(table(runs))
     for outcome in found:
-        if outcome.false or (outcome.reason and outcome.gap_m <= REVISIT_M):
+        missed = outcome.reason and outcome.gap_m <= REVISIT_M and not args.mirrored
+        if outcome.false or missed:
             print(outcome)
 
 
