@@ -30,6 +30,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "datasets": (4, "recordings: loaders, bags, packets, odometry"),
     "tracker.py": (4, "many queries over time"),
     "localizer.py": (5, "the method on one page"),
+    "landmarks": (5, "landmarks of one's own, such as tree stems: detections in, a pose out"),
     "config.py": (6, "all settings, one preset a method"),
     "local_cloud.py": (7, "scans to local cloud"),
     "segmentation.py": (7, "local cloud to segments"),

@@ -28,7 +28,7 @@ LAYERS = (
     Layer("simulation pictures"),
     Layer("datasets"),
     Layer("tracker"),
-    Layer("localizer"),
+    Layer("localizer landmarks"),
     Layer("map.build map.update", together=True),
     Layer("config"),
     Layer("local_cloud segmentation matching pose registration verification map", together=True),

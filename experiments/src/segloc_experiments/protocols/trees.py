@@ -1,0 +1,265 @@
+"""Tree stems as landmarks: a real forest, each frame against the map of the frames before it.
+
+    python -m segloc_experiments.protocols.trees DATA --out trees.json
+
+DATA is a folder with ``trees.npz`` (rows of base, axis, diameter; offsets of the frames) and
+``poses.tum``. A query is one frame. Its map is made of all frames that lie more than 50 m of path
+behind it. It is a revisit where one of them was taken within 3 m. With ``--keep 0.5 --noise 0.1``
+half of the map's landmarks and half of the query's are taken away, independently, and what is left
+is moved at random by so many metres along each axis.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from segloc import geometry
+from segloc.batch.score import pose_errors
+from segloc.files import write_text
+from segloc.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
+from segloc.types import Float64, Int64
+
+from ..intervals import wilson
+from ..script import head, parser, row
+
+BEGIN, END = "<!-- begin trees -->", "<!-- end trees -->"
+BEHIND_M = 50.0
+REVISIT_M = 3.0
+RIGHT_M, RIGHT_DEG = 2.0, 5.0
+FAR_M = 3.0
+"""Poses of two passes agree only roughly: what is wrong by more is wrong beyond doubt."""
+
+
+@dataclass(frozen=True)
+class Forest:
+    """Detections of N frames, and where they were made.
+
+    Attributes
+    ----------
+    frames : list of Landmarks
+    poses : (N, 4, 4) float64
+    behind : (N,) int64
+        How many frames lie far enough behind each.
+    gaps : (N,) float64
+        Distance to the nearest of those, metres; infinite without any.
+    """
+
+    frames: list[Landmarks]
+    poses: Float64
+    behind: Int64
+    gaps: Float64
+
+    @classmethod
+    def load(cls, folder: Path) -> Forest:
+        with np.load(folder / "trees.npz") as file:
+            rows, offsets = file["rows"].astype(np.float64), file["offsets"]
+        frames = [
+            Landmarks(part[:, :3], part[:, 3:6], part[:, 7])
+            for part in np.split(rows, offsets[1:-1])
+        ]
+        lines = np.loadtxt(folder / "poses.tum")
+        turns = Rotation.from_quat(lines[:, 4:]).as_matrix()
+        poses = np.array([geometry.rigid(R, t) for R, t in zip(turns, lines[:, 1:4], strict=True)])
+        path = geometry.travelled(poses)
+        behind = np.searchsorted(path, path - BEHIND_M)
+        gaps = np.full(len(poses), np.inf)
+        for k, count in enumerate(behind):
+            if count:
+                steps = poses[:count, :3, 3] - poses[k, :3, 3]
+                gaps[k] = np.linalg.norm(steps, axis=1).min()
+        return cls(frames, poses, behind, gaps)
+
+    def queries(self, every: int) -> Iterator[tuple[int, LandmarkMap]]:
+        """Numbers of frames that have any behind them, with the map of those."""
+        mapper, added = LandmarkMapper(), 0
+        for k in np.flatnonzero(self.behind)[::every]:
+            for i in range(added, self.behind[k]):
+                mapper.add(self.frames[i], self.poses[i])
+            added = int(self.behind[k])
+            yield int(k), mapper.map()
+
+
+@dataclass(frozen=True)
+class Thinning:
+    """Which share of the landmarks is kept, and by how much each is moved along each axis.
+
+    Map and query are thinned independently, and anew for each query.
+    """
+
+    keep: float = 1.0
+    noise_m: float = 0.0
+    seed: int = 0
+
+    def query(self, landmarks: Landmarks, number: int) -> Landmarks:
+        """What is left of a query's landmarks."""
+        kept, noise = self._drawn(len(landmarks), (self.seed, 0, number))
+        assert landmarks.diameters is not None
+        positions = (landmarks.positions + noise)[kept]
+        return Landmarks(positions, landmarks.directions[kept], landmarks.diameters[kept])
+
+    def map(self, prior_map: LandmarkMap, number: int) -> LandmarkMap:
+        """What is left of a map for one query."""
+        kept, noise = self._drawn(len(prior_map), (self.seed, 1, number))
+        return LandmarkMap(
+            (prior_map.positions + noise)[kept],
+            prior_map.axes[kept],
+            prior_map.diameters[kept],
+            prior_map.views[kept],
+            prior_map.trajectory,
+        )
+
+    def _drawn(self, count: int, seed: tuple[int, ...]) -> tuple[NDArray[np.bool_], Float64]:
+        rng = np.random.default_rng(seed)
+        return rng.random(count) < self.keep, rng.normal(0, self.noise_m, (count, 3))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one query."""
+
+    frame: int
+    gap_m: float
+    reason: str
+    metres: float
+    degrees: float
+    milliseconds: float
+    efforts: int
+
+    @property
+    def right(self) -> bool:
+        return self.metres <= RIGHT_M and self.degrees <= RIGHT_DEG
+
+    @property
+    def false(self) -> bool:
+        return not self.reason and not self.right
+
+    @property
+    def far(self) -> bool:
+        """False beyond what the poses themselves may be off."""
+        return self.false and (self.metres > FAR_M or self.degrees > RIGHT_DEG)
+
+
+def outcomes(forest: Forest, thinning: Thinning, every: int, mirrored: bool) -> Iterator[Outcome]:
+    """Every query's outcome; in the mirror image of the map, nothing is right."""
+    for k, whole in forest.queries(every):
+        prior_map = thinning.map(whole, k)
+        if mirrored:
+            flip = np.array([-1.0, 1.0, 1.0])
+            prior_map = replace(
+                prior_map, positions=prior_map.positions * flip, axes=prior_map.axes * flip
+            )
+        localizer = LandmarkLocalizer(prior_map, clock=time.process_time)
+        answer = localizer.localize(thinning.query(forest.frames[k], k))
+        metres = degrees = float("inf")
+        if answer.localized and not mirrored:
+            errors = pose_errors(answer.T_map_sensor[None], forest.poses[k][None])
+            metres, degrees = float(errors[0][0]), float(errors[1][0])
+        reason = "" if answer.localized else str(answer.reason)
+        efforts = answer.counts.get("efforts", 1)
+        total = answer.times_ms["total"]
+        yield Outcome(k, float(forest.gaps[k]), reason, metres, degrees, total, efforts)
+
+
+def summary(found: list[Outcome]) -> dict[str, Any]:
+    """Figures of one run, in values that JSON can hold."""
+    revisits = [o for o in found if o.gap_m <= REVISIT_M]
+    others = [o for o in found if o.gap_m > REVISIT_M]
+    times = np.array([o.milliseconds for o in revisits])
+    errors = np.array([(o.metres, o.degrees) for o in revisits if o.right]).reshape(-1, 2)
+    reasons = sorted({o.reason for o in found if o.reason})
+    figures: dict[str, Any] = {
+        "queries": len(found),
+        "revisits": len(revisits),
+        "found": sum(o.right for o in revisits),
+        "others": len(others),
+        "others_found": sum(o.right for o in others),
+        "false": sum(o.false for o in found),
+        "false_beyond_3_m": sum(o.far for o in found),
+        "reasons": {reason: sum(o.reason == reason for o in found) for reason in reasons},
+        "ms_median": _quantile(times, 50),
+        "ms_95": _quantile(times, 95),
+        "ms_all_median": _quantile(np.array([o.milliseconds for o in found]), 50),
+        "ms_all_95": _quantile(np.array([o.milliseconds for o in found]), 95),
+        "second_effort": sum(o.efforts > 1 for o in revisits),
+        "metres_median": _quantile(errors[:, 0], 50),
+        "metres_95": _quantile(errors[:, 0], 95),
+        "degrees_95": _quantile(errors[:, 1], 95),
+    }
+    figures["found_95"] = wilson(figures["found"], len(revisits))
+    figures["false_95"] = wilson(figures["false"], len(found))
+    return figures
+
+
+def _quantile(values: Float64, percent: float) -> float | None:
+    return round(float(np.percentile(values, percent)), 3) if len(values) else None
+
+
+def table(runs: dict[str, dict[str, Any]]) -> str:
+    """The stored runs as a table of Markdown."""
+    lines = [
+        head("stems", "revisits found", "of others", "false of all", "ms, median (95 %)", "error")
+    ]
+    for name, run in runs.items():
+        low, high = run["found_95"]
+        error = run["metres_median"]
+        cells = (
+            f"{run['found']} of {run['revisits']} ({100 * low:.1f} to {100 * high:.1f} %)",
+            f"{run['others_found']} of {run['others']}",
+            f"{run['false']} of {run['queries']} (below {100 * run['false_95'][1]:.2f} %)",
+            f"{run['ms_median']:.1f} ({run['ms_95']:.1f})",
+            "-" if error is None else f"{error:.2f} m",
+        )
+        lines.append(row(name, *cells))
+    return "\n".join(lines)
+
+
+def written(page: str, runs: dict[str, dict[str, Any]]) -> str:
+    """The page with the table of these runs between its marks."""
+    before, rest = page.split(BEGIN)
+    return f"{before}{BEGIN}\n{table(runs)}\n{END}{rest.split(END)[1]}"
+
+
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("--out", type=Path, help="a JSON file to which the run is added")
+    options.add_argument("--keep", type=float, default=1.0, help="share of the stems that is left")
+    options.add_argument("--noise", type=float, default=0.0, help="metres")
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--every", type=int, default=1, help="of so many queries, one")
+    options.add_argument("--mirrored", action="store_true", help="maps in which nothing is")
+    options.add_argument("--page", type=Path, help="a page whose table is that of OUT; no run")
+    args = options.parse_args()
+    if args.page:
+        stored = json.loads(args.out.read_text("utf-8"))
+        write_text(args.page, written(args.page.read_text("utf-8"), stored))
+        return
+    thinning = Thinning(args.keep, args.noise, args.seed)
+    found = list(outcomes(Forest.load(args.data), thinning, args.every, args.mirrored))
+    name = "all" if args.keep == 1 else f"{100 * args.keep:.0f} %, moved by {args.noise:g} m"
+    name += f", seed {args.seed}" if args.seed else ""
+    name += ", mirrored maps" if args.mirrored else ""
+    runs: dict[str, dict[str, Any]] = {}
+    if args.out and args.out.exists():
+        runs = json.loads(args.out.read_text("utf-8"))
+    runs[name] = summary(found)
+    if args.out:
+        write_text(args.out, json.dumps(runs, indent=1) + "\n")
+    print(table(runs))
+    for outcome in found:
+        missed = outcome.reason and outcome.gap_m <= REVISIT_M and not args.mirrored
+        if outcome.false or missed:
+            print(outcome)
+
+
+if __name__ == "__main__":
+    main()

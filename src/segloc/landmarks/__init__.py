@@ -1,0 +1,7 @@
+"""Landmarks of one's own, such as tree stems: detections in, a pose out."""
+
+from .config import LandmarkConfig as LandmarkConfig
+from .landmark_map import LandmarkMap as LandmarkMap
+from .landmark_map import LandmarkMapper as LandmarkMapper
+from .landmarks import Landmarks as Landmarks
+from .localizer import LandmarkLocalizer as LandmarkLocalizer

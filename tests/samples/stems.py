@@ -1,0 +1,61 @@
+"""A small stand of trees as stems, the map of it, and what is seen of it at a pose."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from segloc import geometry
+from segloc.landmarks import LandmarkMap, Landmarks
+from segloc.types import Pose
+
+SIZE_M = 80.0
+
+
+def stand(seed: int, stems: int = 400) -> Landmarks:
+    """Stems at random on a slope."""
+    rng = np.random.default_rng(seed)
+    where = rng.uniform(0, SIZE_M, (stems, 2))
+    axes = np.column_stack([rng.normal(0, 0.05, (stems, 2)), np.ones(stems)])
+    positions = np.column_stack([where, 0.05 * where[:, 0]])
+    return Landmarks(positions, axes, rng.uniform(0.1, 0.6, stems))
+
+
+def plantation(every_m: float = 3.0) -> Landmarks:
+    """Equal stems in a square lattice."""
+    marks = np.arange(0, SIZE_M, every_m)
+    x, y = (grid.ravel() for grid in np.meshgrid(marks, marks))
+    return Landmarks(np.column_stack([x, y, 0 * x]), diameters=np.full(len(x), 0.3))
+
+
+def pose(x: float, y: float, yaw: float, tilt: float = 0.0) -> Pose:
+    """T_map_sensor there, turned about its own x axis by ``tilt`` radians."""
+    turn = np.array(
+        [
+            [1, 0, 0],
+            [0, math.cos(tilt), -math.sin(tilt)],
+            [0, math.sin(tilt), math.cos(tilt)],
+        ]
+    )
+    return geometry.yaw_transform(yaw, (x, y, 0.05 * x + 1.5)) @ geometry.rigid(turn, np.zeros(3))
+
+
+def seen(
+    stems: Landmarks, T: Pose, *, keep: float = 1.0, noise: float = 0.03, seed: int = 0
+) -> Landmarks:
+    """What of the stems within 20 m is detected at a pose, in the sensor's frame."""
+    rng = np.random.default_rng(seed)
+    assert stems.diameters is not None
+    local = stems.moved(geometry.inverse(T))
+    near = (np.hypot(local[:, 0], local[:, 1]) < 20) & (rng.random(len(local)) < keep)
+    local = local[near]
+    moved = local[:, :3] + rng.normal(0, noise, (len(local), 3))
+    return Landmarks(moved, local[:, 3:6], local[:, 6])
+
+
+def surveyed(stems: Landmarks) -> LandmarkMap:
+    """The map that is made along a line through the middle."""
+    poses = [pose(x, 40.0, 0.1 * x) for x in np.arange(15.0, 70.0, 5.0)]
+    views = [(seen(stems, T, keep=0.9, seed=k), T) for k, T in enumerate(poses)]
+    return LandmarkMap.build(views)
