@@ -120,12 +120,12 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 def test_packages_of_others_stay_in_their_rooms() -> None:
     wrong = []
     for importer, target in edges():
-        package = target[1:]
-        if not target.startswith("!") or package in sys.stdlib_module_names:
+        other = target[1:]
+        if not target.startswith("!") or other in sys.stdlib_module_names:
             continue
-        rooms = PACKAGES.get(package, "").split()
+        rooms = PACKAGES.get(other, "").split()
         if not any(room == "*" or f"{importer}.".startswith(f"{room}.") for room in rooms):
-            wrong.append(f"{importer} -> {package}")
+            wrong.append(f"{importer} -> {other}")
     assert not wrong, "\n".join(["imports of packages where PACKAGES has none:", *wrong])
 
 

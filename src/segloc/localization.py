@@ -25,6 +25,16 @@ class Reason(str, Enum):
     def __str__(self) -> str:
         return self.value
 
+    def below(self, value: float, least: float) -> str:
+        """The sentence for a share or a probability that falls short."""
+        return f"{self} ({value:.2f} < {least:.2f})"
+
+
+def ambiguous_with(T_map_other: Pose) -> str:
+    """The sentence for a query that another (4, 4) pose explains about as well."""
+    x, y = T_map_other[:2, 3]
+    return f"ambiguous (another place, at {x:.0f}, {y:.0f}, explains the query about as well)"
+
 
 @dataclass(frozen=True)
 class RunnerUp:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -77,6 +77,12 @@ def surveyed(
         T = pose_at(x, y, rng)
         mapper.add(detector.seen(stems, T, rng), T)
     return mapper.map()
+
+
+def mirrored(prior_map: LandmarkMap) -> LandmarkMap:
+    """The mirror image of a map: as likely a place, and none of its queries is in it."""
+    flip = np.array([-1.0, 1.0, 1.0])
+    return replace(prior_map, positions=prior_map.positions * flip, axes=prior_map.axes * flip)
 
 
 def pose_at(x: float, y: float, rng: np.random.Generator, tilt_deg: float = 5.0) -> Pose:

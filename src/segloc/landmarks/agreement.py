@@ -164,8 +164,8 @@ class MapLandmarks:
 def _rigid(source: Float64, target: Float64) -> Pose:
     """The rigid transform that takes (N, 3) points to others with the least squares."""
     middles = source.mean(axis=0), target.mean(axis=0)
-    U, _, Vt = np.linalg.svd((source - middles[0]).T @ (target - middles[1]))
-    R = Vt.T @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ U.T
+    products = (target - middles[1]).T @ (source - middles[0])
+    R = geometry.orthonormal(geometry.rigid(products, np.zeros(3)))[:3, :3]
     return geometry.rigid(R, middles[1] - R @ middles[0])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..localization import Reason
+from ..localization import Reason, ambiguous_with
 from .agreement import Agreement
 from .config import LandmarkConfig
 
@@ -66,14 +66,12 @@ def decide(
         message = f"too few inliers (support {best.support:.1f} < {config.min_support:g})"
     elif share < config.min_share:
         reason = Reason.TOO_LITTLE_OVERLAP
-        message = f"too little overlap ({share:.2f} < {config.min_share:.2f})"
+        message = reason.below(share, config.min_share)
     elif rival is not None and rival.support > config.max_rival * best.support:
-        at = f"{rival.T_map_local[0, 3]:.0f}, {rival.T_map_local[1, 3]:.0f}"
-        reason = Reason.AMBIGUOUS
-        message = f"ambiguous (another place, at {at}, explains the query about as well)"
+        reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
     elif confidence < config.min_confidence:
         reason = Reason.TOO_UNCERTAIN
-        message = f"too uncertain ({confidence:.2f} < {config.min_confidence:.2f})"
+        message = reason.below(confidence, config.min_confidence)
     return LandmarkVerdict(reason, message, confidence, best, rival)
 
 

@@ -1,4 +1,4 @@
-"""Nearest neighbours as arrays, whatever the shape of what is asked."""
+"""Nearest neighbours as arrays, whatever the shape of the query points."""
 
 from __future__ import annotations
 

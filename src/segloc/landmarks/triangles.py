@@ -130,12 +130,10 @@ class TriangleIndex:
             self._tree, query.keys, self.effort.alike, self._config.most_key_noise
         )
         distance = distance.reshape(len(query.keys), -1)
-        asked, rank = np.nonzero(np.isfinite(distance))
-        corners = self._corners[row.reshape(distance.shape)[asked, rank]]
-        likelihood = np.exp(
-            -(distance[asked, rank] ** 2) / 8
-        )  # of both: twice the variance, doubled
-        return self._summed(query.corners[asked].ravel(), corners.ravel(), likelihood)
+        own, rank = np.nonzero(np.isfinite(distance))
+        corners = self._corners[row.reshape(distance.shape)[own, rank]]
+        likelihood = np.exp(-(distance[own, rank] ** 2) / _SPREAD)
+        return self._summed(query.corners[own].ravel(), corners.ravel(), likelihood)
 
     def _summed(self, query: Int64, mapped: Int64, likelihood: Float64) -> Matches:
         pairs, which = np.unique(query * self._count + mapped, return_inverse=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..localization import Reason
+from ..localization import Reason, ambiguous_with
 from .confidence import ConfidenceModel
 from .config import VerificationConfig
 from .evidence import Evidence, RankedCandidate, Score, Verdict
@@ -26,14 +26,12 @@ def decide(
     best, p = evidence.score, model.probability(evidence)
     if best.overlap < config.min_overlap:
         reason = Reason.TOO_LITTLE_OVERLAP
-        message = f"too little overlap ({best.overlap:.2f} < {config.min_overlap:.2f})"
+        message = reason.below(best.overlap, config.min_overlap)
     elif rival := equal_rival(evidence, model, config):
-        at = f"{rival.T_map_local[0, 3]:.0f}, {rival.T_map_local[1, 3]:.0f}"
-        reason = Reason.AMBIGUOUS
-        message = f"ambiguous (another place, at {at}, explains the query about as well)"
+        reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
     elif p < config.min_confidence:
         reason = Reason.TOO_UNCERTAIN
-        message = f"too uncertain ({p:.2f} < {config.min_confidence:.2f})"
+        message = reason.below(p, config.min_confidence)
     else:
         return Verdict(None, "", p, best, evidence, runner_up)
     return Verdict(reason, message, p, best, evidence, runner_up)

@@ -13,7 +13,6 @@ out. Nothing real is among them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from segloc.landmarks import LandmarkConfig, LandmarkLocalizer, LandmarkMap, Lan
 from segloc.types import Float64
 
 from ..script import parser
-from ..stems import Detector, planted, pose_at, surveyed, wild
+from ..stems import Detector, mirrored, planted, pose_at, surveyed, wild
 
 SIZE_M = 120.0
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
@@ -63,8 +62,8 @@ def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, float, boo
     others = [made for _, made, _ in stands(seed + 1)]
     config = believing()
     for k, (stems, own, rng) in enumerate(stands(seed)):
-        mirrored = replace(own, positions=own.positions * [-1, 1, 1], axes=own.axes * [-1, 1, 1])
-        localizers = [LandmarkLocalizer(m, config) for m in (own, own, mirrored, others[k])]
+        maps = (own, own, mirrored(own), others[k])
+        localizers = [LandmarkLocalizer(prior_map, config) for prior_map in maps]
         for i in range(queries):
             share = i / max(queries - 1, 1)
             where = rng.uniform(-16, 16, 2) + [25 + 70 * share, 40 + 40 * share]

@@ -14,22 +14,23 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from segloc import geometry
 from segloc.batch.score import pose_errors
 from segloc.files import write_text
+from segloc.io import read_trajectory
 from segloc.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
 from ..intervals import wilson
 from ..script import head, parser, row
+from ..stems import mirrored as mirror_image
 
 BEGIN, END = "<!-- begin trees -->", "<!-- end trees -->"
 BEHIND_M = 50.0
@@ -66,9 +67,7 @@ class Forest:
             Landmarks(part[:, :3], part[:, 3:6], part[:, 7])
             for part in np.split(rows, offsets[1:-1])
         ]
-        lines = np.loadtxt(folder / "poses.tum")
-        turns = Rotation.from_quat(lines[:, 4:]).as_matrix()
-        poses = np.array([geometry.rigid(R, t) for R, t in zip(turns, lines[:, 1:4], strict=True)])
+        poses = read_trajectory(folder / "poses.tum").poses
         path = geometry.travelled(poses)
         behind = np.searchsorted(path, path - BEHIND_M)
         gaps = np.full(len(poses), np.inf)
@@ -153,10 +152,7 @@ def outcomes(forest: Forest, thinning: Thinning, every: int, mirrored: bool) -> 
     for k, whole in forest.queries(every):
         prior_map = thinning.map(whole, k)
         if mirrored:
-            flip = np.array([-1.0, 1.0, 1.0])
-            prior_map = replace(
-                prior_map, positions=prior_map.positions * flip, axes=prior_map.axes * flip
-            )
+            prior_map = mirror_image(prior_map)
         localizer = LandmarkLocalizer(prior_map, clock=time.process_time)
         answer = localizer.localize(thinning.query(forest.frames[k], k))
         metres = degrees = float("inf")
