@@ -22,17 +22,9 @@ def generate() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_the_tables_are_current(generate: ModuleType) -> None:
     assert not generate.stale(PAGE), "run: python docs/generate.py"
-
-
-def test_imports_go_downwards(generate: ModuleType) -> None:
-    layers = {f"`{name}`": layer for name, (layer, _) in generate.ROOMS.items()}
-    upwards = []
-    for room, layer, _, _, imports, _ in generate.rooms():
-        upwards += [(room, i) for i in imports.split() if layers.get(i, 99) < int(layer)]
-    # map/build.py runs the pipeline with the whole configuration.
-    assert set(upwards) <= {("`map`", "`config.py`")}
 
 
 def test_files_named_for_the_paper_exist() -> None:

@@ -21,7 +21,10 @@ from segloc import Config, SegmentMap, build_map
 from segloc.errors import SeglocError
 from segloc.io import Trajectory, write_scan, write_tum
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="faults are made with Linux' means")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="faults are made with Linux' means"),
+]
 
 SEGLOC = [sys.executable, "-c", "from segloc.cli import main; print('up', flush=True); main()"]
 KILL = Path(__file__).with_name("kill.py")
@@ -69,7 +72,6 @@ def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_kills_leave_the_old_or_the_new_map_and_nothing_that_blocks() -> None:
     """tests/map/kill.py --kills 300 is run on demand."""
     command = [sys.executable, str(KILL), "--kills", "20"]
@@ -127,7 +129,6 @@ def limit(kind: int, amount: int) -> Callable[[], None]:
     return lambda: resource.setrlimit(kind, (amount, amount))
 
 
-@pytest.mark.slow
 def test_a_limit_on_the_size_of_files_leaves_the_old_map(place: Path, tmp_path: Path) -> None:
     site = tmp_path / "site.segmap"
     site.write_bytes((place / "site.segmap").read_bytes())
@@ -140,7 +141,6 @@ def test_a_limit_on_the_size_of_files_leaves_the_old_map(place: Path, tmp_path: 
     assert names(tmp_path) == ["site.segmap"]
 
 
-@pytest.mark.slow
 def test_a_limit_on_memory_is_said_in_a_line(tmp_path: Path) -> None:
     make_map(1, segments=1_500_000).save(tmp_path / "large.segmap")  # 114 MB
     for megabytes in (450, 520, 600):
@@ -217,7 +217,6 @@ def workplace(place: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("after_s", [0.0, 0.3])
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_interrupt_ends_in_a_line(name: str, after_s: float, workplace: Path) -> None:
