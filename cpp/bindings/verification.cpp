@@ -1,5 +1,6 @@
 // Verification: overlap and visibility.
 #include "bindings/bindings.h"
+#include "verification/correlation.h"
 #include "verification/point_index.h"
 #include "verification/visibility.h"
 
@@ -24,6 +25,28 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
     }
   }
   return std::make_tuple(to_numpy(std::move(share)), to_numpy(std::move(rmse)));
+}
+
+auto correlate_(const PointIndex& index, const In2<float>& points, const In2<double>& T_map_local,
+                const std::vector<double>& headings, double cell, double half_width, double range) {
+  require_points(points);
+  require_transform(T_map_local, "T_map_local");
+  require(!headings.empty() && headings.size() <= 360, "headings must be 1 to 360");
+  require_usable(headings.data(), headings.size(), "headings");
+  require_between(cell, 0.05, 10.0, "cell");
+  require_between(half_width, 0.0, 100.0 * cell, "half_width");
+  require_between(range, cell, 400.0 * cell, "range");
+  Correlation found;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    CorrelationOptions options;
+    options.cell = cell, options.half_width = half_width, options.range = range;
+    found = correlate(index, points.data(), points.shape(0), T_map_local.data(), headings, options);
+  }
+  const std::size_t width = found.width;
+  return std::make_tuple(to_numpy(std::move(found.counts), {headings.size(), width, width}),
+                         to_numpy(std::move(found.used)));
 }
 
 auto count_visible(const VisibilityCheck& check, const In2<float>& map,
@@ -75,6 +98,9 @@ void bind_verification(nb::module_& m) {
       .def("__len__", &PointIndex::size)
       .def("overlap", &overlap_, nb::arg("points").noconvert(), nb::arg("poses").noconvert(),
            nb::arg("radius"))
+      .def("correlate", &correlate_, nb::arg("points").noconvert(),
+           nb::arg("T_map_local").noconvert(), nb::arg("headings"), nb::arg("cell"),
+           nb::arg("half_width"), nb::arg("range"))
       .def(
           "sample",
           [](const PointIndex& index, double x, double y, double radius, std::size_t count) {

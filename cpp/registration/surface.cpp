@@ -84,4 +84,28 @@ Surface::Normal Surface::found(std::size_t i) const {
   return principal_axes(around.covariance()).least_axis;
 }
 
+void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, double* offsets,
+                   double* normals) {
+  for (std::size_t i = 0; i < source.size(); ++i) {
+    const PointGrid::Point& s = source.grid()[i];
+    const double p[3] = {s[0], s[1], s[2]};
+    const auto moved = T.apply(p);
+    const Surface::Nearest nearest = target.nearest({static_cast<float>(moved[0]),
+                                                     static_cast<float>(moved[1]),
+                                                     static_cast<float>(moved[2])});
+    const Surface::Normal own = source.normal(i);
+    for (std::size_t a = 0; a < 3; ++a) {
+      normals[3 * i + a] = T.R[3 * a] * own[0] + T.R[3 * a + 1] * own[1] + T.R[3 * a + 2] * own[2];
+    }
+    offsets[i] = std::numeric_limits<double>::infinity();
+    if (nearest.point == Surface::kNone) continue;
+    const PointGrid::Point& t = target.grid()[nearest.point];
+    const Surface::Normal n = target.normal(nearest.point);
+    const bool flat = n[0] != 0 || n[1] != 0 || n[2] != 0;
+    offsets[i] = flat ? std::abs(n[0] * (moved[0] - t[0]) + n[1] * (moved[1] - t[1]) +
+                                 n[2] * (moved[2] - t[2]))
+                      : std::numeric_limits<double>::quiet_NaN();
+  }
+}
+
 }  // namespace segloc

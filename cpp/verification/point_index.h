@@ -28,6 +28,12 @@ class PointIndex {
   // in an order of their own.
   std::vector<float> sample(double x, double y, double radius, std::size_t count) const;
 
+  // Calls visit(point) for those within a horizontal distance of (x, y), in the same order.
+  template <typename Visit>
+  void visit(double x, double y, double radius, Visit&& visit) const {
+    for (const std::uint32_t i : within(x, y, radius)) visit(grid_[i]);
+  }
+
   std::size_t size() const { return grid_.size(); }
   double radius() const { return grid_.radius(); }
 

@@ -1,4 +1,4 @@
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,9 @@ class Surface:
     ) -> None: ...
     def __len__(self) -> int: ...
     def normals(self) -> NDArray[np.float64]: ...
+    def offsets(
+        self, source: Surface, T_target_source: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
     def align(
         self,
         source: Surface,
@@ -95,6 +98,15 @@ class PointIndex:
     def overlap(
         self, points: NDArray[np.float32], poses: NDArray[np.float64], radius: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+    def correlate(
+        self,
+        points: NDArray[np.float32],
+        T_map_local: NDArray[np.float64],
+        headings: Sequence[float],
+        cell: float,
+        half_width: float,
+        range: float,
+    ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]: ...
     def sample(self, x: float, y: float, radius: float, count: int) -> NDArray[np.float32]: ...
 
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...

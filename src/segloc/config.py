@@ -41,7 +41,6 @@ FOR_USERS = (
     "pose.estimator",
     "verification.min_confidence",
     "verification.min_inliers",
-    "verification.min_overlap",
     "verification.refine",
 )
 """What users may want to set. The confidence was fitted under the others."""

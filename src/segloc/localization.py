@@ -66,7 +66,7 @@ class _Answer:
         at it, in [0, 1].
     seen : float or None
         Share of the judged map points that the query sees there, in [0, 1]; the others are
-        free-space violations. None where too little of the map is in view to tell.
+        free-space violations. None where nothing of the map is in view.
     inlier_ratio : float or None
         How many times as many inliers as the runner-up, or as chance. None where it was not
         compared.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from . import geometry
@@ -179,7 +180,10 @@ class Localizer:
             with times("pose"):
                 candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
             with times("verification"):
-                verdict = self.verifier.verify(query.scene, candidates)
+                agreeing = partial(
+                    self.estimator.inliers, centroids, self.prior_map.centroids, matches
+                )
+                verdict = self.verifier.verify(query.scene, candidates, agreeing)
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
+import numpy as np
 from pydantic import Field
 
-from . import _native
+from . import _native, geometry
 from .geometry import Separation
 from .section import Section
-from .types import Candidate, Float64, Int64, Matches
+from .types import Candidate, Float64, Int64, Matches, Pose
 
 
 class PoseConfig(Section):
@@ -69,6 +70,25 @@ class PoseEstimator:
         find = self._consensus if self.config.estimator == "consensus" else self._sampled
         poses, inliers = find(query, map_centroids, matches)
         return [Candidate(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
+
+    def inliers(
+        self, query: Float64, map_centroids: Float64, matches: Matches, T_map_local: Pose
+    ) -> int:
+        """Distinct query segments that agree with a pose that was not estimated.
+
+        Parameters are those of :meth:`estimate`.
+        """
+        config = self.config
+        moved = geometry.transform(T_map_local, query[matches.query])
+        x, y, z = (map_centroids[matches.map] - moved).T
+        fits = (x**2 + y**2 < config.inlier_tolerance**2) & (np.abs(z) < config.height_tolerance)
+        left = list(query[np.unique(matches.query[fits])])
+        count = 0
+        while left:
+            first = left.pop()
+            left = [c for c in left if np.linalg.norm(c - first) > config.distinct_radius]
+            count += 1
+        return count
 
     def _consensus(
         self, query: Float64, map_centroids: Float64, matches: Matches

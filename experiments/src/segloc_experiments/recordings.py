@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from segloc import geometry
 from segloc.datasets import Derived
 from segloc.files import replacing
+from segloc.io import read_scan
 from segloc.simulation import SimulatedSequence
 from segloc.simulation.motion.paths import on_ground
-from segloc.types import Float64, Recording, Scan, stamp_at
+from segloc.types import Float64, Pose, Recording, Scan, stamp_at
 
 LOWEST_DEG, HIGHEST_DEG, BEAMS = -24.9, 2.0, 64
 """Elevations of an HDL-64E."""
@@ -125,3 +127,51 @@ def has_room(scan: Scan, mount_height_m: float) -> bool:
     x, y, z = scan.points.T
     near = (x**2 + y**2 < ROOM_M**2) & (z > 0.4 - mount_height_m)
     return len(scan) > _FEWEST_POINTS and not near.any()
+
+
+@dataclass(frozen=True)
+class Turned(Derived[Recording]):
+    """Scans of a sensor that is not level, without poses: each is rolled and pitched at random.
+
+    The angles are drawn evenly up to ``most_deg``, by ``seed`` and the position of the scan.
+    """
+
+    most_deg: float
+    seed: int = 0
+
+    poses = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.source.name}, turned by up to {self.most_deg:g} degrees"
+
+    def T_turned_level(self, i: int) -> Pose:
+        """How the scan at position i is turned."""
+        rng = np.random.default_rng((self.seed, i))
+        roll, pitch = rng.uniform(-self.most_deg, self.most_deg, 2)
+        rotation = Rotation.from_euler("xy", (roll, pitch), degrees=True)
+        return geometry.rigid(rotation.as_matrix(), np.zeros(3))
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i, turned."""
+        T = self.T_turned_level(i)
+        return Scan(geometry.transform(T, super().scan(i).points), stamp=stamp_at(self, i))
+
+
+class Files:
+    """Scans in files that belong to no drive, in the order of their names, without poses."""
+
+    stamps = None
+    poses = None
+
+    def __init__(self, folder: Path) -> None:
+        self.name = folder.name
+        self._paths = sorted(path for path in folder.iterdir() if path.is_file())
+        self.indices = np.arange(len(self._paths), dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i."""
+        return read_scan(self._paths[i])

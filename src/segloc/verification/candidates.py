@@ -11,6 +11,10 @@ from .evidence import CoarseScore, Evidence, RankedCandidate, RefinedScore, Scor
 from .overlap_check import MapCloud, QueryCloud
 
 
+Inliers = Callable[[Pose], int]
+"""How many distinct query segments agree with a pose T_map_local."""
+
+
 class CandidateScores:
     """Candidates, the best supported first, with their scores.
 
@@ -26,9 +30,10 @@ class CandidateScores:
         query: QueryCloud,
         config: VerificationConfig,
         separation: Separation,
+        inliers: Inliers,
     ) -> None:
         self.ranked = map_cloud.ranked(candidates, query)
-        self._map, self._query = map_cloud, query
+        self._map, self._query, self._inliers = map_cloud, query, inliers
         self._config, self._separation = config, separation
         self._coarse: dict[int, CoarseScore] = {}
         self._refined: dict[int, RefinedScore] = {}
@@ -39,11 +44,25 @@ class CandidateScores:
             self._coarse[k] = self._map.coarse(self.ranked[k], self._query)
         return self._coarse[k]
 
-    def refined(self, k: int) -> RefinedScore:
-        """Candidate k where the clouds fit best."""
+    def refined(self, k: int, start: Pose | None = None) -> RefinedScore:
+        """Candidate k where the clouds fit best; ICP sets out from ``start``, too."""
         if k not in self._refined:
-            self._refined[k] = self._map.refined(self.ranked[k].candidate, self._query)
+            self._refined[k] = self._map.refined(self.ranked[k].candidate, self._query, start)
         return self._refined[k]
+
+    def around(self, k: int) -> tuple[Pose, list[RankedCandidate]]:
+        """A better start for candidate k, and rivals near it, the best supported first."""
+        found = self._map.around(self.ranked[k].T_map_local, self._query)
+        rivals = [Candidate(T, self._inliers(T)) for T in found.rivals]
+        return found.start, self._map.ranked(rivals, self._query) if rivals else []
+
+    def roughly(self, rival: RankedCandidate) -> CoarseScore:
+        """A rival near a candidate, where it stands."""
+        return self._map.coarse(rival, self._query)
+
+    def closely(self, rival: RankedCandidate) -> RefinedScore:
+        """A rival near a candidate, where the clouds fit best."""
+        return self._map.refined(rival.candidate, self._query)
 
     def runner_up(self, T_map_local: Pose) -> RankedCandidate | None:
         """The best supported candidate at a different place or with a different heading."""
@@ -56,31 +75,19 @@ class CandidateScores:
         best = self.ranked[: self._config.max_refined]
         return [k for k, candidate in enumerate(best) if candidate.support >= least]
 
-    def evidence(
-        self,
-        k: int,
-        own: Callable[[int], Score],
-        rival: Callable[[int], Score],
-        chance_inliers: int,
-    ) -> Evidence:
-        """Candidate k compared with those at other places.
-
-        ``own`` and ``rival`` say how its own score and those of its rivals are taken:
-        :meth:`coarse` or :meth:`refined`. Its rivals are those where the clouds roughly fit best.
-        """
-        others = self._elsewhere(k)
-        most = max((self.ranked[j].inliers for j in others), default=0)
-        score = own(k)
-        rivals = [rival(j) for j in others[: self._config.max_refined]]
+    def elsewhere(self, T_map_local: Pose) -> list[int]:
+        """Candidates at other places, first those where the clouds roughly fit best."""
         apart = self._separation.apart
-        return Evidence(
-            score,
-            score.inliers / max(chance_inliers, most),
-            tuple(r for r in rivals if apart(r.T_map_local, score.T_map_local)),
-        )
-
-    def _elsewhere(self, k: int) -> list[int]:
-        """Candidates at other places than k, first those where the clouds roughly fit best."""
-        here, apart = self.ranked[k].T_map_local, self._separation.apart
-        others = [j for j, c in enumerate(self.ranked) if apart(c.T_map_local, here)]
+        others = [j for j, c in enumerate(self.ranked) if apart(c.T_map_local, T_map_local)]
         return sorted(others, key=lambda j: -self.ranked[j].overlap)
+
+    def evidence(self, score: Score, rivals: Sequence[Score], chance_inliers: int) -> Evidence:
+        """A score compared with those at other places; all candidates there count as rivals, too.
+
+        Rivals that turn out to be at the same place are none.
+        """
+        apart = self._separation.apart
+        rivals = [r for r in rivals if apart(r.T_map_local, score.T_map_local)]
+        others = [self.ranked[j].inliers for j in self.elsewhere(score.T_map_local)]
+        most = max([*others, *(rival.inliers for rival in rivals), chance_inliers])
+        return Evidence(score, score.inliers / most, tuple(rivals))

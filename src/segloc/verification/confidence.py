@@ -15,7 +15,7 @@ from ..errors import WeightsError
 from ..section import Section
 from .evidence import Evidence, Score
 
-FEATURES = ("seen", "inliers_over_rival", "overlap_over_rival", "seen_over_rival")
+FEATURES = ("seen", "inliers_over_rival", "overlap_over_rival", "seen_over_rival", "walls")
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 
 
@@ -27,6 +27,9 @@ class Chance(Section):
     seen: float = Field(ge=0, le=1, description="so much of a map is seen somewhere")
     least_seen: float = Field(
         ge=0, le=1, description="a rival at which less is seen tells no more than one at this"
+    )
+    judged: float = Field(
+        gt=0, description="the overlap counts as much as so many judged map points"
     )
 
 
@@ -66,18 +69,19 @@ class ConfidenceModel(Section):
             score += self.weights[name] * feature
         return 1.0 / (1.0 + math.exp(min(-score, 700.0)))  # beyond, it would overflow
 
-    def features(self, evidence: Evidence) -> tuple[float, float, float, float]:
+    def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
 
         What is seen; the logarithm of how much likelier so many inliers are where the best
-        different place has as many as it has (Poisson, without the constant); and how much more the
-        clouds overlap, and is seen, than at the rivals. What is not known says what chance would.
+        different place has as many as it has (Poisson, without the constant); how much more the
+        clouds overlap, and is seen, than at the rivals; and how well the walls fit that fit worst.
+        What is not known says what chance would, or the overlap.
         """
         score, chance = evidence.score, self.chance
-        seen = _logit(score.seen_or_overlap)
+        seen = _logit(score.expected_seen(chance.judged))
         inliers = score.inliers * math.log(max(evidence.inlier_ratio, 0.1))
         rival_overlap = evidence.rival_overlap
-        rival_seen = evidence.rival_seen
+        rival_seen = evidence.rival_seen(chance.judged)
         return (
             seen,
             min(inliers, self.max_inlier_evidence),
@@ -85,6 +89,7 @@ class ConfidenceModel(Section):
             - _logit(chance.overlap if rival_overlap is None else rival_overlap),
             seen
             - _logit(max(chance.seen if rival_seen is None else rival_seen, chance.least_seen)),
+            _logit(score.overlap if score.walls is None else score.walls),
         )
 
     def standalone(self, score: Score) -> float:

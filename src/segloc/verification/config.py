@@ -5,19 +5,19 @@ from __future__ import annotations
 from pydantic import Field
 
 from ..section import Section
+from .nearby import NearbyConfig
 
 
 class VerificationConfig(Section):
     """When a pose is believed.
 
-    The first four are for users. The confidence was fitted under the others: a localizer whose
+    The first three are for users. The confidence was fitted under the others: a localizer whose
     configuration changes one says so (:attr:`segloc.Localizer.notes`).
     """
 
     min_confidence: float = Field(0.8, ge=0, le=1, description="calibrated probability needed")
-    min_inliers: int = Field(3, ge=2, le=10**6, description="distinct segments that must agree")
-    min_overlap: float = Field(
-        0.25, ge=0, le=1, description="share of the query cloud that must lie on the map"
+    min_inliers: int = Field(
+        0, ge=0, le=10**6, description="distinct segments that must agree, whatever the clouds say"
     )
     refine: bool = Field(True, description="refine the pose by ICP")
 
@@ -75,9 +75,7 @@ class VerificationConfig(Section):
     visibility_sample: int = Field(
         3000, ge=1, le=10**6, description="map points that are judged at most"
     )
-    min_judged: int = Field(
-        150,
-        ge=1,
-        le=10**6,
-        description="fewer judged map points say nothing: a bush or a car may have been met again",
+    wall_offset: float = Field(
+        0.15, gt=0, le=10, description="a wall that is off by less fits, metres"
     )
+    nearby: NearbyConfig = NearbyConfig()

@@ -20,18 +20,15 @@ def decide(
 ) -> Verdict:
     """Believe a pose, or say why not.
 
-    A pose is believed when enough of the query cloud lies on the map, no different place explains
-    the query about as well, and its calibrated probability is high enough.
+    A pose is believed when no different place explains the query about as well, and its calibrated
+    probability is high enough.
     """
     best, p = evidence.score, model.probability(evidence)
-    if best.overlap < config.min_overlap:
-        reason = Reason.TOO_LITTLE_OVERLAP
-        message = reason.below(best.overlap, config.min_overlap)
-    elif rival := equal_rival(evidence, model, config):
+    if rival := equal_rival(evidence, model, config):
         reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
     elif p < config.min_confidence:
         reason = Reason.TOO_UNCERTAIN
-        message = reason.below(p, config.min_confidence)
+        message = f"{reason.below(p, config.min_confidence)}: {compared(evidence)}"
     else:
         return Verdict(None, "", p, best, evidence, runner_up)
     return Verdict(reason, message, p, best, evidence, runner_up)
@@ -43,6 +40,17 @@ def too_few_inliers(
     """What is decided without looking at the clouds."""
     message = f"too few inliers ({best.inliers} < {config.min_inliers})"
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
+
+
+def compared(evidence: Evidence) -> str:
+    """What was measured at the best pose, beside the most of it at different places."""
+    best, rivals = evidence.score, evidence.rivals
+    elsewhere = (
+        "nothing to compare it with elsewhere"
+        if not rivals
+        else f"elsewhere {max(r.overlap for r in rivals):.2f} and {max(r.inliers for r in rivals)}"
+    )
+    return f"overlap {best.overlap:.2f} and {best.inliers} inliers, {elsewhere}"
 
 
 def equal_rival(

@@ -59,18 +59,23 @@ class Score:
     overlap : float
         Share of the query cloud's points, up to the height that the map reaches there, that have a
         map point near them, in [0, 1].
-    seen : float or None
-        The other way round: share of the judged map points that have a query point near them, in
-        [0, 1]; the others are free-space violations. None where too few are in view to judge.
+    confirmed, judged : int
+        The other way round: map points that have a query point near them, of those that could be
+        judged; the others are free-space violations.
     rmse : float
         Root mean square distance of the pairs that overlap counts, metres.
+    walls : float or None
+        Share of the query's walls that lie on walls of the map, in [0, 1], among those that face
+        the direction in which it is least. None where no walls were compared.
     """
 
     T_map_local: Pose
     inliers: int
     overlap: float
-    seen: float | None
+    confirmed: int
+    judged: int
     rmse: float
+    walls: float | None
 
     @property
     def support(self) -> float:
@@ -78,9 +83,19 @@ class Score:
         return self.inliers * self.overlap
 
     @property
-    def seen_or_overlap(self) -> float:
-        """What is seen, or where too little is in view, what it is expected to be: the overlap."""
-        return self.overlap if self.seen is None else self.seen
+    def seen(self) -> float | None:
+        """Share of the judged map points that are confirmed, in [0, 1]; None where there are none.
+
+        The others are free-space violations.
+        """
+        return self.confirmed / self.judged if self.judged else None
+
+    def expected_seen(self, prior: float) -> float:
+        """What is seen, as if ``prior`` more map points had been judged and the overlap confirmed.
+
+        So few judged points say little, and no step lies between few and enough.
+        """
+        return (self.confirmed + prior * self.overlap) / (self.judged + prior)
 
 
 @dataclass(frozen=True)
@@ -124,10 +139,9 @@ class Evidence:
         """The most that ``overlap`` reaches at a rival; None without rivals."""
         return max((rival.overlap for rival in self.rivals), default=None)
 
-    @property
-    def rival_seen(self) -> float | None:
-        """The most that is seen at a rival; None without rivals."""
-        return max((rival.seen_or_overlap for rival in self.rivals), default=None)
+    def rival_seen(self, prior: float) -> float | None:
+        """The most that is expected to be seen at a rival; None without rivals."""
+        return max((rival.expected_seen(prior) for rival in self.rivals), default=None)
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,10 @@ class QueryView:
         return seen, violations
 
 
-def seen_share(
+def judged(
     index: _native.PointIndex, view: QueryView, T: Pose, radius: float, config: VerificationConfig
-) -> float | None:
-    """Share of the judged map points that the query sees, too; None where too few are judged.
+) -> tuple[int, int]:
+    """How many map points the query sees, too, and how many were judged.
 
     Parameters
     ----------
@@ -51,5 +51,4 @@ def seen_share(
     points = index.sample(x, y, config.visibility_range, config.visibility_sample)
     T_local_map = np.ascontiguousarray(geometry.inverse(T))
     seen, violations = view.judged(points, T_local_map, radius)
-    judged = seen + violations
-    return seen / judged if judged >= config.min_judged else None
+    return seen, seen + violations

@@ -13,7 +13,12 @@ from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
 from .evidence import CoarseScore, RankedCandidate, RefinedScore
-from .free_space_check import QueryView, seen_share
+from .free_space_check import QueryView, judged
+from .nearby import NearbySearch, Surroundings
+from .walls import worst_wall
+
+_STILL_M, _MOST_AGAIN = 0.1, 2
+"""An alignment that moved farther is begun anew from where it ended, at most so often."""
 
 
 class QueryCloud:
@@ -70,6 +75,7 @@ class MapCloud:
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(self._aligner.surface(cloud), index)
+        self._nearby = NearbySearch(index, config.nearby, separation)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query cloud to compare with this one."""
@@ -88,37 +94,68 @@ class MapCloud:
 
     def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
         """A candidate where it stands, with the share of the map that is roughly seen there."""
-        T = self._relative(ranked.T_map_local)
-        seen = seen_share(
-            self._target.index, query.view, T, self._config.coarse_radius, self._config
+        config, T = self._config, self._relative(ranked.T_map_local)
+        seen = judged(self._target.index, query.view, T, config.coarse_radius, config)
+        return CoarseScore(
+            ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse, None
         )
-        return CoarseScore(ranked.T_map_local, ranked.inliers, ranked.overlap, seen, ranked.rmse)
 
-    def refined(self, candidate: Candidate, query: QueryCloud) -> RefinedScore:
-        """A candidate at the pose where the clouds fit best; at its own where they do not."""
+    def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
+        """Poses around one at which the clouds roughly fit."""
+        found = self._nearby.around(query.sample, self._relative(T_map_local))
+        return Surroundings(self._absolute(found.start), [self._absolute(T) for T in found.rivals])
+
+    def refined(
+        self, candidate: Candidate, query: QueryCloud, start: Pose | None = None
+    ) -> RefinedScore:
+        """A candidate at the pose where the clouds fit best; at its own where they do not.
+
+        ICP sets out from the candidate's pose, and from ``start`` if it is another.
+        """
         config, T = self._config, self._relative(candidate.T_map_local)
         covariance: Float64 | None = None
-        found = self._registered(T, query)
+        walls: float | None = None
+        found = self._best(T, None if start is None else self._relative(start), query)
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
             T, covariance = found.T_target_source, found.covariance
             overlap, rmse = found.overlap, found.rmse
+            walls = worst_wall(self._target.surface, query.surface, T, config.wall_offset)
+        seen = judged(self._target.index, query.view, T, config.seen_radius, config)
+        T_map_local = self._absolute(T)
         return RefinedScore(
-            T_map_local=geometry.rigid(T[:3, :3], T[:3, 3] + self._origin),
-            inliers=candidate.inliers,
-            overlap=overlap,
-            seen=seen_share(self._target.index, query.view, T, config.seen_radius, config),
-            rmse=rmse,
-            covariance=covariance,
+            T_map_local, candidate.inliers, overlap, *seen, rmse, walls, covariance=covariance
         )
 
-    def _registered(self, T: Pose, query: QueryCloud) -> Registered | None:
-        """Where the clouds fit best; None where they do not, or ICP has run away."""
+    def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
+        """The better of two alignments, which goes on until it holds still."""
+        found = self._registered(T, T, query)
+        if start is not None and not np.array_equal(start, T):
+            other = self._registered(start, T, query)
+            if other is not None and (found is None or other.overlap > found.overlap):
+                found = other
+        for _ in range(_MOST_AGAIN):
+            if found is None or found.shift_m < _STILL_M:
+                break
+            again = self._registered(found.T_target_source, T, query)
+            if again is None or again.overlap <= found.overlap:
+                break
+            found = again
+        return found
+
+    def _registered(self, start: Pose, T: Pose, query: QueryCloud) -> Registered | None:
+        """Where the clouds fit best; None where they do not, or ICP has run away from T."""
         if not self._config.refine:
             return None
-        found = self._aligner.register(self._target, query, T, self._config.overlap_radius)
-        return None if found is None or found.shift_m > self._separation.metres else found
+        found = self._aligner.register(self._target, query, start, self._config.overlap_radius)
+        if found is None:
+            return None
+        metres = float(np.linalg.norm(found.T_target_source[:3, 3] - T[:3, 3]))
+        return None if metres > self._separation.metres else found
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
+
+    def _absolute(self, T: Pose) -> Pose:
+        return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)

@@ -8,11 +8,11 @@ from ..geometry import Separation
 from ..localization import Reason
 from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64
-from .candidates import CandidateScores
+from .candidates import CandidateScores, Inliers
 from .confidence import ConfidenceModel, shipped_confidence
 from .config import VerificationConfig
 from .decision import decide, equal_rival, too_few_inliers
-from .evidence import Evidence, RefinedScore, Verdict
+from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
 from .overlap_check import MapCloud
 
 HOPELESS = 0.005
@@ -56,16 +56,24 @@ class Verifier:
         self._separation = separation or Separation()
         self._map = MapCloud(cloud, origin, self.config, self._separation, threads)
 
-    def verify(self, scene: Segmentation, candidates: Sequence[Candidate]) -> Verdict:
+    def verify(
+        self,
+        scene: Segmentation,
+        candidates: Sequence[Candidate],
+        inliers: Inliers = lambda _: 0,
+    ) -> Verdict:
         """Rank the candidates, judge the best, and believe one or none.
 
         The first candidate that is believed is the answer. If none is, the verdict on the best
-        supported one says why.
+        supported one says why. ``inliers`` counts the segments that agree with a pose that is no
+        candidate.
         """
         if not candidates:
             return Verdict(Reason.NO_CONSISTENT_MATCHES, "no consistent matches")
         query = self._map.query(scene)
-        scores = CandidateScores(candidates, self._map, query, self.config, self._separation)
+        scores = CandidateScores(
+            candidates, self._map, query, self.config, self._separation, inliers
+        )
         verdicts = []
         for k in scores.worth_judging():
             verdicts.append(self._judge(scores, k))
@@ -95,12 +103,33 @@ class Verifier:
         """
         config, chance = self.config, self.model.chance.inliers
         slack = config.rival_overlap_ratio
-        evidence = scores.evidence(k, scores.coarse, scores.coarse, chance)
+        others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_refined]
+        rivals: list[Score] = [scores.coarse(j) for j in others]
+        evidence = scores.evidence(scores.coarse(k), rivals, chance)
         hopeless = self.model.probability(evidence) < min(HOPELESS, config.min_confidence)
         if hopeless and not equal_rival(evidence, self.model, config, slack):
             return evidence
-        evidence = scores.evidence(k, scores.refined, scores.coarse, chance)
+        start, nearby = scores.around(k)
+        score: Score = scores.refined(k, start)
+        score, near = self._best_around(scores, score, nearby)
+        evidence = scores.evidence(score, [*near, *rivals], chance)
         certain = self.model.probability(evidence) >= max(CERTAIN, config.min_confidence)
         if certain and not equal_rival(evidence, self.model, config, slack):
             return evidence
-        return scores.evidence(k, scores.refined, scores.refined, chance)
+        return scores.evidence(score, [*near, *(scores.refined(j) for j in others)], chance)
+
+    def _best_around(
+        self, scores: CandidateScores, score: Score, nearby: Sequence[RankedCandidate]
+    ) -> tuple[Score, list[Score]]:
+        """The pose that is likelier by itself, and its rivals near it.
+
+        A rival is refined where it might become the equal of the candidate.
+        """
+        rivals: list[Score] = []
+        for each in nearby:
+            close = each.overlap >= self.config.nearby.refined_from * score.overlap
+            rival: Score = scores.closely(each) if close else scores.roughly(each)
+            if close and self.model.standalone(rival) > self.model.standalone(score):
+                score, rival = rival, score
+            rivals.append(rival)
+        return score, rivals
