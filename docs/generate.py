@@ -32,6 +32,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "localizer.py": (5, "the method on one page"),
     "landmarks": (5, "landmarks of one's own, such as tree stems: detections in, a pose out"),
     "config.py": (6, "all settings, one preset a method"),
+    "attitude.py": (7, "which way is up in a scan"),
     "local_cloud.py": (7, "scans to local cloud"),
     "segmentation.py": (7, "local cloud to segments"),
     "matching.py": (7, "descriptors to matches"),

@@ -2,6 +2,7 @@
 #include "bindings/bindings.h"
 #include "segmentation/cluster.h"
 #include "segmentation/ground.h"
+#include "segmentation/planes.h"
 #include "segmentation/voxel.h"
 
 namespace segloc::bindings {
@@ -49,6 +50,21 @@ auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t mi
                          to_numpy(std::move(clusters.offsets)));
 }
 
+Out<float> plane_normals_(const In2<float>& points, double radius, std::size_t min_points,
+                          double thickness, std::size_t most) {
+  require_points(points);
+  require_length(radius, "radius");
+  require_length(thickness, "thickness");
+  std::vector<float> normals;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    normals = plane_normals(points.data(), points.shape(0), {radius, min_points, thickness, most});
+  }
+  const std::size_t count = normals.size() / 3;
+  return to_numpy(std::move(normals), {count, 3});
+}
+
 }  // namespace
 
 void bind_segmentation(nb::module_& m) {
@@ -57,6 +73,8 @@ void bind_segmentation(nb::module_& m) {
         nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));
   m.def("euclidean_clusters", &euclidean_clusters_, nb::arg("points").noconvert(),
         nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
+  m.def("plane_normals", &plane_normals_, nb::arg("points").noconvert(), nb::arg("radius"),
+        nb::arg("min_points"), nb::arg("thickness"), nb::arg("most"));
 }
 
 }  // namespace segloc::bindings

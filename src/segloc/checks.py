@@ -102,6 +102,28 @@ def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
     return array
 
 
+def checked_direction(direction: ArrayLike) -> Float64:
+    """A direction of gravity as a unit vector, (3,) float64.
+
+    Raises
+    ------
+    InvalidScan
+        If it is not three finite numbers, or has no length.
+    """
+    try:
+        vector: Float64 = np.array(direction, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"gravity must be three numbers, not {direction!r:.60}") from error
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InvalidScan(f"gravity must be three finite numbers, not {direction!r:.60}")
+    largest = np.abs(vector).max()
+    if largest == 0.0:
+        raise InvalidScan("gravity has no length: leave it out where it is not known")
+    vector /= largest  # its squares neither overflow nor vanish
+    vector /= np.linalg.norm(vector)
+    return vector
+
+
 def checked_stamp(stamp: float | None) -> float | None:
     """A stamp as a finite float, or None.
 

@@ -34,6 +34,7 @@ FOR_USERS = (
     "local_cloud.radius_m",
     "local_cloud.window_m",
     "local_cloud.max_gap_m",
+    "local_cloud.attitude.estimate",
     "mapping.views",
     "matching.neighbours",
     "matching.escalation",

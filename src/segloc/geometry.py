@@ -62,6 +62,20 @@ def levelled(T_world_sensor: Pose) -> Pose:
     return yaw_transform(heading(T_world_sensor), (x, y, z))
 
 
+def upright(up: NDArray[np.float64]) -> Pose:
+    """T_local_sensor of a sensor in whose frame ``up`` points against gravity.
+
+    The local frame has its z axis up; its x axis is the horizontal direction of the sensor's own,
+    or where that is vertical, its y axis that of the sensor's y axis.
+    """
+    z = up / np.linalg.norm(up)
+    y = np.cross(z, (1.0, 0.0, 0.0))
+    if np.linalg.norm(y) < 1e-3:
+        y = np.array([0.0, 1.0, 0.0]) - z[1] * z
+    y /= np.linalg.norm(y)
+    return rigid(np.stack([np.cross(y, z), y, z]), np.zeros(3))
+
+
 def orthonormal(T: Pose) -> Pose:
     """T with its rotation replaced by the nearest true one (rounding errors removed)."""
     U, _, Vt = np.linalg.svd(T[:3, :3])

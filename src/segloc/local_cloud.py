@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from . import geometry
+from .attitude import AttitudeConfig, AttitudeEstimator
 from .errors import InvalidScan
 from .section import Section
-from .types import LocalCloud, Pose, Scan
+from .types import AttitudeSource, LocalCloud, Pose, Scan
+
+_Z = np.array([0.0, 0.0, 1.0])
 
 
 class LocalCloudConfig(Section):
@@ -27,6 +30,7 @@ class LocalCloudConfig(Section):
     max_gap_m: float = Field(
         10.0, gt=0, le=10_000, description="a longer step between scans ends the window"
     )
+    attitude: AttitudeConfig = AttitudeConfig()
 
 
 def window(
@@ -73,6 +77,7 @@ class Accumulator:
 
     def __init__(self, config: LocalCloudConfig | None = None) -> None:
         self.config = config or LocalCloudConfig()
+        self._attitudes = AttitudeEstimator(self.config.attitude)
 
     def gather(self, scans: Scans, reference: int = -1) -> LocalCloud:
         """The local cloud of one scan or of several posed ones.
@@ -80,8 +85,9 @@ class Accumulator:
         Parameters
         ----------
         scans : Scan, (N, 3) array, or list of Scan
-            With more than one scan, each needs its ``T_odom_sensor``. A single scan without a pose
-            is taken as level; so is an array, which is the points of one scan.
+            With more than one scan, each needs its ``T_odom_sensor``. The roll and pitch of a
+            single scan are those of its pose; without one, of its gravity; without either, they
+            are estimated from the scan, or where that fails it is taken as level.
         reference : int
             The scan whose pose is wanted; the last one by default.
 
@@ -92,24 +98,35 @@ class Accumulator:
         """
         scans = _listed(scans)
         anchor = scans[reference]
-        T_odom_local = _levelled_pose(anchor)
-        clouds = [self._crop(scan, T_odom_local, single=len(scans) == 1) for scan in scans]
-        T_local_sensor = np.eye(4)
-        if anchor.T_odom_sensor is not None:
-            T_local_sensor = geometry.inverse(T_odom_local) @ anchor.T_odom_sensor
+        if len(scans) == 1 and anchor.T_odom_sensor is None:
+            return self._alone(anchor)
+        T_local_odom = geometry.inverse(geometry.levelled(_pose(anchor)))
+        clouds = [
+            self._crop(geometry.transform(T_local_odom @ _pose(scan), scan.points))
+            for scan in scans
+        ]
+        T_local_sensor = T_local_odom @ _pose(anchor)
         return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
 
-    def _crop(self, scan: Scan, T_odom_local: Pose, *, single: bool) -> NDArray[np.float32]:
-        if scan.T_odom_sensor is None:
-            if not single:
-                raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
-            points = scan.points
-        else:
-            T_local_sensor = geometry.inverse(T_odom_local) @ scan.T_odom_sensor
-            points = geometry.transform(T_local_sensor, scan.points).astype(np.float32)
+    def _alone(self, scan: Scan) -> LocalCloud:
+        """The local cloud of a scan without a pose."""
+        up, attitude = self._up(scan)
+        T_local_sensor = geometry.upright(up)
+        points = self._crop(geometry.transform(T_local_sensor, scan.points))
+        return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
+
+    def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
+        if scan.gravity is not None:
+            return -scan.gravity, "given"
+        if not self.config.attitude.estimate:
+            return _Z, "given"
+        found = self._attitudes.estimate(scan.points)
+        return (_Z, "assumed") if found is None else (found.up, "estimated")
+
+    def _crop(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         radius = self.config.radius_m
         near = (points[:, 0] ** 2 + points[:, 1] ** 2 < radius**2) & (np.abs(points[:, 2]) < radius)
-        return np.ascontiguousarray(points[near])
+        return points[near].astype(np.float32)
 
 
 def _listed(scans: Scans) -> Sequence[Scan]:
@@ -131,5 +148,7 @@ def _listed(scans: Scans) -> Sequence[Scan]:
     return scans
 
 
-def _levelled_pose(scan: Scan) -> Pose:
-    return np.eye(4) if scan.T_odom_sensor is None else geometry.levelled(scan.T_odom_sensor)
+def _pose(scan: Scan) -> Pose:
+    if scan.T_odom_sensor is None:
+        raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
+    return scan.T_odom_sensor

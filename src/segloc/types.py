@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .checks import (
     MOST_LOCAL_METRES,
     check_finite,
+    checked_direction,
     checked_points,
     checked_pose,
     checked_rows,
@@ -23,6 +24,8 @@ from .checks import Pose as Pose
 from .errors import InvalidScan
 
 Int64 = NDArray[np.int64]
+AttitudeSource = Literal["given", "estimated", "assumed"]
+"""Where roll and pitch come from: a pose or gravity, the scan itself, or nothing."""
 
 
 class Scan:
@@ -31,13 +34,16 @@ class Scan:
     Parameters
     ----------
     points : (N, >=3) array of any float dtype, any stride
-        x, y, z in metres in the sensor frame, z up. Further columns are ignored. Never modified.
+        x, y, z in metres in the sensor frame. Further columns are ignored. Never modified.
     times : (N,) array, optional
         Time of each point in seconds.
     stamp : float, optional
         Time of the scan in seconds.
     T_odom_sensor : (4, 4) array, optional
         Pose of the sensor in an odometry frame whose z axis points up.
+    gravity : (3,) array, optional
+        Direction of gravity, down, in the sensor frame, of any length: for roll and pitch where
+        there is no pose. An accelerometer at rest measures its opposite.
 
     Attributes
     ----------
@@ -50,7 +56,7 @@ class Scan:
         If a shape or dtype is wrong; the message names the fault.
     """
 
-    __slots__ = ("T_odom_sensor", "dropped", "points", "stamp", "times")
+    __slots__ = ("T_odom_sensor", "dropped", "gravity", "points", "stamp", "times")
 
     def __init__(
         self,
@@ -59,6 +65,7 @@ class Scan:
         times: ArrayLike | None = None,
         stamp: float | None = None,
         T_odom_sensor: ArrayLike | None = None,
+        gravity: ArrayLike | None = None,
     ) -> None:
         xyz = checked_points(points)
         stamps = checked_times(times, len(xyz))
@@ -73,6 +80,7 @@ class Scan:
         self.T_odom_sensor: Pose | None = (
             None if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
         )
+        self.gravity: Float64 | None = None if gravity is None else checked_direction(gravity)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -134,6 +142,8 @@ class LocalCloud:
         How many scans the points come from.
     stamp : float or None
         Stamp of the reference scan.
+    attitude : "given", "estimated" or "assumed"
+        Where the roll and pitch in ``T_local_sensor`` come from.
 
     Raises
     ------
@@ -146,6 +156,7 @@ class LocalCloud:
     T_local_sensor: Pose
     num_scans: int = 1
     stamp: float | None = None
+    attitude: AttitudeSource = "given"
 
     def __post_init__(self) -> None:
         points = checked_points(self.points)

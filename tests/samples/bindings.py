@@ -74,6 +74,8 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "heights_above_ground", Call(_native.heights_above_ground, ground)
     clusters = {"points": points, "radius": 0.5, "min_points": 2, "max_points": 500}
     yield "euclidean_clusters", Call(_native.euclidean_clusters, clusters)
+    planes = {"points": points, "radius": 3.0, "min_points": 4, "thickness": 0.5, "most": 300}
+    yield "plane_normals", Call(_native.plane_normals, planes)
 
 
 def _poses() -> Iterator[tuple[str, Call]]:
@@ -241,7 +243,7 @@ def _others() -> Iterator[tuple[str, Call]]:
 
 
 ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
-    _segmentation: ("voxel_grid", "heights_above_ground", "euclidean_clusters"),
+    _segmentation: ("voxel_grid", "heights_above_ground", "euclidean_clusters", "plane_normals"),
     _poses: ("consensus", "pose_votes", "prosac"),
     _clouds: (
         *("PointIndex", "PointIndex.overlap", "PointIndex.sample"),
