@@ -9,7 +9,7 @@ import typer
 
 Scene = Annotated[
     str | None,
-    typer.Argument(metavar="SCENE", help="town, park, meadow, forest or industrial."),
+    typer.Argument(metavar="SCENE", help="town, park, meadow, forest, industrial or warehouse."),
 ]
 Out = Annotated[
     Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)

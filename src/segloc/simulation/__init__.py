@@ -21,6 +21,7 @@ from .worlds.meadow import meadow
 from .worlds.park import park
 from .worlds.scenes import SCENES
 from .worlds.town import town
+from .worlds.warehouse import warehouse
 from .worlds.world import Conditions, World
 
 __all__ = [
@@ -62,5 +63,6 @@ __all__ = [
     "solid_state",
     "town",
     "vlp16",
+    "warehouse",
     "wheeled",
 ]

@@ -63,10 +63,13 @@ class RoadNetwork:
     nodes : (n, 2) float64
         Junctions, metres.
     streets : tuple of Street
+    rounding_m : float
+        Over which corners are rounded when they are driven.
     """
 
     nodes: Float64
     streets: tuple[Street, ...]
+    rounding_m: float = 2.5
     _tree: tuple[cKDTree, Float64] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

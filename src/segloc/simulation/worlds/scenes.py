@@ -9,6 +9,7 @@ from .industrial import industrial
 from .meadow import meadow
 from .park import park
 from .town import town
+from .warehouse import warehouse
 from .world import World
 
 SCENES: dict[str, Callable[..., World]] = {
@@ -17,5 +18,6 @@ SCENES: dict[str, Callable[..., World]] = {
     "meadow": meadow,
     "park": park,
     "town": town,
+    "warehouse": warehouse,
 }
 """Each is called with a seed, and ``size_m`` where its own default does not do."""
