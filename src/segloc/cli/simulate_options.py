@@ -21,7 +21,14 @@ Scale = Annotated[str, typer.Option(help="Of a suite: small or full.")]
 Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
 Thin = Annotated[int, typer.Option(metavar="N", help="Only every N-th firing.")]
 Platform = Annotated[
-    str | None, typer.Option(metavar="NAME", help="car, wheeled, legged or handheld.")
+    str | None,
+    typer.Option(
+        metavar="NAME", help="car, wheeled, legged, quadruped, carried, handheld or drone."
+    ),
+]
+Tilt = Annotated[
+    tuple[float, float],
+    typer.Option(metavar="ROLL PITCH", help="Of the sensor on its platform, degrees."),
 ]
 Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
 Sessions = Annotated[int, typer.Option(min=1, max=1001, help="Session 0 is the one to map.")]

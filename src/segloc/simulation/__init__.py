@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from ..motion import Motion, deskew
 from .drives import demo_sessions, simulate_sessions
+from .motion.flight import Flight
+from .motion.gait import Gait
 from .motion.odometry import OdometryNoise
-from .motion.platforms import PLATFORMS, Gait, Platform, car, handheld, legged, wheeled
+from .motion.platforms import (
+    PLATFORMS,
+    Platform,
+    car,
+    carried,
+    drone,
+    handheld,
+    legged,
+    quadruped,
+    wheeled,
+)
 from .motion.route import Route
 from .motion.traversal import SimulatedSequence, simulate_session
 from .objects.scene import Scene
@@ -29,6 +41,7 @@ __all__ = [
     "SCENES",
     "SENSORS",
     "Conditions",
+    "Flight",
     "Gait",
     "Lidar",
     "LineLidar",
@@ -44,8 +57,10 @@ __all__ = [
     "SpinningLidar",
     "World",
     "car",
+    "carried",
     "demo_sessions",
     "deskew",
+    "drone",
     "forest",
     "handheld",
     "hdl32e",
@@ -57,6 +72,7 @@ __all__ = [
     "os1_64",
     "os1_128",
     "park",
+    "quadruped",
     "record",
     "simulate_session",
     "simulate_sessions",
