@@ -40,6 +40,7 @@ def simulate(
     length: of.Length = 300.0,
     spacing: of.Spacing = None,
     size: of.Size = None,
+    storey: of.Storey = 0,
     seed: of.Seed = 0,
     season: of.Season = None,
     foliage: of.Foliage = None,
@@ -72,7 +73,9 @@ def simulate(
     for wanted, name in ((objects, "--objects"), (skew, "--skew")):
         if wanted and swathe is not None:
             raise ConfigError(f"{name} goes with single scans, not with --swathe")
-    order = _Order(scene, size, seed, sensor, thin, platform, tilt, skew, length, spacing, swathe)
+    order = _Order(
+        scene, size, seed, storey, sensor, thin, platform, tilt, skew, length, spacing, swathe
+    )
     plan = _plan(sessions, season, foliage, replaced, scaffolding)
     drives = _drives(order, plan)
     recordings = [_gathered(drive, swathe) for drive in drives]
@@ -91,6 +94,7 @@ class _Order:
     scene: str
     size_m: float | None
     seed: int
+    storey: int
     sensor: str
     thin: int
     platform: str | None
@@ -160,6 +164,7 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
             seed=order.seed,
             platform=carrier,
             skew=order.skew,
+            storey=order.storey,
         )
     return [drive.with_odometry() for drive in drives]
 

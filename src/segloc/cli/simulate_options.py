@@ -9,7 +9,10 @@ import typer
 
 Scene = Annotated[
     str | None,
-    typer.Argument(metavar="SCENE", help="town, park, meadow, forest, industrial or warehouse."),
+    typer.Argument(
+        metavar="SCENE",
+        help="town, park, meadow, forest, industrial, warehouse, offices or building.",
+    ),
 ]
 Out = Annotated[
     Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
@@ -38,6 +41,7 @@ Spacing = Annotated[
     typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
 ]
 Size = Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")]
+Storey = Annotated[int, typer.Option(min=0, help="Of a building: which one is driven through.")]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
 Season = Annotated[
     str | None, typer.Option(help="Of later sessions: summer, autumn, winter or spring.")

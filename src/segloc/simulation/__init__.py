@@ -30,6 +30,7 @@ from .sensors.rosette import RosetteLidar, solid_state
 from .worlds.forest import forest
 from .worlds.industrial import industrial
 from .worlds.meadow import meadow
+from .worlds.offices import building, offices
 from .worlds.park import park
 from .worlds.scenes import SCENES
 from .worlds.town import town
@@ -56,6 +57,7 @@ __all__ = [
     "SimulatedSequence",
     "SpinningLidar",
     "World",
+    "building",
     "car",
     "carried",
     "demo_sessions",
@@ -69,6 +71,7 @@ __all__ = [
     "legged",
     "lms151",
     "meadow",
+    "offices",
     "os1_64",
     "os1_128",
     "park",

@@ -61,6 +61,14 @@ def cupboard(rng: np.random.Generator) -> Mesh:
     return join(parts)
 
 
+def lockers(rng: np.random.Generator) -> Mesh:
+    """Flat lockers or a cabinet against a corridor's wall at their -x side."""
+    deep, wide, high = rng.uniform([0.2, 0.6, 1.0], [0.4, 1.6, 2.0])
+    gaps = np.arange(-wide / 2, wide / 2, 0.3)
+    doors = boxes([[deep - 0.2, y, high / 2] for y in gaps], [0.02, 0.02, high], 0.4)
+    return join([boxes([deep / 2 - 0.2, 0, high / 2], [deep, wide, high], 0.45), doors])
+
+
 def shelf(rng: np.random.Generator) -> Mesh:
     """An open shelf with binders against a wall at its -x side."""
     wide, high, deep = rng.uniform([0.8, 1.2, 0.28], [1.8, 2.1, 0.42])

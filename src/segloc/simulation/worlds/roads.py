@@ -186,6 +186,12 @@ def street_network(
     return RoadNetwork(nodes, streets)
 
 
+def straight(nodes: Float64, a: int, b: int, half_width: float) -> Street:
+    """A straight street between two of (n, 2) junctions."""
+    t = np.linspace(0, 1, max(3, int(np.linalg.norm(nodes[b] - nodes[a]) / 0.5)))[:, None]
+    return Street((a, b), nodes[a] + t * (nodes[b] - nodes[a]), half_width)
+
+
 def _lattice_pairs(count: int) -> Int64:
     index = np.arange(count * count).reshape(count, count)
     across = np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2)

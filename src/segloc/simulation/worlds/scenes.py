@@ -7,15 +7,18 @@ from collections.abc import Callable
 from .forest import forest
 from .industrial import industrial
 from .meadow import meadow
+from .offices import building, offices
 from .park import park
 from .town import town
 from .warehouse import warehouse
 from .world import World
 
 SCENES: dict[str, Callable[..., World]] = {
+    "building": building,
     "forest": forest,
     "industrial": industrial,
     "meadow": meadow,
+    "offices": offices,
     "park": park,
     "town": town,
     "warehouse": warehouse,

@@ -14,7 +14,7 @@ from ..objects.shell import beams, pillar, slab, wall
 from ..objects.storage import cage, conveyor, dock_door, machine, pallet_load, rack
 from .fitting import Fitting
 from .layout import check_world
-from .roads import RoadNetwork, Street
+from .roads import RoadNetwork, straight
 from .world import World
 
 _BAY = 2.75  # of racks, metres
@@ -125,18 +125,13 @@ def _aisles(halls: list[Hall], rows: int, gates: list[list[int]]) -> RoadNetwork
         for j in range(rows):
             here = i * rows + j
             if j + 1 < rows:
-                streets.append(_straight(nodes, here, here + 1, 1.3))
+                streets.append(straight(nodes, here, here + 1, 1.3))
             if i + 1 == len(columns):
                 continue
             left, right = of_hall[i], of_hall[i + 1]
             if left == right or j in gates[left]:
-                streets.append(_straight(nodes, here, here + rows, half))
+                streets.append(straight(nodes, here, here + rows, half))
     return RoadNetwork(nodes, tuple(streets))
-
-
-def _straight(nodes: Float64, a: int, b: int, half_width: float) -> Street:
-    t = np.linspace(0, 1, max(3, int(np.linalg.norm(nodes[b] - nodes[a]) / 0.5)))[:, None]
-    return Street((a, b), nodes[a] + t * (nodes[b] - nodes[a]), half_width)
 
 
 def _pillars(site: Fitting, hall: Hall, rows: int) -> None:
