@@ -11,7 +11,7 @@ Scene = Annotated[
     str | None,
     typer.Argument(
         metavar="SCENE",
-        help="town, park, meadow, forest, industrial, warehouse, offices or building.",
+        help="town, park, meadow, forest, industrial, warehouse, offices, building or mine.",
     ),
 ]
 Out = Annotated[

@@ -30,6 +30,7 @@ from .sensors.rosette import RosetteLidar, solid_state
 from .worlds.forest import forest
 from .worlds.industrial import industrial
 from .worlds.meadow import meadow
+from .worlds.mine import mine
 from .worlds.offices import building, offices
 from .worlds.park import park
 from .worlds.scenes import SCENES
@@ -71,6 +72,7 @@ __all__ = [
     "legged",
     "lms151",
     "meadow",
+    "mine",
     "offices",
     "os1_64",
     "os1_128",

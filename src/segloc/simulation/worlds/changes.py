@@ -10,7 +10,15 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from ...types import Float32, Float64
-from ..objects.containers import barriers, cones, drums, pallets, rubble, shipping_container
+from ..objects.containers import (
+    barriers,
+    cones,
+    drums,
+    pallets,
+    rubble,
+    shipping_container,
+    stores,
+)
 from ..objects.furniture import cupboard, desk, pot_plant, printer, shelf, sofa, table
 from ..objects.mesh import SOLID, Mesh, above, boxes, join, scraps, tubes
 from ..objects.storage import cage, machine, pallet_load
@@ -76,6 +84,7 @@ REPLACEABLE: dict[str, Replaceable] = {
     "drums": Replaceable(drums, 1.2),
     "barrier": Replaceable(barriers, 3.5),
     "rubble": Replaceable(rubble, 3.2),
+    "stores": Replaceable(stores, 1.2, in_place=True),
     "goods": Replaceable(pallet_load, 0.9, in_place=True),
     "cages": Replaceable(cage, 1.6),
     "machine": Replaceable(machine, 2.2),

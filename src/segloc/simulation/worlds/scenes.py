@@ -7,6 +7,7 @@ from collections.abc import Callable
 from .forest import forest
 from .industrial import industrial
 from .meadow import meadow
+from .mine import mine
 from .offices import building, offices
 from .park import park
 from .town import town
@@ -18,6 +19,7 @@ SCENES: dict[str, Callable[..., World]] = {
     "forest": forest,
     "industrial": industrial,
     "meadow": meadow,
+    "mine": mine,
     "offices": offices,
     "park": park,
     "town": town,
