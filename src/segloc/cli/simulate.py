@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -34,11 +34,13 @@ def simulate(
     sensor: of.Sensor = "hdl64e",
     thin: of.Thin = 1,
     platform: of.Platform = None,
+    tilt: of.Tilt = (0.0, 0.0),
     skew: of.Skew = False,
     sessions: of.Sessions = 2,
     length: of.Length = 300.0,
     spacing: of.Spacing = None,
     size: of.Size = None,
+    storey: of.Storey = 0,
     seed: of.Seed = 0,
     season: of.Season = None,
     foliage: of.Foliage = None,
@@ -71,7 +73,9 @@ def simulate(
     for wanted, name in ((objects, "--objects"), (skew, "--skew")):
         if wanted and swathe is not None:
             raise ConfigError(f"{name} goes with single scans, not with --swathe")
-    order = _Order(scene, size, seed, sensor, thin, platform, skew, length, spacing, swathe)
+    order = _Order(
+        scene, size, seed, storey, sensor, thin, platform, tilt, skew, length, spacing, swathe
+    )
     plan = _plan(sessions, season, foliage, replaced, scaffolding)
     drives = _drives(order, plan)
     recordings = [_gathered(drive, swathe) for drive in drives]
@@ -90,9 +94,11 @@ class _Order:
     scene: str
     size_m: float | None
     seed: int
+    storey: int
     sensor: str
     thin: int
     platform: str | None
+    tilt_deg: tuple[float, float]
     skew: bool
     length_m: float
     spacing_m: float | None
@@ -141,6 +147,9 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
     carrier = None
     if order.platform is not None:
         carrier = _choice(PLATFORMS, order.platform, "--platform")()
+        carrier = replace(carrier, mount_rpy_deg=(*order.tilt_deg, 0.0))
+    elif any(order.tilt_deg):
+        raise ConfigError("--tilt goes with --platform: it is of the sensor on what carries it")
     spacing = order.spacing_m
     if spacing is None:
         spacing = 0.2 if isinstance(lidar, LineLidar) else 2.0
@@ -155,6 +164,7 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
             seed=order.seed,
             platform=carrier,
             skew=order.skew,
+            storey=order.storey,
         )
     return [drive.with_odometry() for drive in drives]
 

@@ -9,7 +9,10 @@ import typer
 
 Scene = Annotated[
     str | None,
-    typer.Argument(metavar="SCENE", help="town, park, meadow, forest or industrial."),
+    typer.Argument(
+        metavar="SCENE",
+        help="town, park, meadow, forest, industrial, warehouse, offices, building or mine.",
+    ),
 ]
 Out = Annotated[
     Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
@@ -21,7 +24,14 @@ Scale = Annotated[str, typer.Option(help="Of a suite: small or full.")]
 Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
 Thin = Annotated[int, typer.Option(metavar="N", help="Only every N-th firing.")]
 Platform = Annotated[
-    str | None, typer.Option(metavar="NAME", help="car, wheeled, legged or handheld.")
+    str | None,
+    typer.Option(
+        metavar="NAME", help="car, wheeled, legged, quadruped, carried, handheld or drone."
+    ),
+]
+Tilt = Annotated[
+    tuple[float, float],
+    typer.Option(metavar="ROLL PITCH", help="Of the sensor on its platform, degrees."),
 ]
 Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
 Sessions = Annotated[int, typer.Option(min=1, max=1001, help="Session 0 is the one to map.")]
@@ -31,6 +41,7 @@ Spacing = Annotated[
     typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
 ]
 Size = Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")]
+Storey = Annotated[int, typer.Option(min=0, help="Of a building: which one is driven through.")]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
 Season = Annotated[
     str | None, typer.Option(help="Of later sessions: summer, autumn, winter or spring.")

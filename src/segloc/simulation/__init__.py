@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from ..motion import Motion, deskew
 from .drives import demo_sessions, simulate_sessions
+from .motion.flight import Flight
+from .motion.gait import Gait
 from .motion.odometry import OdometryNoise
-from .motion.platforms import PLATFORMS, Gait, Platform, car, handheld, legged, wheeled
+from .motion.platforms import (
+    PLATFORMS,
+    Platform,
+    car,
+    carried,
+    drone,
+    handheld,
+    legged,
+    quadruped,
+    wheeled,
+)
 from .motion.route import Route
 from .motion.traversal import SimulatedSequence, simulate_session
 from .objects.scene import Scene
@@ -18,9 +30,12 @@ from .sensors.rosette import RosetteLidar, solid_state
 from .worlds.forest import forest
 from .worlds.industrial import industrial
 from .worlds.meadow import meadow
+from .worlds.mine import mine
+from .worlds.offices import building, offices
 from .worlds.park import park
 from .worlds.scenes import SCENES
 from .worlds.town import town
+from .worlds.warehouse import warehouse
 from .worlds.world import Conditions, World
 
 __all__ = [
@@ -28,6 +43,7 @@ __all__ = [
     "SCENES",
     "SENSORS",
     "Conditions",
+    "Flight",
     "Gait",
     "Lidar",
     "LineLidar",
@@ -42,9 +58,12 @@ __all__ = [
     "SimulatedSequence",
     "SpinningLidar",
     "World",
+    "building",
     "car",
+    "carried",
     "demo_sessions",
     "deskew",
+    "drone",
     "forest",
     "handheld",
     "hdl32e",
@@ -53,14 +72,18 @@ __all__ = [
     "legged",
     "lms151",
     "meadow",
+    "mine",
+    "offices",
     "os1_64",
     "os1_128",
     "park",
+    "quadruped",
     "record",
     "simulate_session",
     "simulate_sessions",
     "solid_state",
     "town",
     "vlp16",
+    "warehouse",
     "wheeled",
 ]

@@ -77,6 +77,7 @@ def simulate_sessions(
     seed: int = 0,
     platform: Platform | None = None,
     skew: bool = False,
+    storey: int = 0,
 ) -> list[SimulatedSequence]:
     """One drive for each of the conditions, ``session_0`` and so on; their poses are the truth.
 
@@ -99,11 +100,13 @@ def simulate_sessions(
         What carries the sensor; without one it is put from place to place at its own height.
     skew : bool
         Let the sensor move while it scans.
+    storey : int
+        Of a building; the ways are the same on all.
 
     Raises
     ------
     ConfigError
-        If a length is not positive.
+        If a length is not positive, or there is no such storey.
     MissingDependency
         If embreex is not installed, once a scan is asked for.
     """
@@ -114,7 +117,7 @@ def simulate_sessions(
     drives = []
     for k, condition in enumerate(conditions):
         way = mapped if k == 0 else way_back(world, rng, mapped, length_m)
-        route = Route(tuple(way), lane(world, k), spacing_m, length_m)
+        route = Route(tuple(way), lane(world, k), spacing_m, length_m, storey)
         drives.append(
             simulate_session(
                 world,

@@ -20,13 +20,15 @@ class Footprint:
     track_m: float = 1.5
 
 
-def driven_line(centre: Float64, offset: float) -> Float64:
+def driven_line(centre: Float64, offset: float, rounding_m: float = 2.5) -> Float64:
     """A lane beside a centre line, corners rounded as a vehicle drives them."""
     arc = arc_length(centre)
     s = np.arange(0.0, arc[-1], 0.25)
     even = np.stack([np.interp(s, arc, centre[:, k]) for k in (0, 1)], axis=1)
-    smooth = gaussian_filter1d(even, 2.5 / 0.25, axis=0, mode="nearest")
-    tangent = gaussian_filter1d(np.gradient(smooth, axis=0), 1.0 / 0.25, axis=0, mode="nearest")
+    smooth = gaussian_filter1d(even, rounding_m / 0.25, axis=0, mode="nearest")
+    tangent = gaussian_filter1d(
+        np.gradient(smooth, axis=0), 0.4 * rounding_m / 0.25, axis=0, mode="nearest"
+    )
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return np.asarray(smooth + offset * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1))
 

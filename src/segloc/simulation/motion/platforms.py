@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from ...errors import ConfigError
@@ -15,58 +14,12 @@ from ...motion import Motion
 from ...types import Float64
 from ..objects.terrain import Terrain
 from ..worlds.roads import along
+from .flight import Flight
+from .gait import Gait
 from .paths import Footprint, on_ground
 
 _KNOT_S = 0.025  # fine enough for steps of three hertz
 _KNOT_M = 0.25
-_WANDER_S = 0.8  # over which a body's slow tilts are alike
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gait:
-    """How a walking body moves its sensor.
-
-    Attributes
-    ----------
-    steps_hz : float
-        Steps a second.
-    bob_m : float
-        Amplitude of the rise and fall, once a step.
-    sway_m : float
-        Amplitude from side to side, once in two steps.
-    pitch_deg, roll_deg : float
-        Amplitudes of the nod, once a step, and of the roll, once in two steps.
-    wander_deg : float
-        Standard deviation of the slow tilt and turn of whoever carries or balances the sensor.
-    """
-
-    steps_hz: float
-    bob_m: float
-    sway_m: float
-    pitch_deg: float
-    roll_deg: float
-    wander_deg: float
-
-    def sways(self, stamps: Float64, rng: np.random.Generator) -> Float64:
-        """T_body_sensor (N, 4, 4) at evenly spaced stamps (N,), about the identity."""
-        start = rng.uniform(0, 2 * np.pi, 2)
-        step = 2 * np.pi * self.steps_hz * stamps + start[0]
-        stride = np.pi * self.steps_hz * stamps + start[1]
-        tilt = np.radians(self.wander_deg) * _slow(rng, stamps)
-        tilt[:, 0] += np.radians(self.roll_deg) * np.sin(stride)
-        tilt[:, 1] += np.radians(self.pitch_deg) * np.sin(step + 1.0)
-        T = np.tile(np.eye(4), (len(stamps), 1, 1))
-        T[:, :3, :3] = Rotation.from_rotvec(tilt).as_matrix()
-        T[:, 1, 3] = self.sway_m * np.sin(stride + 0.5)
-        T[:, 2, 3] = self.bob_m * np.sin(step)
-        return T
-
-
-def _slow(rng: np.random.Generator, stamps: Float64) -> Float64:
-    """Smooth random curves (N, 3) of unit standard deviation."""
-    width = _WANDER_S / (stamps[1] - stamps[0])
-    curves = gaussian_filter1d(rng.normal(size=(len(stamps), 3)), width, axis=0, mode="reflect")
-    return np.asarray(curves * np.sqrt(2 * np.sqrt(np.pi) * width), dtype=np.float64)
 
 
 def _eased(speed: Float64, gain: float) -> Float64:
@@ -98,11 +51,16 @@ class Platform:
         Bumps shorter than this are swallowed by springs and tyres, or stepped over.
     gait : Gait or None
         None for what rolls.
+    flight : Flight or None
+        Of what flies; then ``mount_height_m`` is where it usually is, and nothing touches ground.
+    mount_rpy_deg : (float, float, float)
+        Roll, pitch and yaw (R = Rz Ry Rx) of the sensor on its mount: with a pitch of 20 it looks
+        down ahead.
 
     Raises
     ------
     ConfigError
-        If a value is not positive.
+        If a value is not positive, or an angle is not finite.
     """
 
     name: str
@@ -114,6 +72,8 @@ class Platform:
     track_m: float
     ride_m: float
     gait: Gait | None = None
+    flight: Flight | None = None
+    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in (
@@ -127,6 +87,8 @@ class Platform:
         ):
             if not 0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
+        if not np.isfinite(self.mount_rpy_deg).all():
+            raise ConfigError(f"mount_rpy_deg must be three angles, not {self.mount_rpy_deg}")
 
     def motion(self, terrain: Terrain, line: Float64, rng: np.random.Generator) -> Motion:
         """How it moves along a line on the ground, slower in bends, from the first point on.
@@ -145,15 +107,27 @@ class Platform:
             If the line has no length.
         """
         distance, stamps, speed = self._timetable(line)
-        if self.gait is not None:
+        if self.gait is not None or self.flight is not None:
             even = np.arange(0.0, stamps[-1], _KNOT_S)
             distance, stamps = CubicHermiteSpline(stamps, distance, speed)(even), even
         xy, yaw = along(line, distance)
-        feet = Footprint(self.wheelbase_m, self.track_m)
-        poses = on_ground(terrain, xy, yaw, self.mount_height_m, feet, self._ride(distance))
+        if self.flight is not None:
+            poses = self.flight.poses(terrain, xy, yaw, distance, stamps, rng)
+        else:
+            feet = Footprint(self.wheelbase_m, self.track_m)
+            poses = on_ground(terrain, xy, yaw, self.mount_height_m, feet, self._ride(distance))
         if self.gait is not None:
             poses = poses @ self.gait.sways(stamps, rng)
+        if any(self.mount_rpy_deg):
+            poses = poses @ self._mount()
         return Motion(stamps, poses, distance)
+
+    def _mount(self) -> Float64:
+        """T_body_sensor of the tilted sensor, (4, 4)."""
+        roll, pitch, yaw = self.mount_rpy_deg
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
+        return T
 
     def _ride(self, distance: Float64) -> float:
         """``ride_m`` as a number of knots."""
@@ -220,10 +194,34 @@ def legged() -> Platform:
     )
 
 
-def handheld() -> Platform:
-    """Somebody who walks with the sensor on a stick before the chest."""
+def quadruped() -> Platform:
+    """A four-legged robot that looks where it goes: it nods and leans as it picks its way."""
     return Platform(
-        name="handheld",
+        name="quadruped",
+        mount_height_m=0.6,
+        speed_mps=0.9,
+        turning_mps2=0.6,
+        braking_mps2=0.8,
+        wheelbase_m=0.7,
+        track_m=0.4,
+        ride_m=0.4,
+        gait=Gait(
+            steps_hz=2.2,
+            bob_m=0.015,
+            sway_m=0.015,
+            pitch_deg=1.5,
+            roll_deg=1.8,
+            wander_deg=1.2,
+            lean_deg=5.0,
+            most_deg=18.0,
+        ),
+    )
+
+
+def carried() -> Platform:
+    """Somebody who walks with the sensor on a stick before the chest and keeps it about level."""
+    return Platform(
+        name="carried",
         mount_height_m=1.5,
         speed_mps=1.3,
         turning_mps2=1.0,
@@ -237,5 +235,52 @@ def handheld() -> Platform:
     )
 
 
-PLATFORMS = {"car": car, "wheeled": wheeled, "legged": legged, "handheld": handheld}
+def handheld() -> Platform:
+    """Somebody who waves the sensor about: it tilts up to 35 degrees, with every step a little."""
+    return Platform(
+        name="handheld",
+        mount_height_m=1.4,
+        speed_mps=1.1,
+        turning_mps2=0.8,
+        braking_mps2=0.8,
+        wheelbase_m=0.7,
+        track_m=0.4,
+        ride_m=0.5,
+        gait=Gait(
+            steps_hz=1.8,
+            bob_m=0.025,
+            sway_m=0.02,
+            pitch_deg=1.5,
+            roll_deg=1.2,
+            wander_deg=2.5,
+            lean_deg=17.0,
+            most_deg=35.0,
+        ),
+    )
+
+
+def drone() -> Platform:
+    """A drone that follows a way at 5 to 30 m above the ground, banking gently."""
+    return Platform(
+        name="drone",
+        mount_height_m=17.5,
+        speed_mps=5.0,
+        turning_mps2=1.5,
+        braking_mps2=1.0,
+        wheelbase_m=0.5,
+        track_m=0.5,
+        ride_m=1.0,
+        flight=Flight(),
+    )
+
+
+PLATFORMS = {
+    "car": car,
+    "wheeled": wheeled,
+    "legged": legged,
+    "quadruped": quadruped,
+    "carried": carried,
+    "handheld": handheld,
+    "drone": drone,
+}
 """What makes each platform."""

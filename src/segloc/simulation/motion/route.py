@@ -30,12 +30,15 @@ class Route:
         Distance between scans.
     length_m : float or None
         Where to stop; None for the whole way.
+    storey : int
+        Of a building, from 0.
     """
 
     junctions: tuple[int, ...]
     lane_offset_m: float = 1.1
     spacing_m: float = 2.0
     length_m: float | None = None
+    storey: int = 0
 
     def __post_init__(self) -> None:
         if not self.spacing_m > 0:
@@ -57,7 +60,7 @@ class Route:
         """
         line = self._line(world)
         xy, yaw = along(line, np.arange(0.0, self._stop(line), self.spacing_m))
-        return on_ground(world.terrain, xy, yaw, mount_height_m)
+        return on_ground(world.floor(self.storey), xy, yaw, mount_height_m)
 
     def drive(
         self,
@@ -77,7 +80,7 @@ class Route:
             If the junctions are not a way through the world's road network.
         """
         line = self._line(world)
-        motion = platform.motion(world.terrain, line, rng)
+        motion = platform.motion(world.floor(self.storey), line, rng)
         stop = self._stop(line)
         if rate_hz is None:
             return motion, motion.times_of(np.arange(0.0, stop, self.spacing_m))
@@ -85,7 +88,8 @@ class Route:
         return motion, np.arange(int(end * rate_hz)) / rate_hz
 
     def _line(self, world: World) -> Float64:
-        return driven_line(world.roads.centre_line(list(self.junctions)), self.lane_offset_m)
+        centre = world.roads.centre_line(list(self.junctions))
+        return driven_line(centre, self.lane_offset_m, world.roads.rounding_m)
 
     def _stop(self, line: Float64) -> float:
         total = float(arc_length(line)[-1])

@@ -123,6 +123,19 @@ def drums(rng: np.random.Generator) -> Mesh:
     return join([tubes(foot, tip, [radius, radius], _STEEL, sides=14), *rims])
 
 
+def stores(rng: np.random.Generator) -> Mesh:
+    """What is left in a corner: drums, pallets, crates, or a coil of pipe."""
+    pick = rng.random()
+    if pick < 0.35:
+        return drums(rng)
+    if pick < 0.7:
+        return pallets(rng)
+    count = int(rng.integers(2, 6))
+    size = rng.uniform([0.4, 0.3, 0.3], [1.1, 0.7, 0.9], (count, 3))
+    at = rng.uniform(-0.6, 0.6, (count, 2))
+    return boxes(np.column_stack([at, size[:, 2] / 2]), size, _WOOD)
+
+
 def barriers(rng: np.random.Generator) -> Mesh:
     """One to five concrete barriers end to end along x."""
     high, wide = rng.uniform([0.75, 0.45], [1.1, 0.65])

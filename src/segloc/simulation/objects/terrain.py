@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +41,10 @@ class Terrain:
         top = h[i + 1, j + 1]
         high = top + (1 - fu) * (h[i + 1, j] - top) + (1 - fv) * (h[i, j + 1] - top)
         return np.asarray(np.where(fu + fv <= 1, low, high), dtype=np.float64)
+
+    def raised(self, by: float) -> Terrain:
+        """The same surface, so many metres higher."""
+        return replace(self, heights=self.heights + by)
 
     def mesh(self) -> tuple[Float32, Int64]:
         """Vertices (V, 3) float32 and triangles (T, 3) int64 of the surface."""

@@ -10,8 +10,18 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from ...types import Float32, Float64
-from ..objects.containers import barriers, cones, drums, pallets, rubble, shipping_container
+from ..objects.containers import (
+    barriers,
+    cones,
+    drums,
+    pallets,
+    rubble,
+    shipping_container,
+    stores,
+)
+from ..objects.furniture import cupboard, desk, pot_plant, printer, shelf, sofa, table
 from ..objects.mesh import SOLID, Mesh, above, boxes, join, scraps, tubes
+from ..objects.storage import cage, machine, pallet_load
 from ..objects.street import (
     bench,
     bollards,
@@ -24,6 +34,7 @@ from ..objects.street import (
 )
 from ..objects.terrain import Terrain
 from ..objects.vegetation import bush, tree
+from .interior import Interior
 
 _CELL_M = 0.5
 
@@ -43,11 +54,14 @@ class Replaceable:
         Of the ground that it needs, metres.
     tallest : float
         What is higher stays, metres.
+    in_place : bool
+        Whether the other one stands where the first stood, as goods on a shelf do.
     """
 
     make: Callable[[np.random.Generator], Mesh]
     radius: float
     tallest: float = np.inf
+    in_place: bool = False
 
 
 def _small_tree(rng: np.random.Generator) -> Mesh:
@@ -70,6 +84,17 @@ REPLACEABLE: dict[str, Replaceable] = {
     "drums": Replaceable(drums, 1.2),
     "barrier": Replaceable(barriers, 3.5),
     "rubble": Replaceable(rubble, 3.2),
+    "stores": Replaceable(stores, 1.2, in_place=True),
+    "goods": Replaceable(pallet_load, 0.9, in_place=True),
+    "cages": Replaceable(cage, 1.6),
+    "machine": Replaceable(machine, 2.2),
+    "desk": Replaceable(desk, 1.0, in_place=True),
+    "cupboard": Replaceable(cupboard, 1.2, in_place=True),
+    "shelf": Replaceable(shelf, 0.9, in_place=True),
+    "table": Replaceable(table, 1.6, in_place=True),
+    "sofa": Replaceable(sofa, 1.1, in_place=True),
+    "plant": Replaceable(pot_plant, 0.4),
+    "printer": Replaceable(printer, 0.6, in_place=True),
 }
 """By kind. Of each the share that :class:`Conditions` names is replaced."""
 
@@ -89,10 +114,17 @@ class Footing:
         Middles of places where vehicles come and go.
     clearance : callable
         Distances of (n, 2) points from the nearest road.
+    interior : Interior or None
+        Whose walls nothing is put beyond.
     """
 
     def __init__(
-        self, triangles: Float32, terrain: Terrain, parked: Float64, clearance: Clearance
+        self,
+        triangles: Float32,
+        terrain: Terrain,
+        parked: Float64,
+        clearance: Clearance,
+        interior: Interior | None = None,
     ) -> None:
         corners = triangles.reshape(-1, 3)
         low = corners[corners[:, 2] < terrain.height(corners[:, 0], corners[:, 1]) + 2.5]
@@ -103,6 +135,7 @@ class Footing:
         self._taken = cKDTree(np.concatenate([_CELL_M * (np.argwhere(taken) + first), parked]))
         self._parked = cKDTree(parked) if len(parked) else None
         self._clearance = clearance
+        self.interior = interior
 
     def find(
         self, rng: np.random.Generator, near: Float64, radius: float, taken: list[Float64]
@@ -113,6 +146,8 @@ class Footing:
         free = (self._taken.query(spots)[0] > radius + 0.3) & (self._clearance(spots) > radius)
         if self._parked is not None:
             free &= self._parked.query(spots)[0] > radius + 2.7
+        if self.interior is not None:
+            free &= self.interior.inside(spots)
         if taken:
             apart = np.linalg.norm(spots[:, None] - np.array(taken), axis=2).min(axis=1)
             free &= apart > radius + 3.5
@@ -121,9 +156,10 @@ class Footing:
 
 @dataclass(frozen=True)
 class Extent:
-    """Where an object is: the middle of its plan, (2,), its height, and its triangles."""
+    """Where an object is: the middle of its plan, (2,), foot, height, and its triangles."""
 
     middle: Float64
+    base: float
     height: float
     triangles: Float32
 
@@ -132,7 +168,8 @@ class Extent:
         """Of the (T, 3, 3) triangles of one object."""
         points = triangles.reshape(-1, 3)
         low, high = points.min(axis=0), points.max(axis=0)
-        return Extent(((low + high) / 2)[:2].astype(np.float64), float(high[2] - low[2]), triangles)
+        middle = ((low + high) / 2)[:2].astype(np.float64)
+        return Extent(middle, float(low[2]), float(high[2] - low[2]), triangles)
 
 
 def replace_some(
@@ -151,12 +188,31 @@ def replace_some(
         if extent.height > entry.tallest or rng.random() >= share:
             continue
         gone.add(number)
+        if entry.in_place:
+            added.append((kind, _instead(rng, entry, extent, footing.interior)))
+            continue
         at = footing.find(rng, extent.middle, entry.radius, taken)
         mesh, yaw = entry.make(rng), float(rng.uniform(0, 2 * np.pi))
         if at is not None:
             taken.append(at)
             added.append((kind, mesh.moved([*at, float(terrain.height(*at))], yaw)))
     return gone, added
+
+
+def _instead(
+    rng: np.random.Generator, entry: Replaceable, extent: Extent, interior: Interior | None
+) -> Mesh:
+    """Another of its kind where one stood, either way round, square to the walls."""
+    turn = 0.0 if interior is None else interior.turn
+    span = np.ptp(extent.triangles.reshape(-1, 3)[:, :2] @ _turned(turn), axis=0)
+    mesh = entry.make(rng)
+    own = np.ptp(mesh.triangles.reshape(-1, 3)[:, :2], axis=0)
+    across = np.pi / 2 * ((span[0] > span[1]) != (own[0] > own[1]))
+    return mesh.moved([*extent.middle, extent.base], turn + across + np.pi * int(rng.integers(2)))
+
+
+def _turned(angle: float) -> Float64:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def scaffold(
@@ -201,7 +257,7 @@ def _street_side(extent: Extent, clearance: Clearance) -> tuple[Float64, Float64
     hull = points[ConvexHull(points).vertices]
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
-    turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
+    turns = [_turned(float(a)) for a in angles]
     R = min(turns, key=lambda turn: float(np.prod(np.ptp(hull @ turn, axis=0))))
     low, high = (hull @ R).min(axis=0), (hull @ R).max(axis=0)
     corner = np.array([low, [high[0], low[1]], high, [low[0], high[1]]]) @ R.T

@@ -63,10 +63,13 @@ class RoadNetwork:
     nodes : (n, 2) float64
         Junctions, metres.
     streets : tuple of Street
+    rounding_m : float
+        Over which corners are rounded when they are driven.
     """
 
     nodes: Float64
     streets: tuple[Street, ...]
+    rounding_m: float = 2.5
     _tree: tuple[cKDTree, Float64] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -181,6 +184,12 @@ def street_network(
         for a, b in kept
     )
     return RoadNetwork(nodes, streets)
+
+
+def straight(nodes: Float64, a: int, b: int, half_width: float) -> Street:
+    """A straight street between two of (n, 2) junctions."""
+    t = np.linspace(0, 1, max(3, int(np.linalg.norm(nodes[b] - nodes[a]) / 0.5)))[:, None]
+    return Street((a, b), nodes[a] + t * (nodes[b] - nodes[a]), half_width)
 
 
 def _lattice_pairs(count: int) -> Int64:

@@ -7,15 +7,22 @@ from collections.abc import Callable
 from .forest import forest
 from .industrial import industrial
 from .meadow import meadow
+from .mine import mine
+from .offices import building, offices
 from .park import park
 from .town import town
+from .warehouse import warehouse
 from .world import World
 
 SCENES: dict[str, Callable[..., World]] = {
+    "building": building,
     "forest": forest,
     "industrial": industrial,
     "meadow": meadow,
+    "mine": mine,
+    "offices": offices,
     "park": park,
     "town": town,
+    "warehouse": warehouse,
 }
 """Each is called with a seed, and ``size_m`` where its own default does not do."""

@@ -17,6 +17,8 @@ from ..objects.street import person
 from ..objects.terrain import Terrain
 from ..objects.vehicles import bicycle, vehicle
 from .changes import BUILT, REPLACEABLE, Extent, Footing, replace_some, road_works, scaffold
+from .interior import Interior
+from .movables import MOVABLES
 from .roads import RoadNetwork
 
 _ROAD_WORKS = 0.012  # at how many of the places to park they dig
@@ -65,11 +67,14 @@ class Spots:
         Where somebody may stand, one in a dozen at a time.
     bicycles : (k, 3) float64
         x, y, yaw of places to lean a bicycle.
+    movables : (j, 5) float64
+        x, y, yaw, storey and number in :data:`MOVABLES` of what is moved about indoors.
     """
 
     parking: Float64
     people: Float64
     bicycles: Float64
+    movables: Float64 = field(default_factory=lambda: np.zeros((0, 5)))
 
     @staticmethod
     def none() -> Spots:
@@ -94,6 +99,8 @@ class World:
     spots : Spots
     recipe : (callable, arguments) or None
         How to make the world again; with one, a pickled world is as small as its recipe.
+    interior : Interior or None
+        Of a world indoors: where its walls are, and its storeys.
     """
 
     name: str
@@ -104,7 +111,21 @@ class World:
     static: Objects
     spots: Spots
     recipe: tuple[Callable[..., World], tuple[Any, ...]] | None = None
+    interior: Interior | None = None
     _scenes: dict[tuple[int, Conditions], Scene] = field(default_factory=dict, repr=False)
+
+    def floor(self, storey: int = 0) -> Terrain:
+        """The ground that one stands on in a storey; outdoors there is but storey 0.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such storey.
+        """
+        heights = (0.0,) if self.interior is None else self.interior.storeys
+        if not 0 <= storey < len(heights):
+            raise ConfigError(f"{self.name} has {len(heights)} storeys from 0 on, not {storey}")
+        return self.terrain if storey == 0 else self.terrain.raised(heights[storey])
 
     def session(self, k: int, conditions: Conditions | None = None) -> Scene:
         """The world in session k: same houses, other parked cars and people.
@@ -136,10 +157,7 @@ class World:
         gone: set[int] = set()
         items: list[tuple[str, Mesh]] = []
         if conditions.replaced:
-            parked = self.spots.parking[:, :2]
-            footing = Footing(self.static.triangles, self.terrain, parked, self.roads.clearance)
-            things = self._extents(frozenset(REPLACEABLE))
-            gone, items = replace_some(rng, conditions.replaced, things, footing, self.terrain)
+            gone, items = self._replaced(rng, conditions.replaced)
         rng = np.random.default_rng([self.seed, 7933, k])
         if conditions.scaffolding:
             for _, (_, extent) in sorted(self._extents(BUILT).items()):
@@ -151,6 +169,31 @@ class World:
         stays = ~np.isin(self.static.object_ids, sorted(gone))
         added = Objects.of(items, (k + 1) * SESSION_IDS + SESSION_IDS // 2)
         return [self.static.only(stays), added]
+
+    def _floors(self) -> list[Terrain]:
+        count = 1 if self.interior is None else len(self.interior.storeys)
+        return [self.floor(storey) for storey in range(count)]
+
+    def _replaced(
+        self, rng: np.random.Generator, share: float
+    ) -> tuple[set[int], list[tuple[str, Mesh]]]:
+        """Ids of the things that are gone, and what stands instead, storey by storey."""
+        things = self._extents(frozenset(REPLACEABLE))
+        gone: set[int] = set()
+        items: list[tuple[str, Mesh]] = []
+        inside = self.interior
+        for storey, floor in enumerate(self._floors()):
+            standing, mine = self.static.triangles, things
+            if inside is not None:
+                base = float(floor.heights.min()) - 0.3
+                standing = standing[standing[..., 2].max(axis=1) > base]
+                mine = {k: v for k, v in things.items() if inside.storey(v[1].base) == storey}
+            parked = self.spots.parking[:, :2]
+            footing = Footing(standing, floor, parked, self.roads.clearance, inside)
+            lost, added = replace_some(rng, share, mine, footing, floor)
+            gone |= lost
+            items += added
+        return gone, items
 
     def _extents(self, kinds: frozenset[str]) -> dict[int, tuple[str, Extent]]:
         """The static objects of some kinds by id."""
@@ -174,12 +217,22 @@ class World:
                 items.append(("road works", self._stand(road_works(rng), spot, yaw)))
             elif rng.random() < odds:
                 items.append(("car", self._park(rng, x, y, yaw, longest)))
-        for x, y in self.spots.people[rng.random(len(self.spots.people)) < 1 / 12]:
-            at = np.array([x, y]) + rng.normal(0, 0.3, 2)
-            items.append(("person", self._stand(person(rng), at, rng.uniform(0, 2 * np.pi))))
+        floors = self._floors()
+        for floor in floors:
+            for x, y in self.spots.people[rng.random(len(self.spots.people)) < 1 / 12]:
+                at = np.array([x, y]) + rng.normal(0, 0.3, 2)
+                foot = [*at, float(floor.height(*at))]
+                items.append(("person", person(rng).moved(foot, rng.uniform(0, 2 * np.pi))))
         for x, y, yaw in self.spots.bicycles[rng.random(len(self.spots.bicycles)) < 0.5]:
             at = np.array([x, y]) + rng.normal(0, 0.2, 2)
             items.append(("bicycle", self._stand(bicycle(rng), at, yaw + rng.normal(0, 0.2))))
+        for x, y, yaw, storey, number in self.spots.movables:
+            thing = MOVABLES[int(number)]
+            if rng.random() < thing.odds:
+                at = np.array([x, y]) + rng.normal(0, 1, 2) * thing.shift_m
+                height = float(floors[int(storey)].height(*at))
+                turn = yaw + thing.turn * float(rng.normal())
+                items.append((thing.kind, thing.make(rng).moved([*at, height], turn)))
         return Objects.of(items, (k + 1) * SESSION_IDS)
 
     def _park(
@@ -206,4 +259,4 @@ class World:
         if self.recipe is not None:
             return self.recipe
         state = (self.name, self.seed, self.terrain, self.ground_reflectance)
-        return World, (*state, self.roads, self.static, self.spots)
+        return World, (*state, self.roads, self.static, self.spots, None, self.interior)
