@@ -44,6 +44,9 @@ class Scan:
     gravity : (3,) array, optional
         Direction of gravity, down, in the sensor frame, of any length: for roll and pitch where
         there is no pose. An accelerometer at rest measures its opposite.
+    T_base_sensor : (4, 4) array, optional
+        How the sensor is mounted on a base that mostly stands level: where neither pose nor
+        gravity is known, roll and pitch are looked for around there.
 
     Attributes
     ----------
@@ -56,7 +59,9 @@ class Scan:
         If a shape or dtype is wrong; the message names the fault.
     """
 
-    __slots__ = ("T_odom_sensor", "dropped", "gravity", "points", "stamp", "times")
+    __slots__ = (
+        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "points", "stamp", "times"),
+    )
 
     def __init__(
         self,
@@ -66,6 +71,7 @@ class Scan:
         stamp: float | None = None,
         T_odom_sensor: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
+        T_base_sensor: ArrayLike | None = None,
     ) -> None:
         xyz = checked_points(points)
         stamps = checked_times(times, len(xyz))
@@ -81,6 +87,9 @@ class Scan:
             None if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
         )
         self.gravity: Float64 | None = None if gravity is None else checked_direction(gravity)
+        self.T_base_sensor: Pose | None = (
+            None if T_base_sensor is None else checked_pose(T_base_sensor, "T_base_sensor")
+        )
 
     def __len__(self) -> int:
         return len(self.points)
