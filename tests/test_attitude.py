@@ -221,6 +221,10 @@ def test_where_roll_and_pitch_come_from() -> None:
     weighed = ACCUMULATOR.gather(Scan(points, gravity=other @ (-9.81 * Z)))
     assert weighed.attitude == "given"
     np.testing.assert_allclose(weighed.T_local_sensor[2, :3], other @ Z, atol=1e-12)
+    for error, expected, source in ((15.0, other @ Z, "given"), (90.0, R @ Z, "estimated")):
+        rough = ACCUMULATOR.gather(Scan(points, gravity=other @ -Z, gravity_error_deg=error))
+        assert rough.attitude == source
+        assert angle_deg(rough.T_local_sensor[2, :3], expected) < 0.2
     alone = ACCUMULATOR.gather(points)
     assert alone.attitude == "estimated"
     assert angle_deg(alone.T_local_sensor[2, :3], R @ Z) < 0.2
@@ -245,6 +249,9 @@ def test_gravity_of_any_length(length: float) -> None:
 def test_what_is_no_gravity_is_refused(gravity: object) -> None:
     with pytest.raises(InvalidScan, match="gravity"):
         Scan(np.zeros((1, 3)), gravity=gravity)  # type: ignore[arg-type]
+    for error in (-1.0, np.nan, 181.0):
+        with pytest.raises(InvalidScan, match="gravity_error_deg"):
+            Scan(np.zeros((1, 3)), gravity=-Z, gravity_error_deg=error)
 
 
 def test_rotation_is_yaw_after_pitch_after_roll() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from . import geometry
-from .attitude import AttitudeConfig, AttitudeEstimator
+from .attitude import AttitudeConfig, AttitudeEstimator, angle_deg
 from .errors import InvalidScan
 from .mounting import MountConfig
 from .section import Section
@@ -119,13 +119,15 @@ class Accumulator:
         return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
 
     def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
-        if scan.gravity is not None:
-            return -scan.gravity, "given"
-        level = self.level(scan)
-        if not self.config.attitude.estimate:
-            return level, "given"
-        found = self._attitudes.estimate(scan.points, level)
-        return (level, "assumed") if found is None else (found.up, "estimated")
+        weighed = scan.gravity is not None
+        expected = self.level(scan) if scan.gravity is None else -scan.gravity
+        if not self.config.attitude.estimate or (weighed and not scan.gravity_error_deg):
+            return expected, "given"
+        most = scan.gravity_error_deg if weighed else 180.0
+        found = self._attitudes.estimate(scan.points, expected)
+        if found is None or angle_deg(found.up, expected) > most:
+            return expected, "given" if weighed else "assumed"
+        return found.up, "estimated"
 
     def level(self, scan: Scan) -> NDArray[np.float64]:
         """Where up is in the sensor's frame while its base stands level, (3,) float64."""

@@ -44,6 +44,9 @@ class Scan:
     gravity : (3,) array, optional
         Direction of gravity, down, in the sensor frame, of any length: for roll and pitch where
         there is no pose. An accelerometer at rest measures its opposite.
+    gravity_error_deg : float
+        How far off that may be, in degrees: what the scan itself shows, within this of ``gravity``,
+        counts first. 0: gravity counts as it is.
     T_base_sensor : (4, 4) array, optional
         How the sensor is mounted on a base that mostly stands level: where neither pose nor
         gravity is known, roll and pitch are looked for around there.
@@ -60,7 +63,8 @@ class Scan:
     """
 
     __slots__ = (
-        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "points", "stamp", "times"),
+        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "gravity_error_deg", "points"),
+        *("stamp", "times"),
     )
 
     def __init__(
@@ -71,6 +75,7 @@ class Scan:
         stamp: float | None = None,
         T_odom_sensor: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
+        gravity_error_deg: float = 0.0,
         T_base_sensor: ArrayLike | None = None,
     ) -> None:
         xyz = checked_points(points)
@@ -87,6 +92,9 @@ class Scan:
             None if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
         )
         self.gravity: Float64 | None = None if gravity is None else checked_direction(gravity)
+        if not 0 <= gravity_error_deg <= 180:
+            raise InvalidScan(f"gravity_error_deg must be from 0 to 180, not {gravity_error_deg!r}")
+        self.gravity_error_deg = gravity_error_deg
         self.T_base_sensor: Pose | None = (
             None if T_base_sensor is None else checked_pose(T_base_sensor, "T_base_sensor")
         )
