@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from .checks import (
     MOST_LOCAL_METRES,
     check_finite,
+    checked_angle,
     checked_direction,
     checked_points,
     checked_pose,
     checked_rows,
     checked_stamp,
     checked_times,
+    pose_if_given,
 )
 from .checks import Float32 as Float32
 from .checks import Float64 as Float64
@@ -88,16 +90,10 @@ class Scan:
         self.points: Float32 = xyz
         self.times: Float64 | None = stamps
         self.stamp = checked_stamp(stamp)
-        self.T_odom_sensor: Pose | None = (
-            None if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
-        )
+        self.T_odom_sensor = pose_if_given(T_odom_sensor, "T_odom_sensor")
         self.gravity: Float64 | None = None if gravity is None else checked_direction(gravity)
-        if not 0 <= gravity_error_deg <= 180:
-            raise InvalidScan(f"gravity_error_deg must be from 0 to 180, not {gravity_error_deg!r}")
-        self.gravity_error_deg = gravity_error_deg
-        self.T_base_sensor: Pose | None = (
-            None if T_base_sensor is None else checked_pose(T_base_sensor, "T_base_sensor")
-        )
+        self.gravity_error_deg = checked_angle(gravity_error_deg, "gravity_error_deg")
+        self.T_base_sensor = pose_if_given(T_base_sensor, "T_base_sensor")
 
     def __len__(self) -> int:
         return len(self.points)
