@@ -32,7 +32,7 @@ LAYERS = (
     Layer("map.build map.update", together=True),
     Layer("config"),
     Layer("local_cloud segmentation matching pose registration verification map", together=True),
-    Layer("attitude"),
+    Layer("attitude mounting"),
     Layer("descriptors"),
     Layer("io"),
     Layer("motion processes system files tensor_file stage_times yamlfile"),

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from . import _native
+from . import _native, geometry
 from .section import Section
 from .types import Float32, Float64
 
+_Z = np.array([0.0, 0.0, 1.0])
 _STEP_DEG = 4.0
 _START_DEG = 8.0
 _TOLERANCES_DEG = (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0)
@@ -28,7 +29,11 @@ class AttitudeConfig(Section):
         True, description="estimate them from the scan; otherwise it is taken as level"
     )
     max_tilt_deg: float = Field(
-        40.0, ge=0, le=80, description="the sensor's z axis is at most so far from vertical"
+        40.0,
+        ge=0,
+        le=80,
+        description="the vertical is at most so far from the sensor's z axis, or from where its "
+        "mounting has it",
     )
     radius_m: float = Field(30.0, ge=1, le=1000, description="points this near the sensor are used")
     voxel_size: float = Field(
@@ -63,13 +68,18 @@ class Attitude:
     @property
     def tilt_deg(self) -> float:
         """The angle between the sensor's z axis and the vertical."""
-        return math.degrees(math.acos(min(1.0, max(-1.0, float(self.up[2])))))
+        return angle_deg(self.up, _Z)
+
+
+def angle_deg(a: Float64, b: Float64) -> float:
+    """The angle between two (3,) vectors, degrees; exact for small ones too."""
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)))
 
 
 class AttitudeEstimator:
     """Finds the vertical to which floors and ceilings are normal and walls parallel.
 
-    Normals of flat places vote for directions on a grid around the sensor's z axis; the best is
+    Normals of flat places vote for directions on a grid around where up is expected; the best is
     refined by least squares over the normals that agree, with a tolerance that shrinks.
     """
 
@@ -77,19 +87,24 @@ class AttitudeEstimator:
         self.config = config or AttitudeConfig()
         self._grid = _directions(self.config.max_tilt_deg)
 
-    def estimate(self, points: Float32) -> Attitude | None:
+    def estimate(self, points: Float32, expected: Float64 = _Z) -> Attitude | None:
         """The attitude of the sensor; None where too little that is flat is in view.
 
         Parameters
         ----------
         points : (N, 3) float32
             Sensor frame.
+        expected : (3,) float64
+            Unit vector: about where up is. Of the directions that floors and walls allow, the one
+            within ``max_tilt_deg`` of it is meant.
         """
         normals = self._normals(points)
         if len(normals) < self.config.min_normals:
             return None
-        found = _refined(normals, self._grid[_agreement(normals, self._grid).argmax()])
-        if found.tilt_deg > self.config.max_tilt_deg or found.sigma_deg > self.config.max_sigma_deg:
+        grid = self._grid @ geometry.upright(expected)[:3, :3]
+        found = _refined(normals, grid[_agreement(normals, grid).argmax()])
+        off = angle_deg(found.up, expected)
+        if off > self.config.max_tilt_deg or found.sigma_deg > self.config.max_sigma_deg:
             return None
         return found
 

@@ -124,6 +124,23 @@ def checked_direction(direction: ArrayLike) -> Float64:
     return vector
 
 
+def checked_angle(degrees: float, name: str) -> float:
+    """An angle from 0 to 180 degrees.
+
+    Raises
+    ------
+    InvalidScan
+        If it is none.
+    """
+    try:
+        value = float(degrees)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"{name} must be a number of degrees, not {degrees!r:.60}") from error
+    if not 0 <= value <= 180:
+        raise InvalidScan(f"{name} must be from 0 to 180, not {value}")
+    return value
+
+
 def checked_stamp(stamp: float | None) -> float | None:
     """A stamp as a finite float, or None.
 
@@ -165,6 +182,11 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InvalidScan(f"{name} must end with the row 0 0 0 1")
     return T
+
+
+def pose_if_given(pose: ArrayLike | None, name: str) -> Pose | None:
+    """As :func:`checked_pose`, or None."""
+    return None if pose is None else checked_pose(pose, name)
 
 
 def are_rotations(R: Float64) -> NDArray[np.bool_]:

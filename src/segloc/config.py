@@ -16,6 +16,7 @@ from .map.config import MappingConfig
 from .map.merge import TEXT_SEPARATOR
 from .map.segment_map import SegmentMap
 from .matching import MatchingConfig
+from .mounting import MountConfig
 from .pose import PoseConfig
 from .section import Section
 from .segmentation import SegmentationConfig
@@ -35,6 +36,10 @@ FOR_USERS = (
     "local_cloud.window_m",
     "local_cloud.max_gap_m",
     "local_cloud.attitude.estimate",
+    "local_cloud.mount.xyz_m",
+    "local_cloud.mount.rpy_deg",
+    "local_cloud.mount.matrix",
+    "local_cloud.mount.poses_of_base",
     "mapping.views",
     "matching.neighbours",
     "matching.escalation",
@@ -101,7 +106,7 @@ class Config(Section):
 
 
 def map_config(prior_map: SegmentMap) -> Config:
-    """The configuration that a map was built with, but for its number of threads.
+    """The configuration that a map was built with, but for threads and how its sensor was mounted.
 
     A map that keeps none, or one of another version, is taken to be built with the preset of its
     method. One that was merged of maps built differently keeps several: the first counts.
@@ -116,7 +121,12 @@ def map_config(prior_map: SegmentMap) -> Config:
         return Config.preset(prior_map.descriptor)
     if stored.method != prior_map.descriptor:
         return Config.preset(prior_map.descriptor)
-    return stored
+    return _unmounted(stored)
+
+
+def _unmounted(config: Config) -> Config:
+    local_cloud = config.local_cloud.model_copy(update={"mount": MountConfig()})
+    return config.model_copy(update={"local_cloud": local_cloud})
 
 
 def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, tuple[str, ...]]:
@@ -169,7 +179,8 @@ def _plain(value: Any) -> Any:
 
 def _shared(config: Config) -> dict[str, Any]:
     """What maps and queries should agree on."""
-    return config.model_dump(mode="json", include={"local_cloud", "segmentation"})
+    chosen = {"local_cloud", "segmentation"}
+    return _unmounted(config).model_dump(mode="json", include=chosen)
 
 
 def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Iterator[str]:

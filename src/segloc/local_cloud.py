@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from . import geometry
-from .attitude import AttitudeConfig, AttitudeEstimator
+from .attitude import AttitudeConfig, AttitudeEstimator, angle_deg
 from .errors import InvalidScan
+from .mounting import MountConfig
 from .section import Section
 from .types import AttitudeSource, LocalCloud, Pose, Scan
 
@@ -31,6 +32,7 @@ class LocalCloudConfig(Section):
         10.0, gt=0, le=10_000, description="a longer step between scans ends the window"
     )
     attitude: AttitudeConfig = AttitudeConfig()
+    mount: MountConfig = MountConfig()
 
 
 def window(
@@ -87,7 +89,8 @@ class Accumulator:
         scans : Scan, (N, 3) array, or list of Scan
             With more than one scan, each needs its ``T_odom_sensor``. The roll and pitch of a
             single scan are those of its pose; without one, of its gravity; without either, they
-            are estimated from the scan, or where that fails it is taken as level.
+            are estimated from the scan. Where that fails the base is taken as level, on which the
+            sensor is mounted as the configuration, or else the scan's ``T_base_sensor``, says.
         reference : int
             The scan whose pose is wanted; the last one by default.
 
@@ -116,12 +119,21 @@ class Accumulator:
         return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
 
     def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
-        if scan.gravity is not None:
-            return -scan.gravity, "given"
-        if not self.config.attitude.estimate:
-            return _Z, "given"
-        found = self._attitudes.estimate(scan.points)
-        return (_Z, "assumed") if found is None else (found.up, "estimated")
+        weighed = scan.gravity is not None
+        expected = self.level(scan) if scan.gravity is None else -scan.gravity
+        if not self.config.attitude.estimate or (weighed and not scan.gravity_error_deg):
+            return expected, "given"
+        most = scan.gravity_error_deg if weighed else 180.0
+        found = self._attitudes.estimate(scan.points, expected)
+        if found is None or angle_deg(found.up, expected) > most:
+            return expected, "given" if weighed else "assumed"
+        return found.up, "estimated"
+
+    def level(self, scan: Scan) -> NDArray[np.float64]:
+        """Where up is in the sensor's frame while its base stands level, (3,) float64."""
+        configured = self.config.mount.T_base_sensor
+        T_base_sensor = scan.T_base_sensor if configured is None else configured
+        return _Z if T_base_sensor is None else T_base_sensor[2, :3].copy()
 
     def _crop(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         radius = self.config.radius_m

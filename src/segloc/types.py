@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from .checks import (
     MOST_LOCAL_METRES,
     check_finite,
+    checked_angle,
     checked_direction,
     checked_points,
     checked_pose,
     checked_rows,
     checked_stamp,
     checked_times,
+    pose_if_given,
 )
 from .checks import Float32 as Float32
 from .checks import Float64 as Float64
@@ -44,6 +46,12 @@ class Scan:
     gravity : (3,) array, optional
         Direction of gravity, down, in the sensor frame, of any length: for roll and pitch where
         there is no pose. An accelerometer at rest measures its opposite.
+    gravity_error_deg : float
+        How far off that may be, in degrees: what the scan itself shows, within this of ``gravity``,
+        counts first. 0: gravity counts as it is.
+    T_base_sensor : (4, 4) array, optional
+        How the sensor is mounted on a base that mostly stands level: where neither pose nor
+        gravity is known, roll and pitch are looked for around there.
 
     Attributes
     ----------
@@ -56,7 +64,10 @@ class Scan:
         If a shape or dtype is wrong; the message names the fault.
     """
 
-    __slots__ = ("T_odom_sensor", "dropped", "gravity", "points", "stamp", "times")
+    __slots__ = (
+        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "gravity_error_deg", "points"),
+        *("stamp", "times"),
+    )
 
     def __init__(
         self,
@@ -66,6 +77,8 @@ class Scan:
         stamp: float | None = None,
         T_odom_sensor: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
+        gravity_error_deg: float = 0.0,
+        T_base_sensor: ArrayLike | None = None,
     ) -> None:
         xyz = checked_points(points)
         stamps = checked_times(times, len(xyz))
@@ -77,10 +90,10 @@ class Scan:
         self.points: Float32 = xyz
         self.times: Float64 | None = stamps
         self.stamp = checked_stamp(stamp)
-        self.T_odom_sensor: Pose | None = (
-            None if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
-        )
+        self.T_odom_sensor = pose_if_given(T_odom_sensor, "T_odom_sensor")
         self.gravity: Float64 | None = None if gravity is None else checked_direction(gravity)
+        self.gravity_error_deg = checked_angle(gravity_error_deg, "gravity_error_deg")
+        self.T_base_sensor = pose_if_given(T_base_sensor, "T_base_sensor")
 
     def __len__(self) -> int:
         return len(self.points)

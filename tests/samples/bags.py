@@ -37,6 +37,7 @@ CustomPoint[] points
 CLOUD = "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"
 ODOMETRY = "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
 
 
 @dataclass
@@ -168,6 +169,34 @@ class BagWriter:
             twist=self.make(f"{spread}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )  # fmt: skip
         self.add(topic, ODOMETRY, stamp, message)
+
+    def imu(
+        self,
+        topic: str,
+        stamp: float,
+        acceleration: Float64,
+        frame: str = "imu",
+        *,
+        orientation: Float64 | None = None,
+    ) -> None:
+        """What an accelerometer measures, and R_world_imu where it is known."""
+        known = orientation is not None
+        T = np.eye(4)
+        if orientation is not None:
+            T[:3, :3] = orientation
+        vector = "geometry_msgs/msg/Vector3"
+        felt = dict(zip("xyz", map(float, acceleration), strict=True))
+        spread = np.full(9, 1e-4 if known else 0.0)
+        message = self.make(
+            IMU,
+            header=self.header(stamp, frame), orientation=self._transform(T)[1],
+            orientation_covariance=spread,
+            angular_velocity=self.make(vector, x=0.0, y=0.0, z=0.0),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self.make(vector, **felt),
+            linear_acceleration_covariance=np.zeros(9),
+        )  # fmt: skip
+        self.add(topic, IMU, stamp, message)
 
     def tf(self, topic: str, stamp: float, T: Float64, parent: str, child: str) -> None:
         xyz, quaternion = self._transform(T)

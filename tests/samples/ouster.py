@@ -141,13 +141,24 @@ def ip_packets(content: bytes, number: int, port: int = PORT, mtu: int = 1500) -
     return frames
 
 
-def capture(path: Path, sent: list[tuple[float, bytes]], mtu: int = 1500, port: int = PORT) -> Path:
+def imu_packet(acceleration: tuple[float, float, float]) -> bytes:
+    """What the sensor's IMU sends: three times, acceleration in g, angular velocity."""
+    return struct.pack("<3Q6f", 1, 2, 3, *acceleration, 0.0, 0.0, 0.0)
+
+
+def capture(
+    path: Path,
+    sent: list[tuple[float, bytes]],
+    mtu: int = 1500,
+    port: int = PORT,
+    imu: bytes = bytes(48),
+) -> Path:
     """A capture of datagrams, among those that an IMU sends."""
     content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
     for number, (stamp, data) in enumerate(sent):
         frames = ip_packets(data, 2 * number, port, mtu)
         if number % 10 == 0:
-            frames[1:1] = ip_packets(bytes(48), 2 * number + 1, port + 1)
+            frames[1:1] = ip_packets(imu, 2 * number + 1, port + 1)
         for frame in frames:
             seconds, rest = divmod(round(stamp * 1e6), 10**6)
             content += struct.pack("<IIII", seconds, rest, len(frame), len(frame)) + frame

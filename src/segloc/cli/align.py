@@ -65,8 +65,11 @@ def align(
     settings = validated(AlignConfig, {"every_m": every, "min_support": min_support}, "alignment")
     chosen = load_config(config, method, threads)
     count = len(sequences)
+    mount = chosen.local_cloud.mount
     recordings = [
-        open_recording(path, file, scans, topic=topic, deskew=deskew, odometry=odometry)
+        open_recording(
+            path, file, scans, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+        )
         for path, file, scans in zip(
             sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
         )

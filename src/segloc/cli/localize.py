@@ -55,17 +55,19 @@ def localize(
     from ..datasets import poses_at
     from ..map.segment_map import SegmentMap
     from .console import progress
-    from .recording import open_recording
+    from .recording import open_recording, place_of_sensor
     from .results import check_folder, write_results
 
     check_every(every)
     check_folder(out)
     prior = SegmentMap.load(prior_map)
     localizer = open_localizer(prior, config, threads, weights)
+    mount = localizer.config.local_cloud.mount
     recording = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
     )
-    truths = None if truth is None else poses_at(recording, sequence, truth, topic)
+    T = place_of_sensor(mount)
+    truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
     with progress("Localizing") as update:

@@ -52,7 +52,13 @@ def build(
     checked_target(out)
     settings = load_config(config, method, threads, weights)
     recording = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry
+        sequence,
+        poses,
+        select,
+        topic=topic,
+        deskew=deskew,
+        odometry=odometry,
+        mount=settings.local_cloud.mount,
     )
     if recording.poses is None:
         raise DatasetError(

@@ -56,7 +56,8 @@ def update(
     with writing(out):
         prior = SegmentMap.load(prior_map)
         chosen = map_settings(prior, config, threads, weights)
-        recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew)
+        mount = chosen.local_cloud.mount
+        recording = open_recording(sequence, poses, select, topic=topic, deskew=deskew, mount=mount)
         with progress("Looking at the map") as bar:
             updated, counts = update_map(
                 prior, recording, chosen, settings, bar, elsewhere=elsewhere

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..datasets import Sequence
+    from ..mounting import MountConfig
+    from ..types import Pose
 
 
 def open_recording(
@@ -17,11 +19,12 @@ def open_recording(
     topic: str | None = None,
     deskew: bool = True,
     odometry: bool = False,
+    mount: MountConfig | None = None,
 ) -> Sequence:
     """Open a recording as :func:`~segloc.datasets.open_sequence` does.
 
     With ``odometry`` its poses are those of the odometry file beside it, which is written where
-    there is none yet.
+    there is none yet. They are the sensor's; others are those of its base if ``mount`` says so.
     """
     from ..datasets import open_sequence
     from ..errors import ConfigError
@@ -31,10 +34,16 @@ def open_recording(
         if poses is not None:
             raise ConfigError("--odometry and --poses exclude each other")
         poses = odometry_of(path, topic)
-    sequence = open_sequence(path, poses, select, topic=topic, deskew=deskew)
+    T = None if odometry else place_of_sensor(mount)
+    sequence = open_sequence(path, poses, select, topic=topic, deskew=deskew, T_base_sensor=T)
     for line in getattr(sequence, "notes", ()):
         note(line)
     return sequence
+
+
+def place_of_sensor(mount: MountConfig | None) -> Pose | None:
+    """T_base_sensor where poses in files are those of the base."""
+    return mount.T_base_sensor if mount is not None and mount.poses_of_base else None
 
 
 def odometry_of(path: Path, topic: str | None = None) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError
-from ..types import Float64
+from ..types import Float64, Pose
 from ..types import Recording as Recording
 from .base import Derived as Derived
 from .base import Selection as Selection
@@ -30,6 +30,7 @@ def open_sequence(
     *,
     topic: str | None = None,
     deskew: bool = True,
+    T_base_sensor: Pose | None = None,
 ) -> Sequence:
     """Open a recording as the command line names it; its format is recognised. No scan is read.
 
@@ -48,6 +49,9 @@ def open_sequence(
     deskew : bool
         Whether points with times of their own are moved, along the poses, to where they would be
         at the scan's stamp.
+    T_base_sensor : (4, 4) float64, optional
+        Where the sensor is on the body that ``poses`` are of, or a bag's odometry of a body that
+        its tf does not have the sensor on. Other poses that come with a recording are the sensor's.
 
     Raises
     ------
@@ -61,7 +65,7 @@ def open_sequence(
     """
     where = Path(path)
     try:
-        return _opened(where, poses, select, topic, deskew)
+        return _opened(where, poses, select, topic, deskew, T_base_sensor)
     except DatasetError as error:
         text = str(error)
         if any(str(file) in text for file in (where, poses) if file is not None):
@@ -80,6 +84,7 @@ def _opened(
     select: str | Selection | None,
     topic: str | None,
     deskew: bool,
+    T_base_sensor: Pose | None,
 ) -> Sequence:
     from .formats import identify
 
@@ -91,13 +96,15 @@ def _opened(
     if known is None:
         if topic is not None:
             raise DatasetError(f"{where}: a folder of scans has no topics, so no {topic!r}")
-        sequence = FolderSequence(where, file, deskew=deskew)
+        sequence = FolderSequence(where, file, deskew=deskew, T_base_sensor=T_base_sensor)
     else:
         layout, root, sensor = known
         found = layout.find(root, topic or sensor)
         if topic is not None and found.topic is None:
             raise DatasetError(f"{where}: {found.format} has no topics, so no {topic!r}")
-        sequence = assembled(found, file, own_poses=not without, deskewed=deskew)
+        sequence = assembled(
+            found, file, own_poses=not without, deskewed=deskew, T_base_sensor=T_base_sensor
+        )
     if selection is not None:
         sequence = sequence.select(selection)
     _ = sequence.poses  # raises where they do not cover the scans
@@ -105,7 +112,12 @@ def _opened(
 
 
 def poses_at(
-    recording: Recording, path: str | Path, poses: str | Path, topic: str | None = None
+    recording: Recording,
+    path: str | Path,
+    poses: str | Path,
+    topic: str | None = None,
+    *,
+    T_base_sensor: Pose | None = None,
 ) -> Float64:
     """Other poses of a recording's scans, scan for scan: the true ones, to score against.
 
@@ -113,7 +125,7 @@ def poses_at(
     ----------
     recording : Recording
         Opened from ``path``, perhaps a selection of it.
-    path, poses, topic
+    path, poses, topic, T_base_sensor
         As for :func:`open_sequence`.
 
     Returns
@@ -126,7 +138,7 @@ def poses_at(
         If a scan has none.
     """
     same = Selection(tuple((int(i), int(i)) for i in recording.indices))
-    known = open_sequence(path, poses, same, topic=topic)
+    known = open_sequence(path, poses, same, topic=topic, T_base_sensor=T_base_sensor)
     missing = np.setdiff1d(recording.indices, known.indices)
     if known.poses is None or len(missing):
         which = f"{len(missing)} scans, the first {missing[0]}" if len(missing) else "any scan"

@@ -13,8 +13,9 @@ from ..errors import DatasetError
 from ..io.fields import faults_of
 from ..io.scans import read_file
 from ..motion import Motion, deskew
-from ..types import Float64, Int64, Scan, stamp_at
+from ..types import Float64, Int64, Pose, Scan, stamp_at
 from .base import Selection
+from .gravity import GravitySource
 from .tracks import Track, read_track
 
 _LONGEST_SCAN_S = 1.0  # point times that stray farther from the scan's stamp are on another clock
@@ -85,6 +86,12 @@ class Found:
         Reads the poses that come with the recording; None where there are none.
     own_poses : callable
         A track from a file in the dataset's own format; None for a file of another format.
+    base_track : Track or None
+        The poses that come with the recording where they are of a body that nothing says where the
+        sensor is on.
+    T_base_sensor : (4, 4) float64 or None
+        How the sensor is mounted, where the recording says so.
+    gravity : GravitySource or None
     """
 
     name: str
@@ -98,6 +105,9 @@ class Found:
     topic: str | None = None
     own_track: Callable[[], Track | None] = field(default=lambda: None, repr=False)
     own_poses: Callable[[Path], Track | None] = field(default=lambda path: None, repr=False)
+    base_track: Track | None = field(default=None, repr=False)
+    T_base_sensor: Pose | None = None
+    gravity: GravitySource | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +131,10 @@ class RecordedSequence:
     motion : Motion or None
         What points with times are corrected by, to where they would be at the scan's stamp.
     notes : tuple of str
+    T_base_sensor : (4, 4) float64 or None
+        How the sensor is mounted on its robot or vehicle, where that is known.
+    gravity : GravitySource or None
+        Of scans without poses.
     """
 
     name: str
@@ -135,6 +149,8 @@ class RecordedSequence:
     track: Track | None
     motion: Motion | None
     notes: tuple[str, ...]
+    T_base_sensor: Pose | None = None
+    gravity: GravitySource | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -152,6 +168,9 @@ class RecordedSequence:
         scan = corrected(scan, self.motion, stamp)
         scan.stamp = stamp
         scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
+        scan.T_base_sensor = self.T_base_sensor
+        if self.gravity is not None and (felt := self.gravity.at(int(self.rows[i]))):
+            scan.gravity, scan.gravity_error_deg = felt.direction, felt.error_deg
         return scan
 
     def raw(self, i: int) -> Scan:
@@ -209,7 +228,12 @@ def times_fit(scan: Scan) -> bool:
 
 
 def assembled(
-    found: Found, poses: Path | None, *, own_poses: bool = True, deskewed: bool = True
+    found: Found,
+    poses: Path | None,
+    *,
+    own_poses: bool = True,
+    deskewed: bool = True,
+    T_base_sensor: Pose | None = None,
 ) -> RecordedSequence:
     """A sequence of the scans that a reader found, with the poses that were asked for.
 
@@ -223,6 +247,8 @@ def assembled(
     own_poses : bool
         Whether to take the recording's own where no file is given.
     deskewed : bool
+    T_base_sensor : (4, 4) float64, optional
+        Where the sensor is on the body that the poses are of, if they are not the sensor's.
 
     Raises
     ------
@@ -231,11 +257,7 @@ def assembled(
     """
     if not len(found.source):
         raise DatasetError(f"{found.name}: {found.format} without any scan")
-    track = None
-    if poses is not None:
-        track = found.own_poses(poses) or read_track(poses, found.indices, found.stamps)
-    elif own_poses:
-        track = found.own_track()
+    track = _chosen(found, poses, own_poses, T_base_sensor)
     at_scans, motion, notes = None, None, list(found.notes)
     if track is not None:
         at_scans = track.at(found.indices, found.stamps)
@@ -245,12 +267,30 @@ def assembled(
     sequence = RecordedSequence(
         found.name, found.format, found.frame, found.fields, found.source,
         np.arange(len(found.source)), found.indices, found.stamps, at_scans, track, motion,
-        tuple(notes),
+        tuple(notes), found.T_base_sensor if T_base_sensor is None else T_base_sensor,
     )  # fmt: skip
     if track is None or at_scans is None:
-        return sequence
+        notes += [found.gravity.note] if found.gravity and found.gravity.note else []
+        return replace(sequence, gravity=found.gravity, notes=tuple(notes))
     known = np.isfinite(at_scans[:, 0, 0])
     if known.all():
         return sequence
     lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
     return replace(sequence._part(known), notes=(*notes, lost))
+
+
+def _chosen(
+    found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
+) -> Track | None:
+    """The track that was asked for, of the sensor."""
+    if poses is not None:
+        if (track := found.own_poses(poses)) is not None:
+            return track
+        track = read_track(poses, found.indices, found.stamps)
+        return track if T_base_sensor is None else track.moved(T_base_sensor)
+    if not own_poses:
+        return None
+    track = found.own_track()
+    if track is None and found.base_track is not None and T_base_sensor is not None:
+        return found.base_track.moved(T_base_sensor)
+    return track

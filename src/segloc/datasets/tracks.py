@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -90,6 +90,10 @@ class Track:
                 f"from {_span(stamps)} ({self.clock})"
             )
         return found
+
+    def moved(self, T_body_sensor: Pose) -> Track:
+        """The track of a sensor that is fixed on the body that this one is of."""
+        return replace(self, poses=self.poses @ T_body_sensor)
 
     @property
     def gaps(self) -> Float64:

@@ -95,18 +95,13 @@ def levelling(axes: Float64) -> Pose:
     axes : (N, 3) float64
         Sensor frame.
     """
-    T = np.eye(4)
     if not len(axes):
-        return T
+        return np.eye(4)
     up = np.median(axes, axis=0)
     length = float(np.linalg.norm(up))
     if length < _LEAST_UP or up[2] < _LEAST_UP * length:
-        return T  # they point all ways, or lie: nothing is known of gravity
-    up /= length
-    ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    ahead /= np.linalg.norm(ahead)
-    T[:3, :3] = [ahead, np.cross(up, ahead), up]
-    return T
+        return np.eye(4)  # they point all ways, or lie: nothing is known of gravity
+    return geometry.upright(up)
 
 
 _LEAST_UP = 0.2

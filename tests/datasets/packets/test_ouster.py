@@ -11,7 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from samples.datasets import START, Drive
-from samples.ouster import COLUMNS, PIXELS, TURN_S, Ouster, capture, ip_packets, recorded
+from samples.ouster import (
+    COLUMNS,
+    PIXELS,
+    TURN_S,
+    Ouster,
+    capture,
+    imu_packet,
+    ip_packets,
+    recorded,
+)
 
 from segloc.datasets import RecordedSequence, open_sequence
 from segloc.datasets.packets.ouster_packets import read_sensor
@@ -79,6 +88,29 @@ def test_points_are_those_of_the_sdk(profile: str, tmp_path: Path) -> None:
     theirs = theirs[frame.field("RANGE").T.reshape(-1) > 0]
     ours = open_sequence(recorded(tmp_path / "drive.pcap", sensor, 2)).scan(0)
     np.testing.assert_allclose(ours.points, theirs, atol=2e-5)
+
+
+def test_gravity_of_the_sensors_own_imu(tmp_path: Path) -> None:
+    """A tenth of the packets are its; it is turned in the sensor's housing."""
+    sensor = Ouster()
+    metadata = sensor.metadata()
+    turned = [0, 1, 0, 6.2, -1, 0, 0, -11.7, 0, 0, 1, 7.6, 0, 0, 0, 1]
+    metadata["imu_intrinsics"]["imu_to_sensor_transform"] = turned
+    metadata["config_params"]["udp_port_imu"] = 7503
+    (tmp_path / "drive.json").write_text(json.dumps(metadata))
+    sent = sensor.packets(4)
+    path = capture(tmp_path / "drive.pcap", sent, imu=imu_packet((0.3, 0.0, 0.95)))
+    sequence = open_sequence(path)
+    check(sequence.scan(1), sensor, 1)
+    np.testing.assert_allclose(sequence.scan(1).gravity, [0, 0.301, -0.954], atol=1e-3)
+    assert sequence.scan(1).gravity_error_deg > 0
+    for wrong in ((0.3, 0.0, 0.5), (np.nan, 0.0, 1.0)):
+        capture(path, sent, imu=imu_packet(wrong))
+        assert open_sequence(path).scan(1).gravity is None
+    metadata["config_params"]["udp_profile_imu"] = "ACCEL32_GYRO32_NMEA"  # another layout
+    (tmp_path / "drive.json").write_text(json.dumps(metadata))
+    capture(path, sent, imu=imu_packet((0.3, 0.0, 0.95)))
+    assert open_sequence(path).scan(1).gravity is None
 
 
 def test_packets_that_are_late_lost_or_repeated_numbers(tmp_path: Path) -> None:
@@ -190,7 +222,7 @@ def test_packets_in_a_bag(kind: str, tmp_path: Path) -> None:
     for stamp, data in sensor.packets(3):
         buffer = np.frombuffer(data + b"\0" * (kind == "ros1"), np.uint8)
         bag.add("/ouster/lidar_packets", message, stamp, bag.make(message, buf=buffer))
-        imu = bag.make(message, buf=np.zeros(48, np.uint8))
+        imu = bag.make(message, buf=np.frombuffer(imu_packet((0.1, 0.0, 1.0)), np.uint8))
         bag.add("/ouster/imu_packets", message, stamp, imu)
         bag.odometry("/odom", stamp - 0.01, drive.pose(stamp - 0.01), "os_sensor")
     bare = bag.messages.copy()
@@ -201,6 +233,9 @@ def test_packets_in_a_bag(kind: str, tmp_path: Path) -> None:
     assert (len(sequence), sequence.frame) == (3, "os_sensor")
     assert sequence.stamps is not None
     np.testing.assert_allclose(sequence.stamps[0], START + TURN_S * 16 / COLUMNS, atol=2e-6)
+    assert sequence.scan(1).gravity is None  # there are poses
+    alone = open_sequence(bag.write(tmp_path / "alone"), "none")
+    np.testing.assert_allclose(alone.scan(1).gravity, [-0.0995, 0, -0.995], atol=1e-4)
     for turn in (2, 0):
         check(sequence.raw(turn), sensor, turn)
     assert sequence.poses is not None

@@ -48,6 +48,8 @@ class FolderSequence:
     deskew : bool
         Whether points with times are moved, along the poses, to where they would be at the start
         of the scan. Needs poses in seconds.
+    T_base_sensor : (4, 4) float64, optional
+        Where the sensor is on the body that the poses are of, if they are not the sensor's.
 
     Attributes
     ----------
@@ -70,7 +72,12 @@ class FolderSequence:
     notes: tuple[str, ...] = ()
 
     def __init__(
-        self, folder: str | Path, poses: str | Path | None = None, *, deskew: bool = False
+        self,
+        folder: str | Path,
+        poses: str | Path | None = None,
+        *,
+        deskew: bool = False,
+        T_base_sensor: Pose | None = None,
     ) -> None:
         folder = Path(folder)
         self.name = folder.resolve().name
@@ -78,6 +85,9 @@ class FolderSequence:
         paths = _scan_paths(folder, self._poses_path)
         indices = _indices(paths, folder)
         found, stamps = _find_poses(self._poses_path, indices)
+        if T_base_sensor is not None:
+            found = [None if pose is None else pose @ T_base_sensor for pose in found]
+        self._T_base_sensor = T_base_sensor
         self._items = [_Item(*item) for item in zip(paths, indices, found, stamps, strict=True)]
         track = self.poses if deskew and len(paths) > 1 and stamps[0] is not None else None
         self._motion = None if track is None else Motion(np.array(stamps, np.float64), track)
@@ -138,6 +148,7 @@ class FolderSequence:
         scan = corrected(scan, self._motion, item.stamp)
         scan.stamp = item.stamp
         scan.T_odom_sensor = None if pose is None else pose.copy()
+        scan.T_base_sensor = self._T_base_sensor
         return scan
 
     def _pose(self, item: _Item) -> Pose:

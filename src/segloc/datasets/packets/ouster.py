@@ -12,6 +12,7 @@ from ...errors import DatasetError
 from ...io.fields import faults_of
 from ...io.scans import read_file
 from ...types import Scan
+from ..gravity import Accelerometer, GravitySource
 from ..layout import choose
 from ..recorded import Found
 from .captures import datagrams, mapped
@@ -43,9 +44,11 @@ def find(path: Path, topic: str | None) -> Found:
     sensor = read_sensor(read_file(present[name]), str(present[name]))
     count = 0
     with mapped(path) as data:
-        packets = []
+        packets, felt = [], []
         for datagram in datagrams(data):
             count += 1
+            if sensor.sent_by_imu(datagram.size, datagram.port):
+                felt.append((datagram.stamp, *sensor.acceleration(datagram.content(data))))
             if sensor.sent(datagram.size, datagram.port):
                 number = sensor.frame_id(datagram.content(data))
                 packets.append((number, datagram.stamp, datagram.first, datagram.stop))
@@ -66,7 +69,15 @@ def find(path: Path, topic: str | None) -> Found:
         frame=FRAME,
         fields=FIELDS,
         notes=turns.notes,
+        gravity=_gravity(felt, turns),
     )
+
+
+def _gravity(felt: list[tuple[float, ...]], turns: Turns) -> GravitySource | None:
+    if not felt:
+        return None
+    rows = np.array(felt)
+    return Accelerometer("the sensor's own IMU", turns.stamps, rows[:, 0], rows[:, 1:])
 
 
 class TurnSource:

@@ -30,6 +30,9 @@ _RANGES = {"LEGACY": ("<u4", 0xFFFFF, 1e-3), "RNG19": ("<u4", 0x7FFFF, 1e-3),
            "RNG15": ("<u2", 0x7FFF, 8e-3)}  # fmt: skip
 """Type, mask and unit (m) of the range."""
 _MOST_COLUMNS = 1 << 15
+IMU_BYTES = 48
+"""Of an IMU's packet: three times of 8 bytes, acceleration (g) and angular velocity (deg/s)."""
+_IMU_ACCELERATION = 24
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,11 @@ class Sensor:
     T_lidar_beam : (4, 4) float64
         Where beams start: off the sensor's axis.
     T_sensor_lidar : (4, 4) float64
+    T_sensor_imu : (4, 4) float64
+    imu_port : int
+        Where the packets of its IMU are sent to; 0 if unknown.
+    legacy_imu : bool
+        Whether these have the layout that can be read.
     """
 
     packet: np.dtype[np.void]
@@ -66,10 +74,23 @@ class Sensor:
     azimuths: Float64
     T_lidar_beam: Pose
     T_sensor_lidar: Pose
+    T_sensor_imu: Pose
+    imu_port: int
+    legacy_imu: bool
 
     def sent(self, size: int, port: int) -> bool:
         """Whether a datagram of this size, to this port, can be a packet of the sensor."""
         return size == self.packet.itemsize and (self.port in (0, port))
+
+    def sent_by_imu(self, size: int, port: int) -> bool:
+        """Whether a datagram of this size, to this port, can be a packet of the sensor's IMU."""
+        return self.legacy_imu and size == IMU_BYTES and self.imu_port in (0, port)
+
+    def acceleration(self, packet: bytes) -> Float64:
+        """What an IMU's packet says, in g, at rest upwards, in the sensor's frame, (3,)."""
+        felt = np.frombuffer(packet, "<f4", 3, _IMU_ACCELERATION).astype(np.float64)
+        turned: Float64 = self.T_sensor_imu[:3, :3] @ felt
+        return turned
 
     @property
     def most_packets(self) -> int:
@@ -175,6 +196,9 @@ def _sensor(entries: dict[str, Any]) -> Sensor:
         azimuths=np.radians(azimuths),
         T_lidar_beam=_beam_origin(entries),
         T_sensor_lidar=_matrix(entries, "lidar_to_sensor_transform"),
+        T_sensor_imu=_matrix(entries, "imu_to_sensor_transform"),
+        imu_port=int(entries.get("udp_port_imu") or 0),
+        legacy_imu=str(entries.get("udp_profile_imu", LEGACY)) == LEGACY,
     )
 
 

@@ -17,11 +17,12 @@ import numpy as np
 
 from ...errors import DatasetError
 from ...types import Scan
-from ..packets.ouster_packets import FIELDS, FRAME, Sensor, read_sensor
+from ..gravity import Accelerometer, GravitySource
+from ..packets.ouster_packets import FIELDS, FRAME, IMU_BYTES, Sensor, read_sensor
 from ..packets.ouster_turns import Turns, gather
 from ..recorded import Found
 from .bag_file import BagFile, faults_of
-from .bag_poses import find_track
+from .bag_place import find_place
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -60,19 +61,42 @@ def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, stor
         raise DatasetError(
             f"{topic}: no turn of an Ouster: too few packets of {sensor.packet.itemsize} bytes"
         )
-    track, remarks = find_track(reader, FRAME)
+    place = find_place(reader, paths, FRAME, turns.stamps, turns.firsts)
     return Found(
         name=name,
         format=storage,
         source=BagTurns(paths, topic, sensor, turns),
         indices=np.arange(len(turns)),
         stamps=turns.stamps,
-        own_track=lambda: track,
+        own_track=lambda: place.tracks.sensor,
+        base_track=place.tracks.base,
+        T_base_sensor=place.T_base_sensor,
+        gravity=place.gravity or _gravity(reader, topic, sensor, turns),
         topic=topic,
         frame=FRAME,
         fields=FIELDS,
-        notes=(*turns.notes, *remarks),
+        notes=(*turns.notes, *place.tracks.remarks),
     )
+
+
+def _gravity(reader: AnyReader, topic: str, sensor: Sensor, turns: Turns) -> GravitySource | None:
+    """From the packets of the sensor's own IMU, if there are any."""
+    beside = topic.rpartition("/")[0]
+    wanted = [
+        item
+        for item in reader.connections
+        if inertial(item) and item.topic.rpartition("/")[0] == beside
+    ]
+    stamps, rows = [], []
+    for _, time, data in reader.messages(wanted) if wanted else ():
+        packet = _array(data, cdr=reader.is2)[:IMU_BYTES]
+        if sensor.legacy_imu and len(packet) == IMU_BYTES:
+            stamps.append(time * 1e-9)
+            rows.append(sensor.acceleration(packet))
+    if not rows:
+        return None
+    name = f"the sensor's own IMU, {wanted[0].topic}"
+    return Accelerometer(name, turns.stamps, np.array(stamps), np.array(rows))
 
 
 def _metadata(reader: AnyReader, topic: str) -> Sensor:

@@ -19,6 +19,7 @@ from . import bag_ouster
 from .bag_file import BagFile, faults_of, opened
 from .bag_headers import Headers, read_headers
 from .bag_messages import KINDS, fields_of, scan_of
+from .bag_place import find_place
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -55,7 +56,6 @@ def _stored(path: Path) -> list[Path]:
 
 def find(path: Path, topic: str | None) -> Found:
     """Read the headers of the clouds, and the poses."""
-    from .bag_poses import find_track
 
     paths = bag_paths(path)
     name = path.resolve().stem if path.is_file() else path.resolve().name
@@ -67,7 +67,7 @@ def find(path: Path, topic: str | None) -> Found:
         if not len(headers):
             raise DatasetError(f"{path}: no message on {chosen}")
         headers, notes = _in_order(headers, str(path), chosen)
-        track, remarks = find_track(reader, headers.frames[0])
+        place = find_place(reader, paths, headers.frames[0], headers.stamps, headers.logged)
         fields = _fields(reader, chosen)
     return Found(
         name=name,
@@ -75,11 +75,14 @@ def find(path: Path, topic: str | None) -> Found:
         source=BagSource(paths, chosen, headers),
         indices=np.arange(len(headers)),
         stamps=headers.stamps,
-        own_track=lambda: track,
+        own_track=lambda: place.tracks.sensor,
+        base_track=place.tracks.base,
+        T_base_sensor=place.T_base_sensor,
+        gravity=place.gravity,
         topic=chosen,
         frame=headers.frames[0],
         fields=fields,
-        notes=(*notes, *remarks),
+        notes=(*notes, *place.tracks.remarks),
     )
 
 

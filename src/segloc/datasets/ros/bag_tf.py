@@ -1,0 +1,128 @@
+"""What tf says in a bag: where frames are in each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ... import geometry
+from ...errors import DatasetError
+from ...types import Float64, Pose
+from ..tracks import quaternion_poses, rising
+from .bag_headers import seconds
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+_TF = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
+_BASES = frozenset({"base_link", "base_footprint", "base_frame", "base"})
+"""Names of the frame of a robot's body, whose z axis is up (REP 103 and 105)."""
+_DEEPEST = 64
+
+
+@dataclass
+class Edge:
+    """What tf says of a frame in its parent's."""
+
+    parent: str
+    stamps: list[float] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
+    static: bool = False
+
+    def poses(self) -> tuple[Float64, Float64]:
+        """Stamps (K,), rising, and T_parent_child (K, 4, 4)."""
+        stamps, rows = np.array(self.stamps), np.array(self.rows)
+        order = np.argsort(stamps, kind="stable")
+        order = order[rising(stamps[order])]
+        poses = quaternion_poses(rows[order, :3], rows[order, 3:], f"tf of {self.parent}")
+        return stamps[order], poses
+
+
+Edges = dict[str, Edge]
+"""Of each frame, by its name."""
+
+
+def frame_name(frame: str) -> str:
+    """A frame's name without the slash that tf once had."""
+    return frame.lstrip("/")
+
+
+def read_tf(reader: AnyReader) -> Edges:
+    """What tf says of each frame.
+
+    Raises
+    ------
+    DatasetError
+        If a frame has two parents.
+    """
+    edges: Edges = {}
+    wanted = [item for item in reader.connections if item.msgtype in _TF]
+    if not wanted:
+        return edges
+    for item, _, data in reader.messages(wanted):
+        message: Any = reader.deserialize(data, item.msgtype)
+        for entry in message.transforms:
+            child, parent = frame_name(entry.child_frame_id), frame_name(entry.header.frame_id)
+            edge = edges.setdefault(child, Edge(parent))
+            if edge.parent != parent:
+                raise DatasetError(
+                    f"{item.topic}: {child} has two parents: {edge.parent}, {parent}"
+                )
+            edge.static |= item.topic.endswith("tf_static")
+            edge.stamps.append(seconds(entry.header.stamp))
+            edge.rows.append(row(entry.transform.translation, entry.transform.rotation))
+    return edges
+
+
+def row(xyz: Any, q: Any) -> list[float]:
+    """Position and quaternion as one row."""
+    return [xyz.x, xyz.y, xyz.z, q.x, q.y, q.z, q.w]
+
+
+def chain(edges: Edges, frame: str, until: str | None = None) -> list[Edge] | None:
+    """The edges from a frame up to another, or to the root; None where there is no such way."""
+    found: list[Edge] = []
+    while frame != until:
+        if frame not in edges or len(found) > _DEEPEST:
+            return found if until is None and len(found) <= _DEEPEST else None
+        found.append(edges[frame])
+        frame = edges[frame].parent
+    return found
+
+
+def mount(edges: Edges, body: str, frame: str) -> Pose | None:
+    """T_body_frame, where tf says that it is fixed; None where it does not.
+
+    The way leads over the frame that both hang on.
+    """
+    above = {body: 0} | {edge.parent: k for k, edge in enumerate(chain(edges, body) or [], 1)}
+    upwards = [frame, *(edge.parent for edge in chain(edges, frame) or [])]
+    common = next((name for name in upwards if name in above), None)
+    if common is None:
+        return None
+    T_common_frame = _fixed(chain(edges, frame, common) or [])
+    T_common_body = _fixed(chain(edges, body, common) or [])
+    if T_common_frame is None or T_common_body is None:
+        return None
+    return geometry.inverse(T_common_body) @ T_common_frame
+
+
+def mount_on_base(edges: Edges, frame: str) -> Pose | None:
+    """T_base_frame of the body that a frame hangs on; None where tf has no fixed one."""
+    for edge in chain(edges, frame) or []:
+        if edge.parent.rpartition("/")[2] in _BASES:
+            return mount(edges, edge.parent, frame)
+    return None
+
+
+def _fixed(way: list[Edge]) -> Pose | None:
+    """The product of a way's transforms if none of them moves."""
+    T = np.eye(4)
+    for edge in way:
+        _, poses = edge.poses()
+        if not edge.static and np.ptp(poses, axis=0).max() > 1e-6:
+            return None
+        T = poses[-1] @ T
+    return T
