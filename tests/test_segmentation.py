@@ -126,6 +126,43 @@ def test_pillars_become_segments_in_any_order_of_points() -> None:
         )
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(3, 300), st.floats(0.05, 2.0))
+def test_spacing_is_the_median_distance_to_the_second_nearest_other(
+    seed: int, count: int, least: float
+) -> None:
+    points = np.random.default_rng(seed).uniform(-5, 5, (count, 3)).astype(np.float32)
+    drawn = points[np.arange(min(count, 64)) * count // min(count, 64)]
+    nearest = np.sort(cKDTree(points).query(drawn, k=3)[0][:, 2])
+    expected = max(least, nearest[len(nearest) // 2])
+    assert _native.point_spacing(points, least, 64) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("num_scans", [1, 5])
+@pytest.mark.parametrize("voxel", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
+def test_walls_become_segments_however_coarse_the_cloud(voxel: float, num_scans: int) -> None:
+    rng = np.random.default_rng(4)
+    places = np.array([[8.0, 0.0], [-8.0, 6.0], [0.0, -14.0]])
+    parts = [hillside(rng, 0.0, 80_000)]
+    parts += [rng.uniform(-1, 1, (8000, 3)) * [3.0, 0.05, 1.5] + [x, y, 1.6] for x, y in places]
+    coarse = _native.voxel_grid(np.concatenate(parts).astype(np.float32), voxel)
+    segments = Segmenter().segment(cloud_of(coarse, num_scans)).segments
+    assert len(segments) == 2 * len(places)  # once above each height cut
+    gap = np.linalg.norm(segments.centroids[:, None, :2] - places, axis=2)
+    assert gap.min(axis=1).max() < 0.3 + 1.5 * voxel and set(gap.argmin(axis=1)) == {0, 1, 2}
+
+
+def test_settings_change_only_for_clouds_that_they_cannot_link() -> None:
+    rng = np.random.default_rng(5)
+    wall = rng.uniform(0, 1, (40_000, 3)) * [30, 0.05, 10]
+    for config in (Segmenter().config.single, Segmenter().config.accumulated):
+        fine = _native.voxel_grid(wall.astype(np.float32), 0.3)
+        assert config.widened(fine) is config
+        assert config.widened(fine[:1]) is config
+        coarse = config.widened(_native.voxel_grid(wall.astype(np.float32), 1.0))
+        assert coarse.tolerance > 1.0 and coarse.min_points <= config.min_points
+        assert coarse.max_points == config.max_points
+
+
 def test_a_moved_cloud_gives_moved_segments() -> None:
     points, _ = pillars(np.random.default_rng(3))
     shift = np.array([2.0, -3.0, 0.4])  # whole voxels: the lattice stays the same

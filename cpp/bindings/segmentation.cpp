@@ -3,6 +3,7 @@
 #include "segmentation/cluster.h"
 #include "segmentation/ground.h"
 #include "segmentation/planes.h"
+#include "segmentation/spacing.h"
 #include "segmentation/voxel.h"
 
 namespace segloc::bindings {
@@ -65,6 +66,14 @@ Out<float> plane_normals_(const In2<float>& points, double radius, std::size_t m
   return to_numpy(std::move(normals), {count, 3});
 }
 
+double point_spacing_(const In2<float>& points, double least, std::size_t most) {
+  require_points(points);
+  require_length(least, "least");
+  nb::gil_scoped_release release;
+  require_usable(points.data(), points.size(), "points");
+  return point_spacing(points.data(), points.shape(0), least, most);
+}
+
 }  // namespace
 
 void bind_segmentation(nb::module_& m) {
@@ -75,6 +84,8 @@ void bind_segmentation(nb::module_& m) {
         nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
   m.def("plane_normals", &plane_normals_, nb::arg("points").noconvert(), nb::arg("radius"),
         nb::arg("min_points"), nb::arg("thickness"), nb::arg("most"));
+  m.def("point_spacing", &point_spacing_, nb::arg("points").noconvert(), nb::arg("least"),
+        nb::arg("most"));
 }
 
 }  // namespace segloc::bindings

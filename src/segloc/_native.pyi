@@ -16,6 +16,7 @@ def euclidean_clusters(
 def plane_normals(
     points: NDArray[np.float32], radius: float, min_points: int, thickness: float, most: int
 ) -> NDArray[np.float32]: ...
+def point_spacing(points: NDArray[np.float32], least: float, most: int) -> float: ...
 def pose_votes(
     query: NDArray[np.float64],
     map: NDArray[np.float64],

@@ -12,11 +12,24 @@ from . import _native
 from .section import Section
 from .types import Float32, LocalCloud, Segments
 
+WIDEST_LINK = 1.25
+"""Points that lie so much closer together than the tolerance link up, nearly all of an object."""
+LINK = 1.7
+"""Where they lie farther apart, the tolerance becomes so many times their distance."""
+FEWEST_POINTS = 8
+"""Of a segment, however far apart they are: fewer have no shape."""
+SPACING_SAMPLE = 128
+"""Points whose neighbours are looked for."""
+
 HeightAboveGround = Annotated[float, Field(ge=-100, le=100)]
 
 
 class ClusterConfig(Section):
-    """Parameters that follow the density of the cloud."""
+    """Parameters that follow the density of the cloud.
+
+    They are for clouds whose points lie closer together than ``tolerance / WIDEST_LINK``.
+    :meth:`widened` adapts them to sparser ones.
+    """
 
     voxel_size: float = Field(ge=0.01, le=10, description="edge of the voxel grid, metres")
     tolerance: float = Field(
@@ -30,6 +43,25 @@ class ClusterConfig(Section):
         max_length=16,
         description="clusters are formed above each of these heights over ground, metres",
     )
+
+    def widened(self, points: Float32) -> ClusterConfig:
+        """These settings, or where the points are too far apart for them, others that link them.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Above ground, in the order of a voxel grid.
+        """
+        most_apart = self.tolerance / WIDEST_LINK
+        spacing = _native.point_spacing(points, most_apart, SPACING_SAMPLE)
+        if spacing <= most_apart:
+            return self
+        fewer = self.min_points * (most_apart / spacing) ** 2  # an object's points are its surface
+        changes = {
+            "tolerance": max(self.tolerance, LINK * spacing),
+            "min_points": min(self.min_points, max(FEWEST_POINTS, round(fewer))),
+        }
+        return self.model_copy(update=changes)
 
 
 class SegmentationConfig(Section):
@@ -96,8 +128,9 @@ class Segmenter:
         heights = _native.heights_above_ground(
             points, config.ground_cell, config.ground_slope, config.ground_step
         )
-        parts = [self._clusters(points, heights, cut, cluster) for cut in cluster.height_cuts]
         structure = heights > config.structure_height
+        cluster = cluster.widened(points[structure])
+        parts = [self._clusters(points, heights, cut, cluster) for cut in cluster.height_cuts]
         ground = _native.voxel_grid(points[~structure], config.ground_voxel)
         return Segmentation(_packed(parts), points[structure], ground)
 

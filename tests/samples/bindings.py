@@ -76,6 +76,8 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "euclidean_clusters", Call(_native.euclidean_clusters, clusters)
     planes = {"points": points, "radius": 3.0, "min_points": 4, "thickness": 0.5, "most": 300}
     yield "plane_normals", Call(_native.plane_normals, planes)
+    spacing = {"points": points, "least": 0.1, "most": 128}
+    yield "point_spacing", Call(_native.point_spacing, spacing)
 
 
 def _poses() -> Iterator[tuple[str, Call]]:
@@ -243,7 +245,10 @@ def _others() -> Iterator[tuple[str, Call]]:
 
 
 ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
-    _segmentation: ("voxel_grid", "heights_above_ground", "euclidean_clusters", "plane_normals"),
+    _segmentation: (
+        *("voxel_grid", "heights_above_ground", "euclidean_clusters", "plane_normals"),
+        "point_spacing",
+    ),
     _poses: ("consensus", "pose_votes", "prosac"),
     _clouds: (
         *("PointIndex", "PointIndex.overlap", "PointIndex.sample"),
