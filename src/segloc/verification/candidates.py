@@ -10,7 +10,6 @@ from .config import VerificationConfig
 from .evidence import CoarseScore, Evidence, RankedCandidate, RefinedScore, Score
 from .overlap_check import MapCloud, QueryCloud
 
-
 Inliers = Callable[[Pose], int]
 """How many distinct query segments agree with a pose T_map_local."""
 

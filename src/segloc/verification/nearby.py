@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ class NearbySearch:
         here = self._slight[:, None, None] & (distance < self._separation.metres)
         start = _argmax(np.where(here, share, -1.0))
         elsewhere = self._peaks(np.where(here, -1.0, share), shifts)
-        rivals = [self._moved(T, peak, shifts) for peak, _ in zip(elsewhere, range(config.most))]
+        rivals = [self._moved(T, peak, shifts) for peak in islice(elsewhere, config.most)]
         if share[start] <= share[0][distance == 0.0][0]:
             return Surroundings(T, rivals)
         return Surroundings(self._moved(T, start, shifts), rivals)

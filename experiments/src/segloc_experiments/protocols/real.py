@@ -35,6 +35,7 @@ COVERED_M = 3.0
 """A query lies within map coverage where the map's trajectory passes so close."""
 OUT, BACK = "0:74", "82:104"
 """The scans of the corridor that are mapped, and those on the way back."""
+TOLERANCE = Tolerance()
 LAB = ("0618", "0622a", "0622b", "0622c")
 
 
@@ -46,14 +47,13 @@ class Queries:
 
     Attributes
     ----------
-    name, place : str
+    name : str
     recording : Recording
     positions : (N,) int64
     truths : (N, 4, 4) float64 or None
         True T_map_sensor.
     maps : tuple of str
         The maps of its place; what is found in any other is false.
-    tolerance : Tolerance
     """
 
     name: str
@@ -61,7 +61,6 @@ class Queries:
     positions: Int64
     truths: Float64 | None
     maps: tuple[str, ...]
-    tolerance: Tolerance = Tolerance()
 
 
 def maps(data: Path, config: Config) -> dict[str, SegmentMap]:
@@ -106,7 +105,9 @@ def _corridor_queries(data: Path) -> Iterator[Queries]:
     yield Queries("corridor, single", alone, positions, truths, here)
     for seed in range(3):
         turned = Turned(alone, 25.0, seed)
-        yield Queries(f"corridor, single, turned ({seed})", turned, positions, _seen(turned, truths), here)
+        yield Queries(
+            f"corridor, single, turned ({seed})", turned, positions, _seen(turned, truths), here
+        )
 
 
 def _lab_queries(data: Path) -> Iterator[Queries]:
@@ -117,7 +118,9 @@ def _lab_queries(data: Path) -> Iterator[Queries]:
         others = tuple(f"lab, {s}" for s in LAB if s != session)
         yield Queries(f"lab {session}, single", alone, positions, truths, others)
         turned = Turned(alone, 20.0)
-        yield Queries(f"lab {session}, single, turned", turned, positions, _seen(turned, truths), others)
+        yield Queries(
+            f"lab {session}, single, turned", turned, positions, _seen(turned, truths), others
+        )
 
 
 def _kitti_queries(kitti: Path, step: int) -> Iterator[Queries]:
@@ -172,7 +175,7 @@ class Judge:
                         "index": int(chosen.recording.indices[chosen.positions[k]]),
                         "map": name,
                         "within_coverage": bool(near),
-                        "outcome": _outcome(answer.T_map_sensor, truth if own else None, chosen),
+                        "outcome": _outcome(answer.T_map_sensor, truth if own else None),
                         "reason": None if answer.reason is None else answer.reason.value,
                         "confidence": round(answer.confidence, 4),
                         "inliers": answer.inliers,
@@ -196,13 +199,13 @@ class Judge:
         return bool(distances_to_path(truth[None], path)[0] <= COVERED_M)
 
 
-def _outcome(estimate: Pose | None, truth: Pose | None, chosen: Queries) -> str:
+def _outcome(estimate: Pose | None, truth: Pose | None) -> str:
     if estimate is None:
         return "refused"
     if truth is None:
         return "false"
     metres, degrees = pose_errors(estimate[None], truth[None])
-    right = metres[0] <= chosen.tolerance.metres and degrees[0] <= chosen.tolerance.degrees
+    right = metres[0] <= TOLERANCE.metres and degrees[0] <= TOLERANCE.degrees
     return "found" if right else "false"
 
 
