@@ -6,6 +6,7 @@
 namespace segloc {
 namespace {
 
+constexpr std::uint8_t kHere = 2, kBeside = 1;  // what an occupied cell counts, and one beside it
 constexpr int kLayers = 8;
 constexpr double kLayer = 1.0;    // metres
 constexpr double kBelow = 3.0;    // of the lowest layer's bottom, under the sensor, metres
@@ -47,7 +48,8 @@ class Planes {
     for (int layer = low; layer <= high; ++layer) {
       for (int by = std::max(cy - 1, 0); by <= std::min(cy + 1, side_ - 1); ++by) {
         for (int bx = std::max(cx - 1, 0); bx <= std::min(cx + 1, side_ - 1); ++bx) {
-          occupied_[index(layer, by, bx)] = 1;
+          std::uint8_t& cell = occupied_[index(layer, by, bx)];
+          cell = std::max(cell, by == cy && bx == cx ? kHere : kBeside);
         }
       }
     }

@@ -16,8 +16,9 @@ struct CorrelationOptions {
   std::size_t cells = 600;  // occupied cells of the query that are used at most
 };
 
-// Counts, (headings, shifts along y, shifts along x) row-major, of occupied cells of the query that
-// are occupied in the map, too; and how many cells of the query were used at each heading.
+// (Headings, shifts along y, shifts along x) row-major: twice the occupied cells of the query that
+// are occupied in the map, too, and once those that lie beside such a cell; and how many cells of
+// the query were used at each heading.
 struct Correlation {
   std::vector<std::uint16_t> counts;
   std::vector<std::uint16_t> used;
@@ -27,8 +28,7 @@ struct Correlation {
 // Correlates occupancy grids exhaustively, as E. Olson does ("Real-Time Correlative Scan Matching",
 // ICRA 2009), with layers of height. Query points, (m, 3), are turned about the z axis of their
 // frame by each heading (radians), taken through a row-major 4 x 4 transform, and shifted along
-// the map's x and y. A cell of the map counts as occupied where it or one of the eight about it
-// holds a point of about the same height.
+// the map's x and y. Cells are occupied by points of about the same height; beside one lie eight.
 Correlation correlate(const PointIndex& map, const float* points, std::size_t m,
                       const double* transform, const std::vector<double>& headings,
                       const CorrelationOptions& options);

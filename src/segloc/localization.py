@@ -14,6 +14,7 @@ class Reason(str, Enum):
     """Why a query is not localized."""
 
     NO_POINTS = "no points"
+    UNKNOWN_ATTITUDE = "unknown attitude"
     NO_SEGMENTS = "no segments"
     NO_MATCHES = "no matches"
     NO_CONSISTENT_MATCHES = "no consistent matches"

@@ -23,6 +23,12 @@ from .types import Candidate, Descriptors, LocalCloud, Matches, Pose
 from .verification import RefinedScore, Score, Verdict, Verifier
 
 
+NOT_FLAT = (
+    "unknown attitude (too little that is flat is in view to tell how the sensor stands, and taken "
+    "as level it is not found: give its gravity or a pose)"
+)
+
+
 @dataclass(frozen=True)
 class Query:
     """What one or several scans show, cut into segments and described."""
@@ -217,7 +223,7 @@ def _answer(query: Query, found: Search, times: StageTimes) -> Localization:
         **_measured(verdict),
     }
     if verdict.reason is not None or best is None:
-        return NotLocalized(**_why(verdict, counts), **common)
+        return NotLocalized(**_why(verdict, query.cloud, counts), **common)
     covariance = best.covariance if isinstance(best, RefinedScore) else None
     return Localized(
         T_map_sensor=best.T_map_local @ T_local_sensor,
@@ -241,8 +247,10 @@ def _measured(verdict: Verdict) -> dict[str, float | None]:
     }
 
 
-def _why(verdict: Verdict, counts: Mapping[str, int]) -> dict[str, Any]:
+def _why(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
     """The first stage that was left with nothing, or else what the verdict says."""
+    if counts["points"] and verdict.undecided and cloud.attitude == "assumed":
+        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
     for what, reason in (
         ("points", Reason.NO_POINTS),
         ("segments", Reason.NO_SEGMENTS),

@@ -119,6 +119,9 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     yield "PointIndex.overlap", Call(lambda **a: index.overlap(**a)[0], overlap)
     sample = {"x": 0.0, "y": 1.0, "radius": 5.0, "count": 100}
     yield "PointIndex.sample", Call(index.sample, sample)
+    correlate = {"points": points, "T_map_local": eye, "headings": [0.0, 1.0]}
+    correlate |= {"cell": 0.5, "half_width": 3.0, "range": 20.0}
+    yield "PointIndex.correlate", Call(index.correlate, correlate)
     view = {"structure": points, "ground": points, "range": 30.0, "bin_deg": 1.0, "radius": 0.5}
     yield "VisibilityCheck", Call(_native.VisibilityCheck, view)
     count = {"points": points, "T_local_map": eye, "radius": 0.5, "margin": 1.0}
@@ -127,6 +130,9 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     yield "Surface", Call(lambda **a: _native.Surface(**a).normals(), surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
+    offsets = {"source": known, "T_target_source": eye}
+    # Infinite where nothing is near, by contract.
+    yield "Surface.offsets", Call(lambda **a: known.offsets(**a)[1], offsets, frozenset({"source"}))
     yield "Surface.align", Call(known.align, align, frozenset({"source"}))
 
 
@@ -251,8 +257,9 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
     ),
     _poses: ("consensus", "pose_votes", "prosac"),
     _clouds: (
-        *("PointIndex", "PointIndex.overlap", "PointIndex.sample"),
+        *("PointIndex", "PointIndex.overlap", "PointIndex.sample", "PointIndex.correlate"),
         *("VisibilityCheck", "VisibilityCheck.count", "Surface", "Surface.align"),
+        "Surface.offsets",
     ),
     _descriptors: (
         *("segment_moments", "esf", "gestalt", "voxel_shapes"),

@@ -185,8 +185,6 @@ def test_the_verdict_is_a_function_of_the_evidence() -> None:
     verdict = decide(sure, None, MODEL, config)
     assert verdict.reason is None and verdict.message == "" and not verdict.undecided
     assert verdict.confidence == MODEL.probability(sure) and verdict.best is sure.score
-    verdict = decide(evidence(15, 0.2, 0.95, 3.0), None, MODEL, config)
-    assert verdict.reason is Reason.TOO_LITTLE_OVERLAP and "0.20 < 0.25" in verdict.message
     verdict = decide(evidence(15, 0.85, 0.95, 3.0, (0.8, 0.95)), None, MODEL, config)
     assert verdict.reason is Reason.AMBIGUOUS and not verdict.undecided
     verdict = decide(evidence(5, 0.4, 0.6, 1.2), None, MODEL, config)
@@ -228,7 +226,6 @@ def test_a_damaged_model_is_refused(tmp_path: Path, text: str, said: str) -> Non
     ("gate", "reason"),
     [
         ({"min_inliers": 10_000}, Reason.TOO_FEW_INLIERS),
-        ({"min_overlap": 1.0, "overlap_radius": 0.05}, Reason.TOO_LITTLE_OVERLAP),
         ({"min_confidence": 1.0}, Reason.TOO_UNCERTAIN),
     ],
 )

@@ -51,7 +51,7 @@ EVERY_M = 10.0
 ELSEWHERE_EVERY_M = 20.0
 PADDED = 60_000
 SPARSE = 6_400
-LENGTH_M = 160.0
+LENGTH_M = 110.0
 OPEN = {
     "min_inliers": 0,
     "min_confidence": 0.0,
@@ -79,7 +79,7 @@ class Kind:
 
     size_m: float
     mapped_by: str = "hdl64e"
-    sensors: tuple[str, ...] = ("hdl64e", "os1-64", "vlp16")
+    sensors: tuple[str, ...] = ("hdl64e", "vlp16")
     platform: Platform | None = None
 
 

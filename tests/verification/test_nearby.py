@@ -1,0 +1,148 @@
+"""Poses around a candidate: the correlation of clouds, walls by direction, rivals nearby."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from segloc import _native, geometry
+from segloc.geometry import Separation
+from segloc.localization import Reason
+from segloc.segmentation import Segmentation, Segmenter
+from segloc.types import Candidate, Float32, LocalCloud, Pose
+from segloc.verification import Verifier
+from segloc.verification.nearby import NearbyConfig, NearbySearch
+from segloc.verification.walls import worst_wall
+
+LAYERS, BELOW, BETWEEN = 8, 3.0, 0.3
+
+
+def occupied(cloud: Float32, T: Pose, cell: float) -> dict[tuple[int, int, int], int]:
+    """(layer, y, x) of the map's cells: 2 for those with a point, 1 for the eight about each."""
+    cells: dict[tuple[int, int, int], int] = {}
+    for x, y, z in cloud - T[:3, 3]:
+        low, high = np.floor(z + BELOW - BETWEEN), np.floor(z + BELOW + BETWEEN)
+        for layer in range(int(max(low, 0)), int(min(high, LAYERS - 1)) + 1):
+            at = np.floor(np.array([y, x]) / cell + 0.5).astype(int)
+            for dy, dx in np.ndindex(3, 3):
+                key = (layer, int(at[0]) + dy - 1, int(at[1]) + dx - 1)
+                cells[key] = max(cells.get(key, 0), 2 if (dy, dx) == (1, 1) else 1)
+    return cells
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.25, 0.5, 1.0]))
+def test_correlation_counts_cells_that_are_occupied_in_both(seed: int, cell: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform([-14, -14, -5], [14, 14, 8], (300, 3)).astype(np.float32)
+    query = rng.uniform([-9, -9, -4], [9, 9, 6], (80, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    counts, used = _native.PointIndex(cloud, 1.0).correlate(
+        query, T, [0.0, 1.3], cell, 3 * cell, 8.0
+    )
+    assert counts.shape == (2, 7, 7)
+    theirs = occupied(cloud, T, cell)
+    for h, heading in enumerate((0.0, 1.3)):
+        near = query[np.hypot(query[:, 0], query[:, 1]) < 8.0]
+        turn = T[:3, :3] @ geometry.yaw_transform(heading)[:3, :3]
+        moved = near @ turn.T
+        layer = np.floor(moved[:, 2] + BELOW).astype(int)
+        y, x = np.floor(moved[:, 1::-1].T / cell + 0.5).astype(int)
+        inside = (layer >= 0) & (layer < LAYERS)
+        own = set(zip(layer[inside], y[inside], x[inside], strict=True))
+        assert used[h] == len(own)
+        for i, j in np.ndindex(7, 7):
+            moved_on = ((k, v + i - 3, u + j - 3) for k, v, u in own)
+            assert counts[h, i, j] == sum(theirs.get(key, 0) for key in moved_on)
+
+
+def test_offsets_are_those_across_the_nearest_surface() -> None:
+    rng = np.random.default_rng(0)
+    flat = rng.uniform([-5, -5, 0], [5, 5, 0], (900, 3))
+    wall = rng.uniform([-5, 5, 0], [5, 5, 4], (500, 3))
+    target = _native.Surface(np.float32(np.concatenate([flat, wall])), 1.0, 0.8)
+    source_points = np.float32(rng.uniform([-4, -4, -0.4], [4, 4, 0.4], (300, 3)))
+    source = _native.Surface(source_points, 1.0, 0.8)
+    T = geometry.yaw_transform(0.4, (0.3, 0.1, 0.05))
+    offsets, normals = target.offsets(source, T)
+    moved = geometry.transform(T, source_points)
+    distance = cKDTree(np.concatenate([flat, wall])).query(moved)[0]
+    far = np.isinf(offsets)
+    assert far.sum() == (distance > 1.0).sum()
+    inner = (np.abs(moved[:, :2]) < 4.0).all(axis=1)
+    # The grid's order is its own: compared as sets.
+    expected = np.sort(np.abs(moved[inner, 2]))
+    found = np.sort(offsets[~far])
+    assert all(np.abs(found - value).min() < 0.02 for value in expected)
+    length = np.linalg.norm(normals, axis=1)
+    assert ((np.abs(length - 1.0) < 1e-5) | (length == 0.0)).all()
+
+
+def hall(first: int = -6, last: int = 6, marked: bool = True) -> Float32:
+    """Pillars 5 m apart between two walls; where ``marked``, something stands in the middle."""
+    rng = np.random.default_rng(3)
+    parts = [rng.uniform([-40, y, -1.5], [40, y + 0.05, 4.0], (9000, 3)) for y in (-7.0, 7.0)]
+    parts.append(rng.uniform([-40, -7, -1.55], [40, 7, -1.5], (9000, 3)))
+    for k in range(first, last + 1):
+        for y in (-3.0, 3.0):
+            angle = rng.uniform(0, 2 * np.pi, 500)
+            ring = np.stack([0.3 * np.cos(angle), 0.3 * np.sin(angle)], axis=1) + (5.0 * k, y)
+            parts.append(np.column_stack([ring, rng.uniform(-1.5, 4.0, 500)]))
+    if marked:
+        parts.append(rng.uniform([0.8, 3.8, -1.5], [4.0, 6.2, 1.5], (2500, 3)))
+    return np.concatenate(parts).astype(np.float32)
+
+
+def scene(cloud: Float32) -> Segmentation:
+    near = cloud[np.abs(cloud[:, 0]) < 18.0]
+    return Segmenter().segment(LocalCloud(near, np.eye(4)))
+
+
+def test_a_place_one_period_off_is_found_from_its_alias() -> None:
+    index = _native.PointIndex(hall(), 0.5)
+    search = NearbySearch(index, NearbyConfig(), Separation())
+    points = scene(hall()).structure
+    found = search.around(points, geometry.yaw_transform(0.0, (5.0, 0.0, 0.0)))
+    assert any(np.abs(T - np.eye(4)).max() < 0.3 for T in found.rivals)
+    start = geometry.yaw_transform(np.radians(6.0), (1.4, -0.9, 0.0))
+    better = search.around(points, start).start
+    assert np.hypot(*better[:2, 3]) < 0.6 and abs(geometry.heading(better)) < np.radians(3.0)
+
+
+def verifier(cloud: Float32) -> Verifier:
+    return Verifier(cloud, np.zeros(3))
+
+
+@pytest.mark.parametrize("alias", [(5.0, 0.0), (-5.0, 0.0), (10.0, np.pi)])
+def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) -> None:
+    x, yaw = alias
+    wrong = Candidate(geometry.yaw_transform(yaw, (x, 0.0, 0.0)), 3)
+    verdict = verifier(hall()).verify(scene(hall()), [wrong], lambda T: 3)
+    assert verdict.evidence is not None
+    best = verdict.evidence.score.T_map_local
+    assert np.hypot(*best[:2, 3]) < 0.2 and np.cos(geometry.heading(best)) > 0.99
+    assert any(np.hypot(*r.T_map_local[:2, 3]) > 2.0 for r in verdict.evidence.rivals)
+
+
+@pytest.mark.parametrize("inliers", [3, 12])
+def test_where_a_place_repeats_itself_nothing_is_believed(inliers: int) -> None:
+    bare = hall(marked=False)
+    right = Candidate(np.eye(4), inliers)
+    verdict = verifier(bare).verify(scene(bare), [right], lambda T: inliers)
+    assert verdict.reason in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
+    assert verdict.confidence < 0.8 or verdict.reason is Reason.AMBIGUOUS
+
+
+def test_a_wall_that_is_off_counts_in_its_own_direction() -> None:
+    rng = np.random.default_rng(5)
+    long = rng.uniform([-15, 3, 0], [15, 3.02, 4], (4000, 3))
+    across = rng.uniform([-8, -3, 0], [-7.98, 3, 4], (1500, 3))
+    room = np.concatenate([long, across]).astype(np.float32)
+    surface = _native.Surface(room, 1.5, 0.8)
+    fits = worst_wall(surface, surface, np.eye(4), 0.15)
+    along = worst_wall(surface, surface, geometry.yaw_transform(0.0, (0.6, 0.0, 0.0)), 0.15)
+    assert fits is not None and fits > 0.95 and along is not None and along < 0.2
+    assert worst_wall(surface, _native.Surface(room[:20], 1.5, 0.8), np.eye(4), 0.15) is None
