@@ -189,7 +189,7 @@ def free_space(query: Query) -> Figure:
         _dots(axes, site[confirmed], GREEN, 0.7)
         _dots(axes, site[violated], RED, 0.9)
         axes.plot(0, 0, marker="^", color=DARK, markersize=7)
-        share = candidate.seen_or_overlap
+        share = candidate.seen or 0.0
         axes.set_title(f"{title}: {share:.2f} confirmed", fontsize=10, color=DARK)
         _scale(axes)
     figure.tight_layout()
@@ -202,7 +202,7 @@ def features(query: Query) -> Figure:
     figure = Figure(figsize=(7.2, 2.6), facecolor="white")
     for axes, name, pick in zip(
         figure.subplots(1, 3), names,
-        (lambda h: h.inliers, lambda h: h.overlap, lambda h: h.seen_or_overlap), strict=True,
+        (lambda h: h.inliers, lambda h: h.overlap, lambda h: h.seen or 0.0), strict=True,
     ):  # fmt: skip
         values = [pick(query.right), pick(query.wrong)]
         shown = axes.bar(("right", "wrong"), values, color=(GREEN, RED), width=0.6)

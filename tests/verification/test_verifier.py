@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from itertools import product
+from dataclasses import replace
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -140,7 +141,9 @@ MODEL = shipped_confidence()
 
 
 def score(inliers: int, overlap: float, seen: float | None) -> Score:
-    return Score(np.eye(4), inliers, overlap, seen, rmse=0.1)
+    judged = 0 if seen is None else 2000
+    confirmed = round(judged * (seen or 0.0))
+    return Score(np.eye(4), inliers, overlap, confirmed, judged, rmse=0.1, walls=None)
 
 
 def evidence(
@@ -173,9 +176,21 @@ def test_confidence_rises_with_every_feature() -> None:
 def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
     good = MODEL.probability(evidence(15, 0.85, 0.95, 3.0, (0.1, 0.1)))
     assert MODEL.probability(evidence(15, 0.85, 0.95, 3.0)) < good
-    # Overlap stands in for what is seen.
+    # Overlap stands in for what is seen, and for walls that are not there.
     unseen, same = evidence(15, 0.85, None, 3.0), evidence(15, 0.85, 0.85, 3.0)
-    assert MODEL.probability(unseen) == MODEL.probability(same)
+    assert MODEL.probability(unseen) == pytest.approx(MODEL.probability(same))
+    walled = replace(unseen, score=replace(unseen.score, walls=0.85))
+    assert MODEL.probability(walled) == pytest.approx(MODEL.probability(unseen))
+
+
+def test_few_judged_points_say_little_and_no_step_lies_between() -> None:
+    def p(judged: int) -> float:
+        seen = replace(score(15, 0.85, None), confirmed=0, judged=judged)
+        return MODEL.probability(Evidence(seen, 3.0, ()))
+
+    falling = [p(judged) for judged in range(0, 400, 5)]
+    assert all(a > b for a, b in pairwise(falling)) and falling[0] > 1.5 * falling[-1]
+    assert max(a - b for a, b in pairwise(falling)) < 0.1
     assert MODEL.standalone(score(0, 0.0, None)) < 0.01
 
 
@@ -280,7 +295,10 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
     answers = []
     for escalation in (1, 80):
         matching = MatchingConfig(neighbours=1, escalation=escalation)
-        config = Config.preset("geo").model_copy(update={"matching": matching})
+        gates = VerificationConfig(min_inliers=3)
+        config = Config.preset("geo").model_copy(
+            update={"matching": matching, "verification": gates}
+        )
         answers.append(Localizer(prior_map, config).localize(scan))
     lost, found = answers
     assert not lost.localized and lost.reason is Reason.TOO_FEW_INLIERS
