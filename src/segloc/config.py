@@ -16,6 +16,7 @@ from .map.config import MappingConfig
 from .map.merge import TEXT_SEPARATOR
 from .map.segment_map import SegmentMap
 from .matching import MatchingConfig
+from .occupancy import OccupancyConfig
 from .pose import PoseConfig
 from .section import Section
 from .segmentation import SegmentationConfig
@@ -39,6 +40,7 @@ FOR_USERS = (
     "matching.neighbours",
     "matching.escalation",
     "pose.estimator",
+    "occupancy.enabled",
     "verification.min_confidence",
     "verification.min_inliers",
     "verification.min_overlap",
@@ -61,6 +63,7 @@ class Config(Section):
     mapping: MappingConfig = MappingConfig()
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
+    occupancy: OccupancyConfig = OccupancyConfig()
     verification: VerificationConfig = VerificationConfig()
 
     @classmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from . import geometry
@@ -15,6 +15,7 @@ from .local_cloud import Accumulator, Scans
 from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
 from .map.segment_map import SegmentMap
 from .matching import Matcher
+from .occupancy import OccupancySearch
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .stage_times import Clock, StageTimes
@@ -113,6 +114,13 @@ class Localizer:
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
+        self.occupancy = OccupancySearch(
+            prior_map.cloud,
+            prior_map.origin,
+            prior_map.trajectory,
+            config.occupancy,
+            config.segmentation,
+        )
         self.verifier = Verifier(
             prior_map.cloud,
             prior_map.origin,
@@ -164,8 +172,8 @@ class Localizer:
     def search(self, query: Query, times: StageTimes | None = None) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where too little speaks for any pose, it is tried again with more neighbours; the better
-        of the verdicts counts.
+        Where too little speaks for any pose, it is tried again with more neighbours, and at last
+        by what stands where; the best of the verdicts counts.
         """
         times = times or StageTimes(self._clock)
         centroids = query.scene.segments.centroids
@@ -184,9 +192,20 @@ class Localizer:
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
             if not verdict.undecided:
-                break
+                return best
         assert best is not None  # no schedule is empty
-        return best
+        if not self.config.occupancy.enabled:
+            return best
+        found = self._search_occupancy(query, best, times)
+        return found if found.verdict.rank > best.verdict.rank else best
+
+    def _search_occupancy(self, query: Query, tried: Search, times: StageTimes) -> Search:
+        """Candidate poses by what stands where -> verdict."""
+        with times("pose"):
+            candidates = self.occupancy.candidates(query.scene)
+        with times("verification"):
+            verdict = self.verifier.verify(query.scene, candidates)
+        return replace(tried, candidates=candidates, verdict=verdict)
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:
