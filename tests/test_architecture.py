@@ -31,7 +31,10 @@ LAYERS = (
     Layer("localizer landmarks"),
     Layer("map.build map.update", together=True),
     Layer("config"),
-    Layer("local_cloud segmentation matching pose registration verification map", together=True),
+    Layer(
+        "local_cloud segmentation matching pose occupancy registration verification map",
+        together=True,
+    ),
     Layer("attitude mounting"),
     Layer("descriptors"),
     Layer("io"),

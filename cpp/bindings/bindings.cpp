@@ -22,6 +22,7 @@ void bind_registration(nb::module_& m);
 void bind_verification(nb::module_& m);
 void bind_training(nb::module_& m);
 void bind_io(nb::module_& m);
+void bind_occupancy(nb::module_& m);
 
 }  // namespace segloc::bindings
 
@@ -40,4 +41,5 @@ NB_MODULE(_native, m) {
   bind_verification(m);
   bind_training(m);
   bind_io(m);
+  bind_occupancy(m);
 }

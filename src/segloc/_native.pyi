@@ -110,6 +110,30 @@ class PointIndex:
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]: ...
     def sample(self, x: float, y: float, radius: float, count: int) -> NDArray[np.float32]: ...
 
+class PoseSearch:
+    def __init__(
+        self,
+        points: NDArray[np.float32],
+        slices: NDArray[np.uint8],
+        roots: NDArray[np.int32],
+        cell: float,
+        levels: int,
+        range: float,
+    ) -> None: ...
+    @property
+    def nbytes(self) -> int: ...
+    def search(
+        self,
+        columns: NDArray[np.float32],
+        slices: NDArray[np.uint8],
+        yaws: int,
+        leaf_level: int,
+        width: int,
+        count: int,
+        separation: float,
+        separation_deg: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...
 def instruction_set(isa: str = "auto") -> str: ...
 def fps(

@@ -17,6 +17,7 @@ from .map.merge import TEXT_SEPARATOR
 from .map.segment_map import SegmentMap
 from .matching import MatchingConfig
 from .mounting import MountConfig
+from .occupancy import OccupancyConfig
 from .pose import PoseConfig
 from .section import Section
 from .segmentation import SegmentationConfig
@@ -44,6 +45,7 @@ FOR_USERS = (
     "matching.neighbours",
     "matching.escalation",
     "pose.estimator",
+    "occupancy.enabled",
     "verification.min_confidence",
     "verification.min_inliers",
     "verification.refine",
@@ -65,6 +67,7 @@ class Config(Section):
     mapping: MappingConfig = MappingConfig()
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
+    occupancy: OccupancyConfig = OccupancyConfig()
     verification: VerificationConfig = VerificationConfig()
 
     @classmethod

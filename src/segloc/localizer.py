@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -16,12 +16,12 @@ from .local_cloud import Accumulator, Scans
 from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
 from .map.segment_map import SegmentMap
 from .matching import Matcher
+from .occupancy import OccupancySearch
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .stage_times import Clock, StageTimes
 from .types import Candidate, Descriptors, LocalCloud, Matches, Pose
 from .verification import RefinedScore, Score, Verdict, Verifier
-
 
 NOT_FLAT = (
     "unknown attitude (too little that is flat is in view to tell how the sensor stands, and taken "
@@ -120,6 +120,13 @@ class Localizer:
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
+        self.occupancy = OccupancySearch(
+            prior_map.cloud,
+            prior_map.origin,
+            prior_map.trajectory,
+            config.occupancy,
+            config.segmentation,
+        )
         self.verifier = Verifier(
             prior_map.cloud,
             prior_map.origin,
@@ -171,8 +178,8 @@ class Localizer:
     def search(self, query: Query, times: StageTimes | None = None) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where too little speaks for any pose, it is tried again with more neighbours; the better
-        of the verdicts counts.
+        Where too little speaks for any pose, it is tried again with more neighbours, and at last
+        by what stands where; the best of the verdicts counts.
         """
         times = times or StageTimes(self._clock)
         centroids = query.scene.segments.centroids
@@ -186,17 +193,37 @@ class Localizer:
             with times("pose"):
                 candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
             with times("verification"):
-                agreeing = partial(
-                    self.estimator.inliers, centroids, self.prior_map.centroids, matches
-                )
-                verdict = self.verifier.verify(query.scene, candidates, agreeing)
+                verdict = self._verified(query, matches, candidates)
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
             if not verdict.undecided:
-                break
+                return best
         assert best is not None  # no schedule is empty
-        return best
+        if not self.config.occupancy.enabled:
+            return best
+        found = self.search_occupancy(query, best, times)
+        return found if found.verdict.rank > best.verdict.rank else best
+
+    def search_occupancy(
+        self, query: Query, tried: Search, times: StageTimes | None = None
+    ) -> Search:
+        """Candidate poses by what stands where -> verdict: what :meth:`search` tries last."""
+        times = times or StageTimes(self._clock)
+        agreeing = query.scene.segments.centroids, self.prior_map.centroids, tried.matches
+        with times("pose"):
+            candidates = [
+                replace(c, inliers=self.estimator.inliers(*agreeing, c.T_map_local))
+                for c in self.occupancy.candidates(query.scene)
+            ]
+        with times("verification"):
+            verdict = self._verified(query, tried.matches, candidates)
+        return replace(tried, candidates=candidates, verdict=verdict)
+
+    def _verified(self, query: Query, matches: Matches, candidates: list[Candidate]) -> Verdict:
+        centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
+        inliers = partial(self.estimator.inliers, centroids, map_centroids, matches)
+        return self.verifier.verify(query.scene, candidates, inliers)
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

@@ -285,14 +285,18 @@ class Matches:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pose on which many matches agree, before it is verified.
+    """A pose on which many matches agree, or at which clouds look alike, before it is verified.
 
     Attributes
     ----------
     T_map_local : (4, 4) float64
     inliers : int
         Distinct query segments that agree with the pose (one map segment each).
+    fit : float or None
+        Share of what the query shows standing that stands in the map, too, in [0, 1]. None where
+        the pose comes from matches.
     """
 
     T_map_local: Pose
     inliers: int
+    fit: float | None = None

@@ -44,7 +44,8 @@ class RankedCandidate:
     @property
     def support(self) -> float:
         """What candidates are ranked by."""
-        return self.inliers * self.overlap
+        fit = self.candidate.fit
+        return self.inliers * self.overlap if fit is None else fit
 
 
 @dataclass(frozen=True)

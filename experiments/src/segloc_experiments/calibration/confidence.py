@@ -40,7 +40,7 @@ from segloc.simulation import (
     simulate_sessions,
 )
 from segloc.types import Pose
-from segloc.verification import shipped_confidence
+from segloc.verification import Evidence, shipped_confidence
 
 from ..padding import padded
 from ..script import parser
@@ -140,16 +140,19 @@ def candidates(places: list[Place], drive: Sequence) -> list[Row]:
 
 
 def _judged(localizer: Localizer, query: Query, truth: Pose | None) -> list[Row]:
-    """The row of a query's best candidate, if it has any."""
-    evidence = localizer.search(query).verdict.evidence
-    if evidence is None:
-        return []
+    """The rows of a query's best candidates: by its segments, and by what stands where."""
+    found = localizer.search(query)
+    verdicts = [found.verdict, localizer.search_occupancy(query, found).verdict]
+    return [_row(v.evidence, query, truth) for v in verdicts if v.evidence is not None]
+
+
+def _row(evidence: Evidence, query: Query, truth: Pose | None) -> Row:
     best, right = evidence.score, False
     if truth is not None:
         delta = geometry.inverse(truth) @ best.T_map_local @ query.cloud.T_local_sensor
         right = bool(np.linalg.norm(delta[:3, 3]) < RIGHT_M)
     features = shipped_confidence().features(evidence)
-    return [(*features, float(best.inliers), float(right))]
+    return (*features, float(best.inliers), float(right))
 
 
 class Calibration:

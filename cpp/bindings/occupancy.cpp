@@ -1,0 +1,89 @@
+// The map from above, and where a query fits it.
+#include "bindings/bindings.h"
+#include "occupancy/occupancy_pyramid.h"
+#include "occupancy/pose_search.h"
+
+namespace segloc::bindings {
+namespace {
+
+// A map from above and the places at which a sensor may be.
+class PoseSearch {
+ public:
+  PoseSearch(const float* points, const std::uint8_t* slices, std::size_t n, double cell,
+             int levels, const std::int32_t* roots, std::size_t r, double range)
+      : map_(points, slices, n, cell, levels), area_(map_, roots, r, range) {}
+  PoseSearch(const PoseSearch&) = delete;
+  PoseSearch& operator=(const PoseSearch&) = delete;
+
+  const OccupancyPyramid& map() const { return map_; }
+  const SearchArea& area() const { return area_; }
+
+ private:
+  OccupancyPyramid map_;
+  SearchArea area_;
+};
+
+void construct(PoseSearch* self, const In2<float>& points, const In1<std::uint8_t>& slices,
+               const In2<std::int32_t>& roots, double cell, int levels, double range) {
+  require_points(points);
+  require(slices.shape(0) == points.shape(0), "slices must have one value for each point");
+  require(roots.shape(1) == 2, "roots must have shape (R, 2)");
+  require_between(cell, 0.01, 100.0, "cell");
+  require(levels >= 1 && levels <= 6, "levels must be from 1 to 6");
+  require_between(range, 1.0, 200.0, "range");
+  require(range / cell <= 10'000.0, "range must be at most 10000 cells");
+  nb::gil_scoped_release release;
+  require_usable(points.data(), points.size(), "points");
+  for (std::size_t i = 0; i < roots.size(); ++i) {
+    require_between(roots.data()[i], -(1 << 22), 1 << 22, "roots");
+  }
+  new (self) PoseSearch(points.data(), slices.data(), points.shape(0), cell, levels, roots.data(),
+                        roots.shape(0), range);
+}
+
+auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::uint8_t>& slices,
+            std::size_t yaws, int leaf_level, std::size_t width, std::size_t count,
+            double separation, double separation_deg) {
+  require(columns.shape(1) == 2, "columns must have shape (M, 2)");
+  require(slices.shape(0) == columns.shape(0), "slices must have one value for each column");
+  require(columns.shape(0) <= 4096, "there are more than 4096 columns");
+  require(yaws >= 1 && yaws <= 1440, "yaws must be from 1 to 1440");
+  require(leaf_level >= 0 && leaf_level < self.map().levels(), "leaf_level must be of the map's");
+  require(width >= 1 && width <= 1'000'000, "width must be from 1 to 1000000");
+  require(count <= 65536, "count must be at most 65536");
+  require_between(separation, 0.0, kLongest, "separation");
+  require_between(separation_deg, 0.0, 360.0, "separation_deg");
+  std::vector<double> poses;
+  std::vector<std::int64_t> scores;
+  {
+    nb::gil_scoped_release release;
+    for (std::size_t i = 0; i < columns.shape(0); ++i) {
+      const double x = columns.data()[2 * i], y = columns.data()[2 * i + 1];
+      require(std::hypot(x, y) <= self.area().range(), "columns lie beyond the range");
+    }
+    const SearchLimits limits{yaws, leaf_level, width, count, separation, separation_deg};
+    for (const PlanarPose& p :
+         self.area().search(columns.data(), slices.data(), columns.shape(0), limits)) {
+      poses.insert(poses.end(), {p.x, p.y, p.yaw});
+      scores.push_back(p.score);
+    }
+  }
+  const std::size_t found = scores.size();
+  return std::make_tuple(to_numpy(std::move(poses), {found, 3}), to_numpy(std::move(scores)));
+}
+
+}  // namespace
+
+void bind_occupancy(nb::module_& m) {
+  nb::class_<PoseSearch>(m, "PoseSearch")
+      .def("__init__", &construct, nb::arg("points").noconvert(), nb::arg("slices").noconvert(),
+           nb::arg("roots").noconvert(), nb::arg("cell"), nb::arg("levels"), nb::arg("range"))
+      .def("search", &search, nb::arg("columns").noconvert(), nb::arg("slices").noconvert(),
+           nb::arg("yaws"), nb::arg("leaf_level"), nb::arg("width"), nb::arg("count"),
+           nb::arg("separation"), nb::arg("separation_deg"))
+      .def_prop_ro("nbytes", [](const PoseSearch& self) {
+        return self.map().bytes() + self.area().bytes();
+      });
+}
+
+}  // namespace segloc::bindings

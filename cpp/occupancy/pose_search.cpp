@@ -1,0 +1,227 @@
+#include "occupancy/pose_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <stdexcept>
+#include <tuple>
+#include <utility>
+
+namespace segloc {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+
+struct Branch {
+  std::uint32_t score;
+  std::uint32_t yaw;
+  std::int32_t x, y;  // first cell of its window
+
+  bool operator<(const Branch& other) const {  // the better one first
+    return std::tie(other.score, yaw, y, x) < std::tie(score, other.yaw, other.y, other.x);
+  }
+};
+
+constexpr std::size_t kMostCells = std::size_t{1} << 26;
+
+// Bits of each value; written out so that compilers count many at once.
+inline std::uint8_t ones(std::uint8_t v) {
+  v = static_cast<std::uint8_t>(v - ((v >> 1) & 0x55));
+  v = static_cast<std::uint8_t>((v & 0x33) + ((v >> 2) & 0x33));
+  return static_cast<std::uint8_t>((v + (v >> 4)) & 0x0f);
+}
+
+// Of a whole run at once.
+inline void add_ones(const std::uint8_t* from, std::uint8_t mask, std::uint8_t* sums) {
+  std::uint8_t found[SearchArea::kRun], sum[SearchArea::kRun];
+  std::memcpy(found, from, sizeof(found));
+  std::memcpy(sum, sums, sizeof(sum));
+  for (std::size_t j = 0; j < SearchArea::kRun; ++j) {
+    sum[j] = static_cast<std::uint8_t>(sum[j] + ones(found[j] & mask));
+  }
+  std::memcpy(sums, sum, sizeof(sum));
+}
+
+double angle(std::size_t k, const SearchLimits& limits) {
+  return 2.0 * kPi * double(k) / double(limits.yaws);
+}
+
+// What the query's columns become at each heading, in cells.
+std::vector<std::int32_t> turned(const float* columns, std::size_t m, double cell,
+                                 const SearchLimits& limits) {
+  std::vector<std::int32_t> offsets(2 * m * limits.yaws);
+  auto* next = offsets.data();
+  for (std::size_t k = 0; k < limits.yaws; ++k) {
+    const double c = std::cos(angle(k, limits)), s = std::sin(angle(k, limits));
+    for (std::size_t i = 0; i < m; ++i) {
+      const double x = columns[2 * i], y = columns[2 * i + 1];
+      *next++ = static_cast<std::int32_t>(std::floor((c * x - s * y) / cell));
+      *next++ = static_cast<std::int32_t>(std::floor((s * x + c * y) / cell));
+    }
+  }
+  return offsets;
+}
+
+// The best of all windows at all headings.
+std::vector<Branch> best_windows(const SearchArea& area, const std::vector<std::int32_t>& offsets,
+                                 const std::uint8_t* slices, std::size_t m,
+                                 const SearchLimits& limits) {
+  std::vector<std::vector<std::uint16_t>> scores(limits.yaws);
+  std::vector<std::size_t> histogram(8 * m + 1, 0);
+  for (std::size_t k = 0; k < limits.yaws; ++k) {
+    area.score(&offsets[2 * m * k], slices, m, scores[k]);
+    area.visit([&](std::size_t i, std::int32_t, std::int32_t) { ++histogram[scores[k][i]]; });
+  }
+  std::size_t least = 8 * m, better = 0;
+  while (least > 0 && better + histogram[least] <= limits.width) better += histogram[least--];
+  std::size_t equal = limits.width - better;
+  const std::int32_t side = 1 << (area.map().levels() - 1);
+  std::vector<Branch> branches;
+  for (std::uint32_t k = 0; k < limits.yaws; ++k) {
+    area.visit([&](std::size_t i, std::int32_t x, std::int32_t y) {
+      const std::uint16_t s = scores[k][i];
+      if (s < least || (s == least && equal == 0)) return;
+      if (s == least) --equal;
+      branches.push_back({s, k, x * side, y * side});
+    });
+  }
+  return branches;
+}
+
+// The most that a pose within a window can reach.
+std::uint32_t bound(const OccupancyPyramid& map, int level, const Branch& b,
+                    const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m) {
+  std::uint32_t sum = 0;
+  for (std::size_t i = 0; i < m; ++i) {
+    const std::uint8_t found = map.at(level, b.x + offsets[2 * i], b.y + offsets[2 * i + 1]);
+    sum += ones(found & slices[i]);
+  }
+  return sum;
+}
+
+void keep_best(std::vector<Branch>& branches, std::size_t width) {
+  if (branches.size() <= width) return;
+  std::nth_element(branches.begin(), branches.begin() + static_cast<std::ptrdiff_t>(width),
+                   branches.end());
+  branches.resize(width);
+}
+
+bool alike(const PlanarPose& a, const PlanarPose& b, const SearchLimits& limits) {
+  const double turn = std::abs(std::remainder(a.yaw - b.yaw, 2.0 * kPi));
+  return std::hypot(a.x - b.x, a.y - b.y) < limits.separation &&
+         turn * 180.0 / kPi < limits.separation_deg;
+}
+
+std::vector<PlanarPose> apart(std::vector<Branch>& branches, const OccupancyPyramid& map,
+                              const SearchLimits& limits) {
+  std::sort(branches.begin(), branches.end());
+  std::vector<PlanarPose> poses;
+  const double middle = 0.5 * double(1 << limits.leaf_level);
+  for (const Branch& b : branches) {
+    if (poses.size() == limits.count) break;
+    const PlanarPose pose{(b.x + middle) * map.cell(), (b.y + middle) * map.cell(),
+                          angle(b.yaw, limits), b.score};
+    const auto known = [&](const PlanarPose& other) { return alike(pose, other, limits); };
+    if (std::none_of(poses.begin(), poses.end(), known)) poses.push_back(pose);
+  }
+  return poses;
+}
+
+}  // namespace
+
+SearchArea::SearchArea(const OccupancyPyramid& map, const std::int32_t* roots, std::size_t r,
+                       double range)
+    : map_(map), range_(range) {
+  if (r == 0) return;
+  std::vector<std::pair<std::int32_t, std::int32_t>> sorted;
+  std::int32_t high[2] = {roots[0], roots[1]}, low[2] = {roots[0], roots[1]};
+  for (std::size_t i = 0; i < 2 * r; ++i) {
+    high[i % 2] = std::max(high[i % 2], roots[i]);
+    low[i % 2] = std::min(low[i % 2], roots[i]);
+  }
+  for (std::size_t i = 0; i < r; ++i) sorted.push_back({roots[2 * i + 1], roots[2 * i]});
+  std::sort(sorted.begin(), sorted.end());
+  const double side = map.cell() * double(1 << (map.levels() - 1));
+  const auto pad = static_cast<std::int32_t>(std::ceil(range / side)) + 1;
+  low_x_ = low[0] - pad;
+  low_y_ = low[1] - pad;
+  wide_ = static_cast<std::size_t>(high[0] + pad + kSpan - low_x_);
+  high_ = static_cast<std::size_t>(high[1] + pad + 1 - low_y_);
+  const int shift = 2 * (map.levels() - 1);
+  if ((wide_ << shift) > kMostCells || (wide_ * high_ << shift) > kMostCells) {
+    throw std::invalid_argument("roots lie too far apart");
+  }
+  lay_out();
+  for (const auto& [y, x] : sorted) {
+    const bool inside = !runs_.empty() && runs_.back().y == y && x - runs_.back().x < kSpan;
+    if (!inside) runs_.push_back({x, y, 0, place_of(x, y)});
+    runs_.back().members |= 1u << (x - runs_.back().x);
+  }
+}
+
+void SearchArea::lay_out() {
+  const int top = map_.levels() - 1;
+  const std::int32_t side = 1 << top;
+  image_.reserve(wide_ * high_ << (2 * top));
+  for (std::int32_t py = 0; py < side; ++py) {
+    for (std::int32_t px = 0; px < side; ++px) {
+      for (std::size_t y = 0; y < high_; ++y) {
+        const std::int32_t cell_y = (low_y_ + static_cast<std::int32_t>(y)) * side + py;
+        for (std::size_t x = 0; x < wide_; ++x) {
+          image_.push_back(
+              map_.at(top, (low_x_ + static_cast<std::int32_t>(x)) * side + px, cell_y));
+        }
+      }
+    }
+  }
+}
+
+void SearchArea::score(const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m,
+                       std::vector<std::uint16_t>& scores) const {
+  constexpr std::size_t kGroup = 31;  // their sum fits a byte
+  const int top = map_.levels() - 1;
+  const std::int32_t last = (1 << top) - 1;
+  scores.assign(runs_.size() * kRun, 0);
+  std::vector<std::uint8_t> sums(scores.size());
+  for (std::size_t begin = 0; begin < m; begin += kGroup) {
+    std::fill(sums.begin(), sums.end(), std::uint8_t{0});
+    for (std::size_t i = begin; i < std::min(m, begin + kGroup); ++i) {
+      const std::int32_t x = offsets[2 * i], y = offsets[2 * i + 1];
+      const auto place = static_cast<std::size_t>(((y & last) << top) | (x & last));
+      const std::uint8_t* image = &image_[place * wide_ * high_];
+      const std::ptrdiff_t shift =
+          std::ptrdiff_t{y >> top} * static_cast<std::ptrdiff_t>(wide_) + (x >> top);
+      for (std::size_t k = 0; k < runs_.size(); ++k) {
+        add_ones(image + runs_[k].at + shift, slices[i], &sums[k * kRun]);
+      }
+    }
+    for (std::size_t w = 0; w < sums.size(); ++w) {
+      scores[w] = static_cast<std::uint16_t>(scores[w] + sums[w]);
+    }
+  }
+}
+
+std::vector<PlanarPose> SearchArea::search(const float* columns, const std::uint8_t* slices,
+                                           std::size_t m, const SearchLimits& limits) const {
+  const std::vector<std::int32_t> offsets = turned(columns, m, map_.cell(), limits);
+  std::vector<Branch> branches = best_windows(*this, offsets, slices, m, limits);
+  for (int level = map_.levels() - 2; level >= limits.leaf_level; --level) {
+    keep_best(branches, limits.width);
+    std::vector<Branch> parts;
+    parts.reserve(4 * branches.size());
+    const std::int32_t half = 1 << level;
+    for (const Branch& b : branches) {
+      for (const std::int32_t y : {b.y, b.y + half}) {
+        for (const std::int32_t x : {b.x, b.x + half}) {
+          Branch part{0, b.yaw, x, y};
+          part.score = bound(map_, level, part, &offsets[2 * m * b.yaw], slices, m);
+          parts.push_back(part);
+        }
+      }
+    }
+    branches = std::move(parts);
+  }
+  return apart(branches, map_, limits);
+}
+
+}  // namespace segloc
