@@ -58,6 +58,28 @@ def test_sessions_are_recorded_with_poses_and_objects(
 
 
 @pytest.mark.slow
+def test_a_storey_is_simulated_with_a_sensor_that_tilts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "third"
+    options = ["--size", "40", "--length", "24", "--thin", "24", "--workers", "1"]
+    options += ["--sessions", "1", "--sensor", "mid360", "--platform", "handheld"]
+    tilted = [*options, "--tilt", "0", "20", "--storey", "3"]
+    assert segloc(monkeypatch, "simulate", "building", "--out", out, *tilted) == 0
+    facts = json.loads((out / "scene.json").read_text())
+    assert (facts["storey"], facts["tilt_deg"]) == (3, [0.0, 20.0])
+    assert segloc(monkeypatch, "simulate", "building", "--out", tmp_path / "low", *options) == 0
+    high, low = (
+        read_trajectory(folder / "session_0" / "poses.tum").poses
+        for folder in (out, tmp_path / "low")
+    )
+    assert 8.5 < (high[:, 2, 3] - low[:, 2, 3]).min() < 12.0
+    np.testing.assert_allclose(high[:, :2, 3], low[:, :2, 3], atol=1e-5)
+    nod = low[:, :3, :3].transpose(0, 2, 1) @ high[:, :3, :3]
+    np.testing.assert_allclose(nod[:, 0, 0], np.cos(np.radians(20.0)), atol=1e-5)
+
+
+@pytest.mark.slow
 def test_a_push_broom_sensor_is_gathered_to_swathes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -96,6 +118,8 @@ def test_a_suite_is_a_folder_a_set(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (["moon"], "the scene must be one of"),
         (["town", "--sensor", "sonar"], "--sensor must be one of"),
         (["town", "--platform", "boat"], "--platform must be one of"),
+        (["town", "--tilt", "0", "9"], "--tilt goes with --platform"),
+        (["town", "--size", "150", "--storey", "1"], "town-0: storey must be in 0..0, not 1"),
         (["town", "--season", "monsoon"], "--season must be one of summer, autumn, winter, spring"),
         (["town", "--season", "winter", "--foliage", "0.5"], "--season or --foliage, not both"),
         (["town", "--replaced", "2"], "replaced must be in 0..1, not 2.0"),

@@ -20,9 +20,10 @@ from segloc.simulation.objects.mesh import LEAF
 from segloc.simulation.objects.terrain import Terrain
 from segloc.simulation.objects.vehicles import vehicle
 from segloc.simulation.suites import SIX, SUMMER
-from segloc.simulation.worlds.changes import BUILT, REPLACEABLE, Extent, scaffold
+from segloc.simulation.worlds.changes import BUILT, Extent, scaffold
 from segloc.simulation.worlds.character import draw_character
 from segloc.simulation.worlds.industrial import mesh_fence
+from segloc.simulation.worlds.replaceable import REPLACEABLE
 from segloc.simulation.worlds.roads import street_network
 from segloc.simulation.worlds.world import World
 

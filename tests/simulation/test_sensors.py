@@ -29,12 +29,15 @@ from segloc.simulation import (
     Route,
     Scene,
     World,
+    avia,
     car,
     deskew,
     handheld,
     hdl64e,
     legged,
     lms151,
+    mid360,
+    os0_128,
     os1_64,
     record,
     simulate_session,
@@ -116,6 +119,30 @@ def test_rosette_goes_on_from_scan_to_scan_and_fills_its_view() -> None:
 
     assert cells(later) > 1.5 * cells(once)
     assert cells(later) > 0.6 * np.pi / 4 * 70.4 * 77.2
+
+
+def test_the_livox_sensors_have_the_views_of_their_data_sheets() -> None:
+    swirl, rosette = mid360(), avia()
+    assert len(swirl.rays(0.0).directions) * swirl.rate_hz == 200_000
+    assert len(rosette.rays(0.0).directions) * rosette.rate_hz == 240_000
+    ways = [np.concatenate([s.rays(0.0, k).directions for k in range(6)]) for s in (swirl, rosette)]
+    (azimuth, elevation), (across, up) = (
+        (np.degrees(np.arctan2(w[:, 1], w[:, 0])), np.degrees(np.arcsin(w[:, 2]))) for w in ways
+    )
+    np.testing.assert_allclose([elevation.min(), elevation.max()], [-7.0, 52.0], atol=0.1)
+    share, _ = np.histogram(azimuth, 36, (-180, 180))
+    assert share.min() > 0.8 * share.mean()
+    np.testing.assert_allclose([np.ptp(across), np.ptp(up)], [70.4, 77.2], rtol=0.02)
+    once, later = (np.round(np.column_stack([azimuth, elevation])[:n]) for n in (20_000, 120_000))
+    assert len(np.unique(later, axis=0)) > 1.4 * len(np.unique(once, axis=0))
+    first, second = swirl.rays(0.0, 0).directions, swirl.rays(0.7, 1).directions
+    step = np.linalg.norm(np.diff(first, axis=0), axis=1)
+    assert np.linalg.norm(second[0] - first[-1]) < 1.2 * step.max()
+
+
+def test_os0_sees_ninety_degrees() -> None:
+    elevation = np.degrees(np.arcsin(os0_128(8).rays(0.0).directions[:128, 2].astype(float)))
+    np.testing.assert_allclose(elevation, np.linspace(45.0, -45.0, 128), atol=1e-3)
 
 
 def test_push_broom_sees_the_ground_below_and_both_sides() -> None:
@@ -221,14 +248,19 @@ def test_platforms_keep_their_height_and_their_limits(name: str, small: World) -
     gain = np.diff(speed) / np.diff(motion.stamps)[1:]
     assert np.abs(gain).max() < 1.3 * platform.braking_mps2
     above = motion.poses[:, 2, 3] - small.terrain.height(*motion.poses[:, :2, 3].T)
-    assert abs(np.median(above) - platform.mount_height_m) < 0.05
+    if platform.flight is not None:
+        assert above.min() >= platform.flight.low_m
+        assert above.max() <= platform.flight.high_m
+    else:
+        assert abs(np.median(above) - platform.mount_height_m) < 0.05
 
 
 @pytest.mark.parametrize("name", PLATFORMS)
 def test_scans_by_distance_are_evenly_spaced(name: str, small: World, route: Route) -> None:
     motion, stamps = route.drive(small, PLATFORMS[name](), np.random.default_rng(1))
     assert len(stamps) == 35
-    np.testing.assert_allclose(np.diff(travelled(motion.at(stamps))), route.spacing_m, atol=0.15)
+    flat = motion.at(stamps) * [[1, 1, 1, 1], [1, 1, 1, 1], [1, 1, 1, 0], [1, 1, 1, 1]]
+    np.testing.assert_allclose(np.diff(travelled(flat)), route.spacing_m, atol=0.15)
 
 
 def test_a_walker_bobs_once_a_step(small: World) -> None:
@@ -467,6 +499,9 @@ def test_seconds_as_stamps_need_one_pose_a_scan(tmp_path: Path) -> None:
         lambda: replace(solid_state(), view_deg=(0.0, 70.0)),
         lambda: replace(solid_state(), beams=200),
         lambda: lms151(1),
+        lambda: mid360(0),
+        lambda: replace(mid360(), elevations_deg=(10.0, 5.0)),
+        lambda: replace(mid360(), nods_hz=0.0),
         lambda: replace(lms151(), view_deg=400.0),
         lambda: replace(os1_64(), azimuths_deg=()),
         lambda: replace(vlp16(), divergence_mrad=-1.0),

@@ -23,10 +23,10 @@ from .motion.traversal import SimulatedSequence, simulate_session
 from .objects.scene import Scene
 from .record import record
 from .sensors.catalogue import SENSORS
-from .sensors.lidar import SpinningLidar, hdl32e, hdl64e, os1_64, os1_128, vlp16
+from .sensors.lidar import SpinningLidar, hdl32e, hdl64e, os0_128, os1_64, os1_128, vlp16
 from .sensors.linescan import LineLidar, lms151
 from .sensors.ranging import Lidar, Rays, Returns
-from .sensors.rosette import RosetteLidar, solid_state
+from .sensors.rosette import RosetteLidar, SwirlLidar, avia, mid360, solid_state
 from .worlds.forest import forest
 from .worlds.industrial import industrial
 from .worlds.meadow import meadow
@@ -57,7 +57,9 @@ __all__ = [
     "Scene",
     "SimulatedSequence",
     "SpinningLidar",
+    "SwirlLidar",
     "World",
+    "avia",
     "building",
     "car",
     "carried",
@@ -72,8 +74,10 @@ __all__ = [
     "legged",
     "lms151",
     "meadow",
+    "mid360",
     "mine",
     "offices",
+    "os0_128",
     "os1_64",
     "os1_128",
     "park",

@@ -67,11 +67,12 @@ def rack(bays: int, bay_m: float, levels: Float64, depth_m: float) -> Mesh:
 
 def dock_door(rng: np.random.Generator, wide: float, high: float) -> Mesh:
     """A sectional door in the plane y = 0, seen from -y, with rubber buffers and a leveller."""
-    sections = np.arange(int(high / 0.5))
+    each = high / max(1, round(high / 0.5))
     raised = float(rng.choice([0.0, 0.0, 0.0, 0.4]))
-    z = 0.5 * sections[sections * 0.5 >= raised * high] + 0.25
+    z = np.arange(each / 2, high, each)
+    z = z[z > raised * high]
     leaf = boxes(
-        np.column_stack([0 * z, 0.02 * (-1.0) ** np.arange(len(z)), z]), [wide, 0.05, 0.49], 0.6
+        np.column_stack([0 * z, 0.02 * (-1.0) ** np.arange(len(z)), z]), [wide, 0.05, each], 0.6
     )
     jambs = boxes(
         [[s * (wide / 2 + 0.1), -0.08, high / 2] for s in (-1, 1)], [0.16, 0.2, high], _STEEL

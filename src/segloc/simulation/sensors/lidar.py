@@ -107,6 +107,16 @@ def os1_128(azimuth_steps: int = 1024) -> SpinningLidar:
     return _ouster("os1-128", 128, 22.5, 4.23, azimuth_steps)
 
 
+def os0_128(azimuth_steps: int = 1024) -> SpinningLidar:
+    """Ouster OS0-128: 128 beams evenly over -45 to 45 degrees, in four staggered columns.
+
+    Field of view, beam divergence (0.35 degrees) and ranges (35 m at 10 %, 75 m at 80 %) after
+    Ouster's "OS0 Ultra-Wide View High-Resolution Imaging Lidar", Rev7.
+    """
+    usual = _ouster("os0-128", 128, 45.0, 11.0, azimuth_steps)
+    return replace(usual, max_range_m=100.0, reference_range_m=100.0, divergence_mrad=6.1)
+
+
 def _ouster(
     name: str, beams: int, half_view_deg: float, stagger_deg: float, azimuth_steps: int
 ) -> SpinningLidar:

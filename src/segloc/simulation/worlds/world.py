@@ -16,9 +16,10 @@ from ..objects.scene import Scene
 from ..objects.street import person
 from ..objects.terrain import Terrain
 from ..objects.vehicles import bicycle, vehicle
-from .changes import BUILT, REPLACEABLE, Extent, Footing, replace_some, road_works, scaffold
+from .changes import BUILT, Extent, Footing, replace_some, road_works, scaffold
 from .interior import Interior
 from .movables import MOVABLES
+from .replaceable import REPLACEABLE
 from .roads import RoadNetwork
 
 _ROAD_WORKS = 0.012  # at how many of the places to park they dig
@@ -124,7 +125,7 @@ class World:
         """
         heights = (0.0,) if self.interior is None else self.interior.storeys
         if not 0 <= storey < len(heights):
-            raise ConfigError(f"{self.name} has {len(heights)} storeys from 0 on, not {storey}")
+            raise ConfigError(f"{self.name}: storey must be in 0..{len(heights) - 1}, not {storey}")
         return self.terrain if storey == 0 else self.terrain.raised(heights[storey])
 
     def session(self, k: int, conditions: Conditions | None = None) -> Scene:

@@ -1,0 +1,81 @@
+"""What may be gone in another session, and what then stands elsewhere or instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..objects.containers import barriers, drums, pallets, rubble, shipping_container, stores
+from ..objects.furniture import cupboard, desk, pot_plant, printer, shelf, sofa, table
+from ..objects.mesh import Mesh
+from ..objects.storage import cage, machine, pallet_load
+from ..objects.street import (
+    bench,
+    bollards,
+    cabinet,
+    litter_bin,
+    name_sign,
+    skip_container,
+    traffic_sign,
+    wheelie_bin,
+)
+from ..objects.vegetation import bush, tree
+
+
+@dataclass(frozen=True)
+class Replaceable:
+    """A kind of object that may be gone in another session, and what then stands elsewhere.
+
+    Attributes
+    ----------
+    make : callable
+        Makes another of its kind.
+    radius : float
+        Of the ground that it needs, metres.
+    tallest : float
+        What is higher stays, metres.
+    in_place : bool
+        Whether the other one stands where the first stood, as goods on a shelf do.
+    """
+
+    make: Callable[[np.random.Generator], Mesh]
+    radius: float
+    tallest: float = np.inf
+    in_place: bool = False
+
+
+def _small_tree(rng: np.random.Generator) -> Mesh:
+    return tree(rng, float(rng.uniform(2.5, 5.5)))
+
+
+REPLACEABLE: dict[str, Replaceable] = {
+    "bench": Replaceable(bench, 1.1),
+    "bin": Replaceable(wheelie_bin, 0.5),
+    "litter bin": Replaceable(litter_bin, 0.4),
+    "bollards": Replaceable(bollards, 1.5),
+    "bush": Replaceable(bush, 1.3),
+    "traffic sign": Replaceable(traffic_sign, 0.4),
+    "name sign": Replaceable(name_sign, 1.2),
+    "cabinet": Replaceable(cabinet, 0.8),
+    "container": Replaceable(skip_container, 1.8),
+    "tree": Replaceable(_small_tree, 1.0, tallest=6.0),
+    "shipping container": Replaceable(shipping_container, 3.4, tallest=3.2),
+    "pallets": Replaceable(pallets, 0.9),
+    "drums": Replaceable(drums, 1.2),
+    "barrier": Replaceable(barriers, 3.5),
+    "rubble": Replaceable(rubble, 3.2),
+    "stores": Replaceable(stores, 1.2, in_place=True),
+    "goods": Replaceable(pallet_load, 0.9, in_place=True),
+    "cages": Replaceable(cage, 1.6),
+    "machine": Replaceable(machine, 2.2),
+    "desk": Replaceable(desk, 1.0, in_place=True),
+    "cupboard": Replaceable(cupboard, 1.2, in_place=True),
+    "shelf": Replaceable(shelf, 0.9, in_place=True),
+    "table": Replaceable(table, 1.6, in_place=True),
+    "sofa": Replaceable(sofa, 1.1, in_place=True),
+    "plant": Replaceable(pot_plant, 0.4),
+    "printer": Replaceable(printer, 0.6, in_place=True),
+}
+"""By kind. Of each the share that :class:`Conditions` names is replaced."""
