@@ -35,6 +35,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "attitude.py": (8, "which way is up in a scan"),
     "mounting.py": (8, "how a sensor is mounted on its base"),
     "local_cloud.py": (7, "scans to local cloud"),
+    "levelling.py": (7, "whether the frame of a recording is level, and turning it"),
     "segmentation.py": (7, "local cloud to segments"),
     "matching.py": (7, "descriptors to matches"),
     "pose.py": (7, "matches to candidate poses"),

@@ -98,7 +98,7 @@ class AttitudeEstimator:
             Unit vector: about where up is. Of the directions that floors and walls allow, the one
             within ``max_tilt_deg`` of it is meant.
         """
-        normals = self._normals(points)
+        normals = self.normals(points)
         if len(normals) < self.config.min_normals:
             return None
         grid = self._grid @ geometry.upright(expected)[:3, :3]
@@ -108,7 +108,14 @@ class AttitudeEstimator:
             return None
         return found
 
-    def _normals(self, points: Float32) -> Float64:
+    def normals(self, points: Float32) -> Float64:
+        """Unit normals, of either sign, of flat places near the sensor, (M, 3).
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Sensor frame.
+        """
         config = self.config
         near = np.einsum("ij,ij->i", points, points) < config.radius_m**2
         thinned = _native.voxel_grid(np.ascontiguousarray(points[near]), config.voxel_size)

@@ -42,6 +42,7 @@ FOR_USERS = (
     "local_cloud.mount.matrix",
     "local_cloud.mount.poses_of_base",
     "mapping.views",
+    "mapping.level",
     "matching.neighbours",
     "matching.escalation",
     "pose.estimator",

@@ -129,11 +129,14 @@ class Accumulator:
             return expected, "given" if weighed else "assumed"
         return found.up, "estimated"
 
-    def level(self, scan: Scan) -> NDArray[np.float64]:
-        """Where up is in the sensor's frame while its base stands level, (3,) float64."""
+    def level(self, scan: Scan, unknown: NDArray[np.float64] = _Z) -> NDArray[np.float64]:
+        """Where up is in the sensor's frame while its base stands level, (3,) float64.
+
+        ``unknown`` where nothing says how the sensor is mounted.
+        """
         configured = self.config.mount.T_base_sensor
         T_base_sensor = scan.T_base_sensor if configured is None else configured
-        return _Z if T_base_sensor is None else T_base_sensor[2, :3].copy()
+        return unknown if T_base_sensor is None else T_base_sensor[2, :3].copy()
 
     def _crop(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         radius = self.config.radius_m

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, TypeAlias
 
-from .types import Float64, Pose
+from .types import AttitudeSource, Float64, Pose
 
 
 class Reason(str, Enum):
@@ -83,6 +83,8 @@ class _Answer:
         Milliseconds each stage took.
     stamp : float or None
         Stamp of the query's scan, seconds; None where it has none.
+    attitude : "given", "estimated" or "assumed"
+        Where the query's roll and pitch come from: a pose or gravity, its scan, or nothing.
     """
 
     inliers: int = 0
@@ -95,6 +97,7 @@ class _Answer:
     counts: Mapping[str, int] = field(default_factory=dict)
     times_ms: Mapping[str, float] = field(default_factory=dict)
     stamp: float | None = None
+    attitude: AttitudeSource = "given"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -245,6 +245,7 @@ def _answer(query: Query, found: Search, times: StageTimes) -> Localization:
         "counts": counts,
         "times_ms": times.with_total(),
         "stamp": query.cloud.stamp,
+        "attitude": query.cloud.attitude,
         "confidence": verdict.confidence,
         "runner_up": _runner_up(verdict, T_local_sensor),
         **_measured(verdict),

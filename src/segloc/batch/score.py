@@ -174,6 +174,7 @@ class Evaluation:
         summary: dict[str, Any] = {
             "queries": len(self),
             "stamps": "scan numbers" if self.stamps is None else "seconds",
+            "attitude": dict(sorted(Counter(r.attitude for r in self.results).items())),
             "localized": int(self.localized.sum()),
             "not_localized": int((~self.localized).sum()),
             "correct": int(self.correct.sum()) if known else None,
@@ -201,6 +202,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "reason": None if result.reason is None else result.reason.value,
         "message": result.message,
         "T_map_sensor": _nested(result.T_map_sensor),
+        "attitude": result.attitude,
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
         "seen": _finite(result.seen),

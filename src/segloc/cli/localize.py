@@ -108,7 +108,9 @@ def show(summary: dict[str, Any], title: str) -> None:
     """Print a summary as one table."""
     from .console import number, table
 
-    rows = [("queries", str(summary["queries"])), ("localized", str(summary["localized"]))]
+    sources = ", ".join(f"{count} {name}" for name, count in summary["attitude"].items())
+    rows = [("queries", str(summary["queries"])), ("roll and pitch", sources or "-")]
+    rows.append(("localized", str(summary["localized"])))
     if summary["correct"] is not None:
         rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
         found = f"{summary['within_coverage_correct']} of {summary['within_coverage']}"

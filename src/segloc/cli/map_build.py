@@ -35,6 +35,9 @@ def build(
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
+    level: Annotated[
+        bool, typer.Option("--level", help="Turn the poses so that z is up, by walls in the scans.")
+    ] = False,
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
@@ -43,7 +46,7 @@ def build(
     from ..errors import DatasetError
     from ..files import checked_target
     from ..map.build import build_map
-    from .console import progress
+    from .console import note, progress
     from .map_info import show
     from .recording import open_recording
     from .saving import writing
@@ -51,6 +54,9 @@ def build(
     check_every(every)
     checked_target(out)
     settings = load_config(config, method, threads, weights)
+    if level:
+        mapping = settings.mapping.model_copy(update={"level": True})
+        settings = settings.model_copy(update={"mapping": mapping})
     recording = open_recording(
         sequence,
         poses,
@@ -70,3 +76,8 @@ def build(
     with writing(out):
         prior_map.save(out)
     show(prior_map, str(out))
+    if (frame := prior_map.metadata.get("frame")) and not settings.mapping.level:
+        note(
+            f"the map's frame is {frame}, and scans that are levelled by themselves fit it badly; "
+            "--level builds it level"
+        )

@@ -10,6 +10,8 @@ import typer
 if TYPE_CHECKING:
     from ..map.segment_map import SegmentMap
 
+_MOST_TEXT = 200
+
 
 def info(
     path: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
@@ -41,4 +43,6 @@ def show(prior_map: SegmentMap, title: str) -> None:
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
     ]
+    if frame := prior_map.metadata.get("frame"):
+        rows.append(("frame", frame[:_MOST_TEXT]))
     table(title, ("", ""), rows)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +15,7 @@ from .. import geometry
 from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
+from ..levelling import frame_lean, levelled
 from ..local_cloud import Accumulator, window
 from ..segmentation import Segmentation, Segmenter
 from ..types import Descriptors, Float64, Pose, Recording, stamp_at
@@ -31,7 +34,9 @@ def build_map(
     Parameters
     ----------
     sequence : Recording
-        With poses: they define the map frame, whose z axis must point up.
+        With poses: they define the map frame, whose z axis must point up. Where it certainly does
+        not, ``metadata["frame"]`` of the map says so; with ``config.mapping.level`` the poses are
+        turned first, and ``metadata["T_map_odom"]`` says how.
     config : Config
     every_m : float, optional
         Distance between views; overrides the configuration.
@@ -41,8 +46,10 @@ def build_map(
     Raises
     ------
     DatasetError
-        If there are no poses, or nothing that could be segmented.
+        If there are no poses, or nothing that could be segmented, or the poses are to be levelled
+        and nothing tells what is up.
     """
+    sequence, frame = _framed(sequence, config)
     poses = _poses(sequence)
     descriptor = create(config.method, config.threads, config.weights)
     prior_map = empty_map(descriptor, config, poses[0, :3, 3])
@@ -53,7 +60,22 @@ def build_map(
     prior_map.add_trajectory(poses)
     prior_map.metadata["config"] = config.to_yaml()
     prior_map.metadata["sequence"] = sequence.name
+    prior_map.metadata.update(frame)
     return prior_map
+
+
+def _framed(sequence: Recording, config: Config) -> tuple[Recording, dict[str, str]]:
+    """The recording in the map's frame, and what there is to say of that frame."""
+    _poses(sequence)
+    lean = frame_lean(sequence, config.local_cloud)
+    if config.mapping.level:
+        turned, T_map_odom = levelled(sequence, lean)
+        angle = math.degrees(geometry.rotation_angle(T_map_odom))
+        said = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
+        return turned, {"frame": said, "T_map_odom": json.dumps(T_map_odom.tolist())}
+    if lean is None or not lean.noticed:
+        return sequence, {}
+    return sequence, {"frame": f"tilted by {lean.tilt_deg:.1f} degrees: its z axis is not up"}
 
 
 @dataclass(frozen=True)

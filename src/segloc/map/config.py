@@ -29,3 +29,6 @@ class MappingConfig(Section):
     cloud_voxel: float = Field(
         0.3, ge=0.01, le=10, description="voxel of the cloud kept for verification"
     )
+    level: bool = Field(
+        False, description="turn the poses about the first so that z is up, by walls in the scans"
+    )
