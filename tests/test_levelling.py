@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,13 @@ from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
 from scipy.spatial.transform import Rotation
 
-from segloc import Config, Localizer, Scan, build_map, geometry
+from segloc import Config, Localizer, Scan, build_map, cli, geometry
 from segloc.attitude import angle_deg
 from segloc.datasets import open_sequence
 from segloc.errors import DatasetError
 from segloc.levelling import Lean, Turned, frame_lean, level_transform, levelled
 from segloc.local_cloud import LocalCloudConfig
+from segloc.simulation import record
 from segloc.types import Float64, Recording
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -165,32 +165,39 @@ def test_a_town_mapped_by_a_leaning_odometry() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_line_says_that_a_map_leans(plaza: Plaza, tmp_path: Path) -> None:
-    import subprocess
-    import sys
-
-    from segloc.simulation import record
-
+def test_the_command_line_says_that_a_map_leans(
+    plaza: Plaza,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     folder = record(leaning(PlazaSequence(plaza), tilt(4.0)), tmp_path / "walk", workers=1)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "300")
 
     def run(*arguments: str) -> str:
-        done = subprocess.run(
-            [sys.executable, "-c", "from segloc.cli import main; main()", *arguments],
-            capture_output=True, text=True, cwd=tmp_path, check=False,
-            env={**os.environ, "COLUMNS": "200"},
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        return " ".join((done.stdout + done.stderr).split())
+        monkeypatch.setattr("sys.argv", ["segloc", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        said = capsys.readouterr()
+        assert not end.value.code, said.err
+        return " ".join((said.out + said.err).split())
 
-    said = run("map", "build", str(folder), "--poses", "poses.tum", "--out", "leant.segmap")
+    build = ("map", "build", str(folder), "--poses", "poses.tum", "--method", "geo")
+    said = run(*build, "--out", "leant.segmap")
     assert "the map's frame is tilted by 4.0 degrees" in said and "--level builds it level" in said
-    level = ("map", "build", str(folder), "--poses", "poses.tum", "--level")
-    said = run(*level, "--out", "level.segmap")
+    said = run(*build, "--level", "--out", "level.segmap")
     assert "turned by 4.0 degrees" in said and "--level" not in said
     assert "turned by 4.0 degrees" in run("map", "info", "level.segmap")
     said = run("info", str(folder), "--poses", "poses.tum")
     assert "tilted by 4.0 degrees, as walls show" in said
-    said = run("info", str(folder))
-    assert "15 estimated; tilt" in said
+    assert "15 estimated; tilt" in run("info", str(folder))
     said = run("localize", str(folder), "--map", "level.segmap", "--out", "found", "--select", "7")
     assert "1 estimated" in said
+    again = ("localize", str(folder), "--map", "level.segmap", "--poses", "poses.tum")
+    again = (*again, "--select", "7:9", "--out", "found")
+    assert "the poses' z axis is 4.0 degrees off vertical: --level turns them" in run(*again)
+    assert "poses turned by 4.0 degrees" in run(*again, "--level")
+    run("localize", str(folder), "--map", "level.segmap", "--out", "found", "--select", "7")
+    record_line = (tmp_path / "found" / "localizations.jsonl").read_text()
+    assert json.loads(record_line)["attitude"] == "estimated"

@@ -11,6 +11,7 @@ from .options import (
     ConfigFile,
     Deskew,
     Every,
+    Level,
     Odometry,
     Poses,
     Recording,
@@ -23,8 +24,8 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..datasets import Sequence
     from ..types import Float64, Int64
+    from ..types import Recording as Scans
 
 
 def localize(
@@ -42,6 +43,7 @@ def localize(
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
+    level: Level = False,
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
@@ -55,7 +57,7 @@ def localize(
     from ..datasets import poses_at
     from ..map.segment_map import SegmentMap
     from .console import progress
-    from .recording import open_recording, place_of_sensor
+    from .recording import levelled_poses, open_recording, place_of_sensor
     from .results import check_folder, write_results
 
     check_every(every)
@@ -63,9 +65,10 @@ def localize(
     prior = SegmentMap.load(prior_map)
     localizer = open_localizer(prior, config, threads, weights)
     mount = localizer.config.local_cloud.mount
-    recording = open_recording(
+    recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
     )
+    recording = levelled_poses(recording, localizer.config.local_cloud, level)
     T = place_of_sensor(mount)
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     gap = localizer.config.local_cloud.max_gap_m
@@ -84,7 +87,7 @@ def localize(
 
 
 def _positions(
-    recording: Sequence, truths: Float64 | None, every: float | None, max_gap_m: float
+    recording: Scans, truths: Float64 | None, every: float | None, max_gap_m: float
 ) -> Int64:
     import numpy as np
 

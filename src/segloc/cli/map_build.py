@@ -10,6 +10,7 @@ from .options import (
     ConfigFile,
     Deskew,
     Every,
+    Level,
     MapOut,
     Odometry,
     Poses,
@@ -35,9 +36,7 @@ def build(
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
-    level: Annotated[
-        bool, typer.Option("--level", help="Turn the poses so that z is up, by walls in the scans.")
-    ] = False,
+    level: Level = False,
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,

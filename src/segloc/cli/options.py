@@ -32,6 +32,9 @@ Deskew = Annotated[
 Odometry = Annotated[
     bool, typer.Option("--odometry", help="Poses from the scans alone (`segloc odometry`).")
 ]
+Level = Annotated[
+    bool, typer.Option("--level", help="Turn the poses so that z is up, by walls in the scans.")
+]
 Select = Annotated[
     str | None, typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.")
 ]

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..datasets import Sequence
+    from ..local_cloud import LocalCloudConfig
     from ..mounting import MountConfig
-    from ..types import Pose
+    from ..types import Pose, Recording
 
 
 def open_recording(
@@ -63,3 +64,36 @@ def odometry_of(path: Path, topic: str | None = None) -> Path:
         compute_odometry(recording, file, update)
     note(f"odometry written to {file}")
     return file
+
+
+def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) -> Recording:
+    """The recording with its poses levelled where that is wanted; otherwise what it needs is said.
+
+    Raises
+    ------
+    ConfigError
+        If there are no poses to be levelled.
+    DatasetError
+        If they are to be levelled, and the scans show too few walls to tell what is up.
+    """
+    from ..errors import ConfigError, DatasetError
+    from ..levelling import frame_lean, levelled
+    from .console import note
+
+    if recording.poses is None:
+        if level:
+            raise ConfigError("--level needs poses: scans without are levelled one by one")
+        return recording
+    if level:
+        lean = frame_lean(recording, config)
+        turned, _ = levelled(recording, lean)
+        if lean is not None:
+            note(f"poses turned by {lean.tilt_deg:.1f} degrees about the first, so that z is up")
+        return turned
+    try:
+        lean = frame_lean(recording, config)
+    except DatasetError:
+        return recording  # a scan that is perhaps not asked for
+    if lean is not None and lean.noticed:
+        note(f"the poses' z axis is {lean.tilt_deg:.1f} degrees off vertical: --level turns them")
+    return recording
