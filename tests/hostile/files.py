@@ -366,6 +366,35 @@ def cut(make: Callable[[Path], object], share: float) -> Callable[[Path], object
     return cut_off
 
 
+def imu(first: bytes) -> Callable[[Path], object]:
+    """A bag with a cloud, and messages of an IMU that begin like this."""
+
+    def make(path: Path) -> None:
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+        from samples.bags import CLOUD, IMU, BagWriter
+
+        samples = BagWriter("sqlite3")
+        samples.cloud("/points", START, np.ones((9, 3)))
+        time, _, _, cloud = samples.messages[0]
+        with Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            points = writer.add_connection("/points", CLOUD, typestore=samples.store)
+            felt = writer.add_connection("/imu", IMU, typestore=samples.store)
+            writer.write(points, time, samples.store.serialize_cdr(cloud, CLOUD))
+            for k in range(9):
+                writer.write(felt, time + k, first)
+
+    return make
+
+
+HEAD = b"\0\1\0\0" + struct.pack("<iII", int(START), 0, 4) + b"imu\0"
+add("sequence", "imu-cut.d", imu(HEAD), "imu-cut")
+add("sequence", "imu-noise.d", imu(b"\0\1\0\0" + b"\xff" * 400), "imu-noise")
+add(
+    "sequence", "imu-nan.d", imu(HEAD + struct.pack("<37d", *[float("nan")] * 37)), may_be_read=True
+)
+add("sequence", "imu-huge.d", imu(HEAD + struct.pack("<37d", *[1e308] * 37)), may_be_read=True)
+
 LARGE = 30_000_000  # more than a message may have
 for packing in ("BZ2", "LZ4"):
     add("sequence", f"{packing.lower()}.bag", bag("ros1", packing, LARGE), LIMIT)
@@ -545,6 +574,8 @@ for name, text in {
     "huge": {"columns_per_packet": 32_000, "pixels_per_column": 32_000},
     "matrix": {"lidar_to_sensor_transform": [1, 2, 3]},
     "far": {"lidar_to_sensor_transform": [1e308] * 16}, "port": {"udp_port_lidar": "a"},
+    "imu": {"imu_to_sensor_transform": [1e308] * 16},
+    "imu-nan": {"imu_to_sensor_transform": [float("nan")] * 16},
 }.items():  # fmt: skip
     add("sequence", f"ouster-{name}.pcap", ouster(text), may_be_read=True)
 

@@ -89,7 +89,8 @@ class Sensor:
     def acceleration(self, packet: bytes) -> Float64:
         """What an IMU's packet says, in g, at rest upwards, in the sensor's frame, (3,)."""
         felt = np.frombuffer(packet, "<f4", 3, _IMU_ACCELERATION).astype(np.float64)
-        turned: Float64 = self.T_sensor_imu[:3, :3] @ felt
+        with np.errstate(over="ignore", invalid="ignore"):
+            turned: Float64 = self.T_sensor_imu[:3, :3] @ felt
         return turned
 
     @property

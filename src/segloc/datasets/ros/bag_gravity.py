@@ -7,6 +7,7 @@ count where their covariance says that they are known and the accelerations do n
 from __future__ import annotations
 
 import math
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 _IMU = "sensor_msgs/msg/Imu"
 _LATEST_S = 0.6  # by which one topic may be recorded later than another
+_MOST_MESSAGES = 8000  # around a scan: an IMU at 4 kHz
+_BELIED_DEG = 15.0  # between an orientation and accelerations
 _FARTHEST_DEG = 40.0  # off the vertical that is expected, where the IMU's place is not known
 
 
@@ -126,9 +129,8 @@ class BagGravity:
         margin = round((HALF_WINDOW_S + _LATEST_S) * 1e9)
         wanted = [item for item in reader.connections if item.topic == self._imu.topic]
         rows, nearest, nearest_s = [], None, HALF_WINDOW_S
-        for item, time, data in reader.messages(
-            wanted, start=logged - margin, stop=logged + margin
-        ):
+        around = reader.messages(wanted, start=logged - margin, stop=logged + margin)
+        for item, time, data in islice(around, _MOST_MESSAGES):
             message: Any = reader.deserialize(data, item.msgtype)
             off = abs((seconds(message.header.stamp) or time * 1e-9) - stamp)
             if off > HALF_WINDOW_S:
@@ -146,15 +148,14 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
         return None
     q, spread = message.orientation, np.asarray(message.orientation_covariance)
     values = np.array([q.x, q.y, q.z, q.w])
-    if not (np.isfinite(spread).all() and spread[0] > 0 and spread[4] > 0):
-        return None
-    if not abs(np.linalg.norm(values) - 1.0) < 0.01:
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = float(np.linalg.norm(values))
+        mean = accelerations.mean(axis=0)
+        length = float(np.linalg.norm(mean))
+    known = np.isfinite(spread).all() and spread[0] > 0 and spread[4] > 0
+    if not (known and abs(unit - 1.0) < 0.01 and 0.0 < length < math.inf):
         return None
     R = quaternion_poses(np.zeros((1, 3)), values[None], "orientation")[0, :3, :3]
-    mean = accelerations.mean(axis=0)
-    length = float(np.linalg.norm(mean))
-    if not (np.isfinite(length) and length > 0):
-        return None
     down: Float64 = -R[2]
-    fits = -down @ mean / length > math.cos(math.radians(15.0))
+    fits = -down @ mean / length > math.cos(math.radians(_BELIED_DEG))
     return Gravity(down, ORIENTATION_ERROR_DEG) if fits else None
