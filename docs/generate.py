@@ -46,6 +46,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "io": (9, "point-cloud and trajectory files"),
     "localization.py": (10, "the answer to a query, and why there is none"),
     "motion.py": (10, "where a sensor is at any moment; de-skewing"),
+    "reposed.py": (10, "a recording with other poses"),
     "processes.py": (10, "work in several processes"),
     "files.py": (10, "files replaced whole or not at all"),
     "tensor_file.py": (10, "files in safetensors layout, read and not mapped"),

@@ -38,7 +38,7 @@ LAYERS = (
     Layer("attitude mounting"),
     Layer("descriptors"),
     Layer("io"),
-    Layer("motion processes system files tensor_file stage_times yamlfile"),
+    Layer("motion processes reposed system files tensor_file stage_times yamlfile"),
     Layer("locks"),
     Layer("geometry types localization checks section errors budget _native", together=True),
 )

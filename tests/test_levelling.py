@@ -15,8 +15,9 @@ from segloc import Config, Localizer, Scan, build_map, cli, geometry
 from segloc.attitude import angle_deg
 from segloc.datasets import open_sequence
 from segloc.errors import DatasetError
-from segloc.levelling import Lean, Turned, frame_lean, level_transform, levelled
+from segloc.levelling import Lean, frame_lean, level_transform, levelled
 from segloc.local_cloud import LocalCloudConfig
+from segloc.reposed import Reposed
 from segloc.simulation import record
 from segloc.types import Float64, Recording
 
@@ -30,9 +31,9 @@ def tilt(roll_deg: float, pitch_deg: float = 0.0) -> Float64:
     return geometry.rigid(R, np.array([100.0, -50.0, 3.0]))
 
 
-def leaning(recording: Recording, T_odom_world: Float64) -> Turned:
+def leaning(recording: Recording, T_odom_world: Float64) -> Reposed:
     assert recording.poses is not None
-    return Turned(recording, T_odom_world @ recording.poses)
+    return Reposed(recording, T_odom_world @ recording.poses)
 
 
 def lean_of(recording: Recording) -> Lean:

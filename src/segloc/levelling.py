@@ -14,7 +14,8 @@ from . import geometry
 from .attitude import AttitudeEstimator, angle_deg
 from .errors import DatasetError
 from .local_cloud import Accumulator, LocalCloudConfig, window
-from .types import Float32, Float64, Int64, Pose, Recording, Scan
+from .reposed import Reposed
+from .types import Float32, Float64, Pose, Recording, Scan
 
 NOTICED_DEG = 1.5
 """A frame that leans by less is level for all that follows."""
@@ -146,42 +147,7 @@ def level_transform(lean: Lean, T_odom_first: Pose) -> Pose:
     return geometry.rigid(R, origin - R @ origin)
 
 
-@dataclass(frozen=True)
-class Turned:
-    """A recording whose poses are in another frame; a ``Recording``.
-
-    Attributes
-    ----------
-    source : Recording
-    poses : (N, 4, 4) float64
-    """
-
-    source: Recording
-    poses: Float64
-
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    @property
-    def indices(self) -> Int64:
-        return self.source.indices
-
-    @property
-    def stamps(self) -> Float64 | None:
-        return self.source.stamps
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def scan(self, i: int) -> Scan:
-        """The scan at position i, with the pose it has here."""
-        scan = self.source.scan(i)
-        scan.T_odom_sensor = self.poses[i].copy()
-        return scan
-
-
-def levelled(recording: Recording, lean: Lean | None) -> tuple[Turned, Pose]:
+def levelled(recording: Recording, lean: Lean | None) -> tuple[Reposed, Pose]:
     """The recording with poses whose z axis is up, turned about the first, and T_level_odom.
 
     Raises
@@ -197,4 +163,4 @@ def levelled(recording: Recording, lean: Lean | None) -> tuple[Turned, Pose]:
             f"{recording.name}: cannot be levelled: the scans show too few walls to tell what is up"
         )
     T = level_transform(lean, poses[0])
-    return Turned(recording, T @ poses), T
+    return Reposed(recording, T @ poses), T
