@@ -13,7 +13,7 @@ HALF_WINDOW_S = 0.4
 """Accelerations this long before and after a scan's stamp are averaged."""
 ACCELEROMETER_ERROR_DEG = 15.0
 """A vehicle that brakes by 2.6 m/s2 has its acceleration so far off vertical."""
-ORIENTATION_ERROR_DEG = 5.0
+ORIENTATION_ERROR_DEG = 3.0
 _G = 9.80665  # m/s2
 _HALF_G = _G / 2  # between accelerations in m/s2 and those in g, which some drivers give
 _OFF = 0.05  # share by which the mean may be longer or shorter than gravity; an OS1 was 0.04 off
