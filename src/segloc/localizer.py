@@ -50,12 +50,15 @@ class Search:
     candidates : list of Candidate
         T_map_local, best first, at different places, before verification.
     verdict : Verdict
+    by_segments : bool
+        Whether the candidates come from matches alone.
     """
 
     proposed: int
     matches: Matches
     candidates: list[Candidate]
     verdict: Verdict
+    by_segments: bool = True
 
 
 class Localizer:
@@ -178,8 +181,9 @@ class Localizer:
     def search(self, query: Query, times: StageTimes | None = None) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where too little speaks for any pose, it is tried again with more neighbours, and at last
-        by what stands where; the best of the verdicts counts.
+        Where too little speaks for any pose, it is tried again with more neighbours; the better
+        of the verdicts counts. Where segments still say little, for or against one, the clouds are
+        compared all over the map.
         """
         times = times or StageTimes(self._clock)
         centroids = query.scene.segments.centroids
@@ -198,17 +202,19 @@ class Localizer:
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
             if not verdict.undecided:
-                return best
+                break
         assert best is not None  # no schedule is empty
-        if not self.config.occupancy.enabled:
-            return best
-        found = self.search_occupancy(query, best, times)
-        return found if found.verdict.rank > best.verdict.rank else best
+        if self.config.occupancy.enabled and best.verdict.is_thin:
+            return self.search_occupancy(query, best, times)
+        return best
 
     def search_occupancy(
         self, query: Query, tried: Search, times: StageTimes | None = None
     ) -> Search:
-        """Candidate poses by what stands where -> verdict: what :meth:`search` tries last."""
+        """Candidate poses by what stands where -> verdict: what :meth:`search` tries last.
+
+        The best pose so far is judged among them.
+        """
         times = times or StageTimes(self._clock)
         agreeing = query.scene.segments.centroids, self.prior_map.centroids, tried.matches
         with times("pose"):
@@ -216,9 +222,12 @@ class Localizer:
                 replace(c, inliers=self.estimator.inliers(*agreeing, c.T_map_local))
                 for c in self.occupancy.candidates(query.scene)
             ]
+            if tried.verdict.best is not None:
+                so_far = tried.verdict.best
+                candidates.append(Candidate(so_far.T_map_local, so_far.inliers, fit=so_far.overlap))
         with times("verification"):
             verdict = self._verified(query, tried.matches, candidates)
-        return replace(tried, candidates=candidates, verdict=verdict)
+        return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
 
     def _verified(self, query: Query, matches: Matches, candidates: list[Candidate]) -> Verdict:
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids

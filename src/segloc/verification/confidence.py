@@ -72,19 +72,17 @@ class ConfidenceModel(Section):
     def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
 
-        What is seen; the logarithm of how much likelier so many inliers are where the best
-        different place has as many as it has (Poisson, without the constant); how much more the
-        clouds overlap, and is seen, than at the rivals; and how well the walls fit that fit worst.
+        What is seen; what the inliers say against those elsewhere; how much more the clouds
+        overlap, and is seen, than at the rivals; and how well the walls fit that fit worst.
         What is not known says what chance would, or the overlap.
         """
         score, chance = evidence.score, self.chance
         seen = _logit(score.expected_seen(chance.judged))
-        inliers = score.inliers * math.log(max(evidence.inlier_ratio, 0.1))
         rival_overlap = evidence.rival_overlap
         rival_seen = evidence.rival_seen(chance.judged)
         return (
             seen,
-            min(inliers, self.max_inlier_evidence),
+            min(evidence.inlier_evidence, self.max_inlier_evidence),
             _logit(score.overlap)
             - _logit(chance.overlap if rival_overlap is None else rival_overlap),
             seen

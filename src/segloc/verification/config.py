@@ -34,7 +34,16 @@ class VerificationConfig(Section):
         2,
         ge=1,
         le=10**6,
-        description="candidates that are judged, and rivals that each is compared with",
+        description="candidates that are judged",
+    )
+    refined_from: float = Field(
+        0.8,
+        ge=0,
+        le=10,
+        description="a rival is refined whose rough overlap is at least this share of the pose's",
+    )
+    max_rivals: int = Field(
+        4, ge=1, le=10**6, description="candidates elsewhere that each is compared with"
     )
     coarse_radius: float = Field(
         0.5, ge=0.01, le=10, description="neighbourhood before ICP, metres"

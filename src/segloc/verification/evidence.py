@@ -7,10 +7,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ..localization import Reason
 from ..types import Candidate, Float64, Pose
+
+
+DECISIVE_INLIERS = 3.0
+"""Inliers that say less than this against those of the best different place may be chance: six
+against four are about as much. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +50,8 @@ class RankedCandidate:
     @property
     def support(self) -> float:
         """What candidates are ranked by."""
-        fit = self.candidate.fit
-        return self.inliers * self.overlap if fit is None else fit
+        by_matches = self.candidate.fit is None
+        return self.inliers * self.overlap if by_matches else self.overlap
 
 
 @dataclass(frozen=True)
@@ -136,6 +142,12 @@ class Evidence:
     rivals: tuple[Score, ...]
 
     @property
+    def inlier_evidence(self) -> float:
+        """The logarithm of how much likelier so many inliers are where the best different place has
+        as many as it has (Poisson, without the constant)."""
+        return self.score.inliers * math.log(max(self.inlier_ratio, 0.1))
+
+    @property
     def rival_overlap(self) -> float | None:
         """The most that ``overlap`` reaches at a rival; None without rivals."""
         return max((rival.overlap for rival in self.rivals), default=None)
@@ -176,6 +188,13 @@ class Verdict:
     def undecided(self) -> bool:
         """Whether too little spoke for any pose, so that more candidates may help."""
         return self.reason is not None and self.reason is not Reason.AMBIGUOUS
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether the segments say little for or against any pose, so that the clouds must."""
+        if self.reason is not None:
+            return self.undecided
+        return self.evidence is not None and self.evidence.inlier_evidence < DECISIVE_INLIERS
 
     @property
     def rank(self) -> tuple[bool, float, int]:

@@ -35,13 +35,7 @@ class NearbyConfig(Section):
     range_m: float = Field(
         30.0, ge=1, le=90, description="points this near the sensor are compared, metres"
     )
-    refined_from: float = Field(
-        0.8,
-        ge=0,
-        le=10,
-        description="a rival is refined whose rough overlap is at least this share of the pose's",
-    )
-    most: int = Field(3, ge=0, le=100, description="rivals that are kept")
+    most: int = Field(4, ge=0, le=100, description="rivals that are kept")
 
 
 @dataclass(frozen=True)

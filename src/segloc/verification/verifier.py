@@ -104,7 +104,7 @@ class Verifier:
         """
         config, chance = self.config, self.model.chance.inliers
         slack = config.rival_overlap_ratio
-        others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_refined]
+        others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_rivals]
         rivals: list[Score] = [scores.coarse(j) for j in others]
         evidence = scores.evidence(scores.coarse(k), rivals, chance)
         hopeless = self.model.probability(evidence) < min(HOPELESS, config.min_confidence)
@@ -117,7 +117,11 @@ class Verifier:
         certain = self.model.probability(evidence) >= max(CERTAIN, config.min_confidence)
         if certain and not equal_rival(evidence, self.model, config, slack):
             return evidence
-        return scores.evidence(score, [*near, *(scores.refined(j) for j in others)], chance)
+        rivals = [
+            scores.refined(j) if self._may_equal(scores.ranked[j], score) else scores.coarse(j)
+            for j in others
+        ]
+        return scores.evidence(score, [*near, *rivals], chance)
 
     def _best_around(
         self, scores: CandidateScores, score: Score, nearby: Sequence[RankedCandidate]
@@ -128,9 +132,13 @@ class Verifier:
         """
         rivals: list[Score] = []
         for each in nearby:
-            close = each.overlap >= self.config.nearby.refined_from * score.overlap
+            close = self._may_equal(each, score)
             rival: Score = scores.closely(each) if close else scores.roughly(each)
             if close and self.model.standalone(rival) > self.model.standalone(score):
                 score, rival = rival, score
             rivals.append(rival)
         return score, rivals
+
+    def _may_equal(self, rival: RankedCandidate, score: Score) -> bool:
+        """Whether a rival is worth refining."""
+        return rival.overlap >= self.config.refined_from * score.overlap

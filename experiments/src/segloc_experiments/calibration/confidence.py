@@ -142,7 +142,9 @@ def candidates(places: list[Place], drive: Sequence) -> list[Row]:
 def _judged(localizer: Localizer, query: Query, truth: Pose | None) -> list[Row]:
     """The rows of a query's best candidates: by its segments, and by what stands where."""
     found = localizer.search(query)
-    verdicts = [found.verdict, localizer.search_occupancy(query, found).verdict]
+    verdicts = [found.verdict]
+    if found.by_segments:
+        verdicts.append(localizer.search_occupancy(query, found).verdict)
     return [_row(v.evidence, query, truth) for v in verdicts if v.evidence is not None]
 
 
