@@ -35,6 +35,9 @@ SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
 """Of candidates: nearer ones are refined to the same pose."""
 _GROUND_M = 4.0  # edge of the cells in which the map's ground is kept
 _NEAREST_GROUND = 4
+_FLOOR_M, _FLOOR_SLOPE = 0.5, 0.15  # by which the ground may differ from that below the path
+_FLOOR_RADIUS_M, _FLOOR_BINS = 5.0, 40  # where the floor is looked for: so near, so many decimetres
+_FLOOR_SAMPLE = 100_000
 _NEAREST_TO_SENSOR = 16
 
 Bytes = NDArray[np.uint8]
@@ -63,20 +66,6 @@ class OccupancyConfig(Section):
         description="columns of the query times widest windows at most; bounds the time",
     )
     max_candidates: int = Field(16, ge=1, le=1000, description="candidates for verification")
-
-
-@dataclass(frozen=True)
-class _Ground:
-    """The ground of a map, a point for every few metres."""
-
-    points: Float64
-
-    def below(self, places: Float64) -> Float64:
-        """Its height at (N, 2) places."""
-        count = min(_NEAREST_GROUND, len(self.points))
-        _, nearest = cKDTree(self.points[:, :2]).query(places, k=[*range(1, count + 1)])
-        heights: Float64 = np.median(self.points[nearest, 2], axis=1)
-        return heights
 
 
 class OccupancySearch:
@@ -109,7 +98,7 @@ class OccupancySearch:
     ) -> None:
         self.config = config or OccupancyConfig()
         self._cloud, self._origin = cloud, origin
-        self._path = trajectory[:, :2, 3] - origin[:2]
+        self._path = trajectory[:, :3, 3] - origin
         self._segmentation = segmentation or SegmentationConfig()
         self._map: _OccupancyMap | None = None
 
@@ -139,6 +128,59 @@ class _View:
     below: float
 
 
+class _Ground:
+    """The ground of a map: below its points, and wherever a sensor may stand.
+
+    Returns from below the floor (mirrors, stairs) pull it down, and where no floor was seen it is
+    too high. So it is only believed where it differs from the floor that the mapping sensor stood
+    on by no more than its distance from the path allows for; elsewhere the floor stands in for it.
+
+    Attributes
+    ----------
+    below_cloud : (N,) float32
+        The height of the ground below each point of the cloud.
+    """
+
+    def __init__(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
+        ground = cloud[:, 2] - _heights(cloud, segmentation)
+        cells = _cells(cloud[:, :2], _GROUND_M)
+        keys = cells[:, 0] * (1 << 32) + cells[:, 1]
+        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        self._places = (cells[first] + 0.5) * _GROUND_M
+        if len(path) and len(cloud):
+            distance, station = cKDTree(path[:, :2]).query(self._places)
+            floor = path[station, 2] - _mounted(cloud, path)
+            ground = _believed(ground, floor[which], distance[which])
+        self.below_cloud: Float32 = ground.astype(np.float32)
+        sums = np.bincount(which, weights=ground, minlength=len(first))
+        self._heights = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
+
+    def below(self, places: Float64) -> Float64:
+        """Its height at (N, 2) places."""
+        count = min(_NEAREST_GROUND, len(self._places))
+        _, nearest = cKDTree(self._places).query(places, k=[*range(1, count + 1)])
+        heights: Float64 = np.median(self._heights[nearest], axis=1)
+        return heights
+
+
+def _mounted(cloud: Float32, path: Float64) -> float:
+    """How high above its floor the mapping sensor was: most that lies below it lies there."""
+    cloud = cloud[:: len(cloud) // _FLOOR_SAMPLE + 1]
+    gap, station = cKDTree(path[:, :2]).query(cloud[:, :2], distance_upper_bound=_FLOOR_RADIUS_M)
+    near = np.isfinite(gap)
+    drop = path[station[near], 2] - cloud[near, 2]
+    counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
+    return float(edges[counts.argmax()] + 0.05)
+
+
+def _believed(
+    ground: NDArray[Any], floor: NDArray[Any], distance: NDArray[Any]
+) -> NDArray[np.floating[Any]]:
+    """The ground where it is near the floor, and the floor elsewhere."""
+    near = np.abs(ground - floor) < _FLOOR_M + _FLOOR_SLOPE * distance
+    return np.where(near, ground, floor)
+
+
 class _OccupancyMap:
     """A map, made ready to be searched."""
 
@@ -150,17 +192,18 @@ class _OccupancyMap:
         segmentation: SegmentationConfig,
     ) -> None:
         self._config = config
-        heights = _heights(cloud, segmentation)
-        standing = heights > HEIGHTS_M[0]
         self._windows = 0
         self._native: _native.PoseSearch | None = None
+        self._ground = _Ground(cloud, path, segmentation)
+        heights = cloud[:, 2] - self._ground.below_cloud
+        standing = heights > HEIGHTS_M[0]
         if not standing.any():
             return
-        self._ground = _ground(cloud, heights)
         points, slices = cloud[standing], _slices(heights[standing])
         for levels in LEVELS:
             width = config.cell * 2 ** (levels - 1)
-            roots = _along(path, width, config.reach_m) if len(path) else _under(cloud, width)
+            near = path[:, :2]
+            roots = _along(near, width, config.reach_m) if len(path) else _under(cloud, width)
             self._windows = len(roots)
             if self._windows * FEWEST_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
@@ -194,13 +237,19 @@ class _OccupancyMap:
         heights = self._ground.below(poses[:, :2]) - view.below
         total = int(np.unpackbits(slices).sum())
         for (x, y, yaw), z, score in zip(poses, heights, scores, strict=True):
-            yield x + origin[0], y + origin[1], z + origin[2], yaw, score / total
+            yield x + origin[0], y + origin[1], z + origin[2], yaw, float(score) / total
 
 
 def _view(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> _View:
     surface = _native.voxel_grid(scene.surface, config.cell)
-    heights = _heights(surface, segmentation)
     distance = np.hypot(surface[:, 0], surface[:, 1])
+    around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
+    floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
+    below = float(np.median(floor)) if len(floor) else 0.0
+    ground = surface[:, 2] - _heights(surface, segmentation)
+    if len(floor):
+        ground = _believed(ground, np.full(len(surface), below), distance)
+    heights = surface[:, 2] - ground
     standing = (heights > HEIGHTS_M[0]) & (distance < config.range_m - config.cell)
     cells, which = np.unique(
         _cells(surface[standing, :2], config.cell), axis=0, return_inverse=True
@@ -208,9 +257,7 @@ def _view(scene: Segmentation, config: OccupancyConfig, segmentation: Segmentati
     slices = np.zeros(len(cells), np.uint8)
     np.bitwise_or.at(slices, which.reshape(-1), _slices(heights[standing]))
     columns = ((cells + 0.5) * config.cell).astype(np.float32)
-    nearest = np.argsort(distance, kind="stable")[:_NEAREST_TO_SENSOR]
-    ground = surface[nearest, 2] - heights[nearest]
-    return _View(columns, slices, float(np.median(ground)) if len(ground) else 0.0)
+    return _View(columns, slices, below)
 
 
 def _heights(points: Float32, config: SegmentationConfig) -> Float32:
@@ -238,12 +285,6 @@ def _along(path: Float64, width: float, reach: float) -> NDArray[np.int32]:
 def _under(cloud: Float32, width: float) -> NDArray[np.int32]:
     """Windows of that width that any point lies in."""
     return _int32(np.unique(_cells(cloud[:, :2], width), axis=0))
-
-
-def _ground(cloud: Float32, heights: Float32) -> _Ground:
-    points = np.column_stack([cloud[:, :2], cloud[:, 2] - heights]).astype(np.float64)
-    _, first = np.unique(_cells(points[:, :2], _GROUND_M), axis=0, return_index=True)
-    return _Ground(points[np.sort(first)])
 
 
 def _cells(points: NDArray[np.floating[Any]], width: float) -> Int64:
