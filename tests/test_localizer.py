@@ -289,7 +289,7 @@ def test_a_map_without_a_readable_configuration_uses_the_preset(prior_map: Segme
         assert Localizer(other).config == GEO
 
 
-def test_the_better_of_two_attempts_counts(
+def test_the_best_of_all_attempts_counts(
     plaza: Plaza, prior_map: SegmentMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     localizer = Localizer(prior_map)
@@ -302,11 +302,12 @@ def test_the_better_of_two_attempts_counts(
     nothing = verdict(Reason.NO_CONSISTENT_MATCHES, 0.0)
     found, ambiguous = verdict(None, 0.9), verdict(Reason.AMBIGUOUS, 0.95)
     for given, best in (
-        ((uncertain, nothing), uncertain),
-        ((less, uncertain), uncertain),
+        ((uncertain, nothing, less), uncertain),
+        ((less, uncertain, nothing), uncertain),
         ((uncertain, found), found),
         ((uncertain, ambiguous), ambiguous),
         ((found, uncertain), found),
+        ((nothing, less, found), found),
     ):
         verdicts = iter(given)
         monkeypatch.setattr(localizer.verifier, "verify", lambda *_, v=verdicts: next(v))

@@ -1,27 +1,19 @@
-"""Local cloud -> candidate poses, by what stands where: for queries whose segments say too little.
-
-The map and the query are looked at from above: which cells are occupied, at which heights over
-ground. Poses are searched by branch and bound over windows that hold all that their cells do. W.
-Hess, D. Kohler, H. Rapp, D. Andor, "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, search
-maps of one floor so; here a cell has several heights, and the work is bounded.
-"""
+"""What a query shows standing, found standing in a map."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
-from scipy.spatial import cKDTree
 
-from . import _native, geometry
-from .section import Section
-from .segmentation import Segmentation, SegmentationConfig
-from .types import Candidate, Float32, Float64, Int64
+from .. import _native, geometry
+from ..segmentation import Segmentation, SegmentationConfig
+from ..types import Candidate, Float32, Float64, Int64
+from .config import OccupancyConfig
+from .ground import Ground, believed, cells_of, heights_of, nearest_of
 
 HEIGHTS_M = (0.4, 0.8, 1.3, 1.9, 2.6, 3.5, 5.0, 8.0)
 """Where each slice begins, over ground; the last one has no end. Set by hand."""
@@ -33,50 +25,9 @@ FEWEST_OCCUPIED = 20
 """A query that shows less standing says nothing."""
 SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
 """Of candidates: nearer ones are refined to the same pose."""
-_GROUND_M = 4.0  # edge of the cells in which the map's ground is kept
-_NEAREST_GROUND = 4
 _NEAREST_TO_SENSOR = 16
 
 Bytes = NDArray[np.uint8]
-
-
-class OccupancyConfig(Section):
-    """The search for poses by what stands where."""
-
-    enabled: bool = Field(
-        True, description="where segments decide nothing, search by what stands where"
-    )
-    cell: float = Field(0.5, ge=0.1, le=5, description="edge of a cell, metres")
-    reach_m: float = Field(
-        20.0, ge=1, le=200, description="a sensor is searched for this near the mapped path"
-    )
-    range_m: float = Field(
-        40.0, ge=5, le=100, description="what a query shows farther away is left out"
-    )
-    yaws: int = Field(120, ge=8, le=720, description="headings that are tried")
-    columns: int = Field(200, ge=64, le=4096, description="occupied cells of a query at most")
-    width: int = Field(2000, ge=16, le=10**6, description="windows that are divided at each level")
-    work: int = Field(
-        600_000,
-        ge=1000,
-        le=10**8,
-        description="columns of the query times widest windows at most; bounds the time",
-    )
-    max_candidates: int = Field(16, ge=1, le=1000, description="candidates for verification")
-
-
-@dataclass(frozen=True)
-class _Ground:
-    """The ground of a map, a point for every few metres."""
-
-    points: Float64
-
-    def below(self, places: Float64) -> Float64:
-        """Its height at (N, 2) places."""
-        count = min(_NEAREST_GROUND, len(self.points))
-        _, nearest = cKDTree(self.points[:, :2]).query(places, k=[*range(1, count + 1)])
-        heights: Float64 = np.median(self.points[nearest, 2], axis=1)
-        return heights
 
 
 class OccupancySearch:
@@ -109,7 +60,7 @@ class OccupancySearch:
     ) -> None:
         self.config = config or OccupancyConfig()
         self._cloud, self._origin = cloud, origin
-        self._path = trajectory[:, :2, 3] - origin[:2]
+        self._path = trajectory[:, :3, 3] - origin
         self._segmentation = segmentation or SegmentationConfig()
         self._map: _OccupancyMap | None = None
 
@@ -150,17 +101,18 @@ class _OccupancyMap:
         segmentation: SegmentationConfig,
     ) -> None:
         self._config = config
-        heights = _heights(cloud, segmentation)
-        standing = heights > HEIGHTS_M[0]
         self._windows = 0
         self._native: _native.PoseSearch | None = None
+        self._ground = Ground(cloud, path, segmentation)
+        heights = cloud[:, 2] - self._ground.below_cloud
+        standing = heights > HEIGHTS_M[0]
         if not standing.any():
             return
-        self._ground = _ground(cloud, heights)
         points, slices = cloud[standing], _slices(heights[standing])
         for levels in LEVELS:
             width = config.cell * 2 ** (levels - 1)
-            roots = _along(path, width, config.reach_m) if len(path) else _under(cloud, width)
+            near = path[:, :2]
+            roots = _along(near, width, config.reach_m) if len(path) else _under(cloud, width)
             self._windows = len(roots)
             if self._windows * FEWEST_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
@@ -194,29 +146,27 @@ class _OccupancyMap:
         heights = self._ground.below(poses[:, :2]) - view.below
         total = int(np.unpackbits(slices).sum())
         for (x, y, yaw), z, score in zip(poses, heights, scores, strict=True):
-            yield x + origin[0], y + origin[1], z + origin[2], yaw, score / total
+            yield x + origin[0], y + origin[1], z + origin[2], yaw, float(score) / total
 
 
 def _view(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> _View:
     surface = _native.voxel_grid(scene.surface, config.cell)
-    heights = _heights(surface, segmentation)
     distance = np.hypot(surface[:, 0], surface[:, 1])
+    around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
+    floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
+    below = float(np.median(floor)) if len(floor) else 0.0
+    ground = surface[:, 2] - heights_of(surface, segmentation)
+    if len(floor):
+        ground = believed(ground, np.full(len(surface), below), distance)
+    heights = surface[:, 2] - ground
     standing = (heights > HEIGHTS_M[0]) & (distance < config.range_m - config.cell)
     cells, which = np.unique(
-        _cells(surface[standing, :2], config.cell), axis=0, return_inverse=True
+        cells_of(surface[standing, :2], config.cell), axis=0, return_inverse=True
     )
     slices = np.zeros(len(cells), np.uint8)
     np.bitwise_or.at(slices, which.reshape(-1), _slices(heights[standing]))
     columns = ((cells + 0.5) * config.cell).astype(np.float32)
-    nearest = np.argsort(distance, kind="stable")[:_NEAREST_TO_SENSOR]
-    ground = surface[nearest, 2] - heights[nearest]
-    return _View(columns, slices, float(np.median(ground)) if len(ground) else 0.0)
-
-
-def _heights(points: Float32, config: SegmentationConfig) -> Float32:
-    return _native.heights_above_ground(
-        points, config.ground_cell, config.ground_slope, config.ground_step
-    )
+    return _View(columns, slices, below)
 
 
 def _slices(heights: Float32) -> Bytes:
@@ -229,26 +179,15 @@ def _along(path: Float64, width: float, reach: float) -> NDArray[np.int32]:
     """Windows of that width within reach of a path of (V, 2) places."""
     steps = int(np.ceil(reach / width))
     around = np.mgrid[-steps : steps + 1, -steps : steps + 1].reshape(2, -1).T
-    stations = np.unique(_cells(path, width), axis=0)
+    stations = np.unique(cells_of(path, width), axis=0)
     windows = np.unique((stations[:, None] + around).reshape(-1, 2), axis=0)
-    gap = cKDTree(path).query((windows + 0.5) * width)[0]
+    gap, _ = nearest_of(path, (windows + 0.5) * width)
     return _int32(windows[gap < reach + 0.71 * width])
 
 
 def _under(cloud: Float32, width: float) -> NDArray[np.int32]:
     """Windows of that width that any point lies in."""
-    return _int32(np.unique(_cells(cloud[:, :2], width), axis=0))
-
-
-def _ground(cloud: Float32, heights: Float32) -> _Ground:
-    points = np.column_stack([cloud[:, :2], cloud[:, 2] - heights]).astype(np.float64)
-    _, first = np.unique(_cells(points[:, :2], _GROUND_M), axis=0, return_index=True)
-    return _Ground(points[np.sort(first)])
-
-
-def _cells(points: NDArray[np.floating[Any]], width: float) -> Int64:
-    cells: Int64 = np.floor(points / width).astype(np.int64)
-    return cells
+    return _int32(np.unique(cells_of(cloud[:, :2], width), axis=0))
 
 
 def _int32(cells: Int64) -> NDArray[np.int32]:

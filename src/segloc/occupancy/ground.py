@@ -1,0 +1,93 @@
+"""The ground of a map and of a query, where some of what lies lowest is no ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .. import _native
+from ..segmentation import SegmentationConfig
+from ..types import Float32, Float64, Int64
+
+_GROUND_M = 4.0  # edge of the cells in which the map's ground is kept
+_NEAREST_GROUND = 4
+_FLOOR_M, _FLOOR_SLOPE = 0.5, 0.15  # by which the ground may differ from that below the path
+_FLOOR_RADIUS_M, _FLOOR_BINS = 5.0, 40  # where the floor is looked for: so near, so many decimetres
+_FLOOR_SAMPLE = 100_000
+
+
+class Ground:
+    """The ground of a map: below its points, and wherever a sensor may stand.
+
+    Returns from below the floor (mirrors, stairs) pull it down, and where no floor was seen it is
+    too high. So it is only believed where it differs from the floor that the mapping sensor stood
+    on by no more than its distance from the path allows for; elsewhere the floor stands in for it.
+
+    Attributes
+    ----------
+    below_cloud : (N,) float32
+        The height of the ground below each point of the cloud.
+    """
+
+    def __init__(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
+        ground = cloud[:, 2] - heights_of(cloud, segmentation)
+        cells = cells_of(cloud[:, :2], _GROUND_M)
+        keys = cells[:, 0] * (1 << 32) + cells[:, 1]
+        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        self._places = (cells[first] + 0.5) * _GROUND_M
+        if len(path) and len(cloud):
+            distance, station = nearest_of(path[:, :2], self._places)
+            floor = path[station, 2] - _mounted(cloud, path)
+            ground = believed(ground, floor[which], distance[which])
+        self.below_cloud: Float32 = ground.astype(np.float32)
+        sums = np.bincount(which, weights=ground, minlength=len(first))
+        self._heights = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
+
+    def below(self, places: Float64) -> Float64:
+        """Its height at (N, 2) places."""
+        count = min(_NEAREST_GROUND, len(self._places))
+        nearest = nearest_of(self._places, places, count)[1].reshape(len(places), -1)
+        heights: Float64 = np.median(self._heights[nearest], axis=1)
+        return heights
+
+
+def _mounted(cloud: Float32, path: Float64) -> float:
+    """How high above its floor the mapping sensor was: most that lies below it lies there."""
+    cloud = cloud[:: len(cloud) // _FLOOR_SAMPLE + 1]
+    gap, station = nearest_of(path[:, :2], cloud[:, :2])
+    near = gap < _FLOOR_RADIUS_M
+    drop = path[station[near], 2] - cloud[near, 2]
+    counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
+    return float(edges[counts.argmax()] + 0.05)
+
+
+def believed(
+    ground: NDArray[Any], floor: NDArray[Any], distance: NDArray[Any]
+) -> NDArray[np.floating[Any]]:
+    """The ground where it is near the floor, and the floor elsewhere."""
+    near = np.abs(ground - floor) < _FLOOR_M + _FLOOR_SLOPE * distance
+    return np.where(near, ground, floor)
+
+
+def heights_of(points: Float32, config: SegmentationConfig) -> Float32:
+    """Heights above ground of (N, 3) points, as segmentation sees it."""
+    return _native.heights_above_ground(
+        points, config.ground_cell, config.ground_slope, config.ground_step
+    )
+
+
+def nearest_of(
+    places: NDArray[Any], asked: NDArray[Any], count: int = 1
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Distances to the nearest of (N, 2) places, and which they are."""
+    distance, index = cKDTree(places).query(asked, k=count)
+    return np.asarray(distance), np.asarray(index)
+
+
+def cells_of(points: NDArray[np.floating[Any]], width: float) -> Int64:
+    """The square cells of (N, 2) points, (N, 2)."""
+    cells: Int64 = np.floor(points / width).astype(np.int64)
+    return cells

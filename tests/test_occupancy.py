@@ -1,0 +1,162 @@
+"""Poses by what stands where: the kernel against a reference, and whole queries."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+from samples.real import real
+
+from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
+from segloc.batch.negative_maps import mirrored
+from segloc.datasets import open_sequence
+from segloc.types import Pose
+
+CELL, LEVELS, YAWS = 0.5, 4, 24
+
+
+def scattered(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    points = (rng.uniform(-25, 25, (count, 3)) * [1, 1, 0]).astype(np.float32)
+    return points, (1 << rng.integers(0, 8, count)).astype(np.uint8)
+
+
+def reference_scores(
+    points: np.ndarray, slices: np.ndarray, columns: np.ndarray, masks: np.ndarray, yaw: float
+) -> dict[tuple[int, int], int]:
+    """What each window of two by two cells reaches at a heading, by looking up every cell."""
+    occupied: dict[tuple[int, int], int] = {}
+    for (x, y), bits in zip(np.floor(points[:, :2] / CELL).astype(int), slices, strict=True):
+        occupied[x, y] = occupied.get((x, y), 0) | int(bits)
+    c, s = math.cos(yaw), math.sin(yaw)
+    turned = columns.astype(np.float64) @ np.array([[c, s], [-s, c]])
+    offsets = np.floor(turned / CELL).astype(int)
+    scores = {}
+    for x in range(-16, 16, 2):
+        for y in range(-16, 16, 2):
+            total = 0
+            for (dx, dy), mask in zip(offsets, masks, strict=True):
+                window = [(x + dx + i, y + dy + j) for i in (0, 1) for j in (0, 1)]
+                found = 0
+                for cell in window:
+                    found |= occupied.get(cell, 0)
+                total += (found & int(mask)).bit_count()
+            scores[x, y] = total
+    return scores
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_search_finds_what_trying_every_window_finds(seed: int) -> None:
+    points, slices = scattered(seed)
+    rng = np.random.default_rng(100 + seed)
+    columns = rng.uniform(-9, 9, (40, 2)).astype(np.float32)
+    masks = (1 << rng.integers(0, 8, 40)).astype(np.uint8)
+    roots = np.mgrid[-2:2, -2:2].reshape(2, -1).T.astype(np.int32)
+    search = _native.PoseSearch(points, slices, np.ascontiguousarray(roots), CELL, LEVELS, 15.0)
+    poses, scores = search.search(
+        columns, masks, yaws=YAWS, leaf_level=1, width=10**6, count=5, separation=0.0,
+        separation_deg=0.0,
+    )  # fmt: skip
+    every = {
+        (x, y, k): score
+        for k in range(YAWS)
+        for (x, y), score in reference_scores(
+            points, slices, columns, masks, 2 * math.pi * k / YAWS
+        ).items()
+    }
+    assert scores.tolist() == sorted(every.values(), reverse=True)[:5]
+    for (x, y, yaw), score in zip(poses, scores, strict=True):
+        k = round(yaw / (2 * math.pi / YAWS))
+        assert every[round(x / CELL) - 1, round(y / CELL) - 1, k] == score
+    narrow = search.search(
+        columns, masks, yaws=YAWS, leaf_level=1, width=500, count=1, separation=0.0,
+        separation_deg=0.0,
+    )  # fmt: skip
+    assert narrow[1][0] <= scores[0]
+
+
+def test_the_kernel_refuses_what_it_cannot_use() -> None:
+    points, slices = scattered(0)
+    roots = np.zeros((1, 2), np.int32)
+    with pytest.raises(ValueError, match="one value for each point"):
+        _native.PoseSearch(points, slices[:5], roots, CELL, LEVELS, 15.0)
+    with pytest.raises(ValueError, match="too far apart"):
+        _native.PoseSearch(points, slices, np.int32([[0, 0], [10**6, 10**6]]), CELL, LEVELS, 15.0)
+    search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, 15.0)
+    with pytest.raises(ValueError, match="beyond the range"):
+        far = np.full((1, 2), 40, np.float32)
+        search.search(far, slices[:1], 8, 1, 10, 1, 1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def localizer(plaza: Plaza) -> Localizer:
+    return Localizer(build_map(PlazaSequence(plaza), Config.preset("geo")))
+
+
+def near(T: Pose, truth: Pose, metres: float = 2.0, degrees: float = 10.0) -> bool:
+    delta = geometry.inverse(truth) @ T
+    turned = math.degrees(geometry.rotation_angle(delta))
+    return bool(np.hypot(*delta[:2, 3]) < metres and turned < degrees)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0, -2.5])
+def test_the_best_candidate_is_near_the_truth(
+    plaza: Plaza, localizer: Localizer, yaw: float
+) -> None:
+    T = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7))
+    scene = localizer.describe(plaza.scan(T, seed=5)).scene
+    first, again = (localizer.occupancy.candidates(scene) for _ in range(2))
+    best = first[0]
+    assert near(best.T_map_local, T) and abs(best.T_map_local[2, 3] - 1.7) < 0.5
+    assert best.inliers == 0 and best.fit is not None and 0.5 < best.fit <= 1.0
+    fits = [candidate.fit or 0.0 for candidate in first]
+    assert fits == sorted(fits, reverse=True)
+    assert [c.T_map_local.tolist() for c in first] == [c.T_map_local.tolist() for c in again]
+
+
+def test_a_query_without_segments_is_localized_by_what_stands(
+    plaza: Plaza, localizer: Localizer
+) -> None:
+    T = geometry.yaw_transform(0.7, (3.0, -2.0, 1.7))
+    config = localizer.config
+    single = config.segmentation.single.model_copy(update={"min_points": 10**6})
+    segmentation = config.segmentation.model_copy(update={"single": single})
+    blind = config.model_copy(update={"segmentation": segmentation})
+    scan = plaza.scan(T, seed=6)
+    result = Localizer(localizer.prior_map, blind).localize(scan)
+    assert result.counts["segments"] == 0
+    assert result.T_map_sensor is not None and near(result.T_map_sensor, T, 0.2, 1.0)
+    off = blind.occupancy.model_copy(update={"enabled": False})
+    without = Localizer(localizer.prior_map, blind.model_copy(update={"occupancy": off}))
+    assert not without.localize(scan).localized
+    behind_a_mirror = Localizer(mirrored(localizer.prior_map), blind)
+    assert not behind_a_mirror.localize(scan).localized
+
+
+def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
+    rng = np.random.default_rng(0)
+    floor = (rng.uniform(-20, 20, (4000, 3)) * [1, 1, 0] - [0, 0, 1.7]).astype(np.float32)
+    for points in (np.empty((0, 3), np.float32), np.zeros((1, 3), np.float32), floor):
+        scene = localizer.describe(Scan(points)).scene
+        assert localizer.occupancy.candidates(scene) == []
+    empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
+    assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_a_corridor_driven_back_is_found_by_what_stands() -> None:
+    folder = real("vlp16_corridor")
+    scans, way = folder / "scans", str(folder / "map_outbound.tum")
+    config = Config.preset("profile")
+    localizer = Localizer(build_map(open_sequence(scans, way, "0:74"), config), config)
+    back = open_sequence(scans, str(folder / "query_return.tum"), "82:104")
+    assert back.poses is not None
+    found = 0
+    for i, truth in enumerate(back.poses):
+        query = localizer.describe(back.scan(i))
+        T = truth @ geometry.inverse(query.cloud.T_local_sensor)
+        found += near(localizer.occupancy.candidates(query.scene)[0].T_map_local, T)
+    assert found >= 20
