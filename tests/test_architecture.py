@@ -28,7 +28,7 @@ LAYERS = (
     Layer("simulation pictures"),
     Layer("datasets"),
     Layer("tracker"),
-    Layer("localizer landmarks"),
+    Layer("localizer landmarks answer", together=True),
     Layer("map.build map.update", together=True),
     Layer("config"),
     Layer(

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from . import geometry
+from .answer import answer
 from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
 from .local_cloud import Accumulator, Scans
-from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
+from .localization import Localization
 from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .occupancy import OccupancySearch
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, LocalCloud, Matches, Pose
-from .verification import RefinedScore, Score, Verdict, Verifier
-
-NOT_FLAT = (
-    "unknown attitude (too little that is flat is in view to tell how the sensor stands, and taken "
-    "as level it is not found: give its gravity or a pose)"
-)
+from .types import Candidate, Descriptors, LocalCloud, Matches
+from .verification import Verdict, Verifier
 
 
 @dataclass(frozen=True)
@@ -176,7 +170,16 @@ class Localizer:
     def locate(self, query: Query, times: StageTimes | None = None) -> Localization:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self._clock)
-        return _answer(query, self.search(query, times), times)
+        found = self.search(query, times)
+        counts = {
+            "scans": query.cloud.num_scans,
+            "points": len(query.cloud.points),
+            "segments": len(query.scene.segments),
+            "proposed": found.proposed,
+            "matches": len(found.matches),
+            "candidates": len(found.candidates),
+        }
+        return answer(query.cloud, found.verdict, counts, times.with_total())
 
     def search(self, query: Query, times: StageTimes | None = None) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
@@ -237,69 +240,3 @@ class Localizer:
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:
     return Localizer(prior_map, config, clock=clock)
-
-
-def _answer(query: Query, found: Search, times: StageTimes) -> Localization:
-    verdict, best = found.verdict, found.verdict.best
-    counts = {
-        "scans": query.cloud.num_scans,
-        "points": len(query.cloud.points),
-        "segments": len(query.scene.segments),
-        "proposed": found.proposed,
-        "matches": len(found.matches),
-        "candidates": len(found.candidates),
-    }
-    T_local_sensor = query.cloud.T_local_sensor
-    common: dict[str, Any] = {
-        "counts": counts,
-        "times_ms": times.with_total(),
-        "stamp": query.cloud.stamp,
-        "attitude": query.cloud.attitude,
-        "confidence": verdict.confidence,
-        "runner_up": _runner_up(verdict, T_local_sensor),
-        **_measured(verdict),
-    }
-    if verdict.reason is not None or best is None:
-        return NotLocalized(**_why(verdict, query.cloud, counts), **common)
-    covariance = best.covariance if isinstance(best, RefinedScore) else None
-    return Localized(
-        T_map_sensor=best.T_map_local @ T_local_sensor,
-        covariance=geometry.rotated_covariance(covariance, T_local_sensor),
-        **common,
-    )
-
-
-def _measured(verdict: Verdict) -> dict[str, float | None]:
-    """What was measured of the best candidate."""
-    best = verdict.best
-    if best is None:
-        return {}
-    evidence = verdict.evidence
-    return {
-        "inliers": best.inliers,
-        "overlap": best.overlap,
-        "seen": best.seen if isinstance(best, Score) else None,
-        "inlier_ratio": None if evidence is None else evidence.inlier_ratio,
-        "rmse": best.rmse,
-    }
-
-
-def _why(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
-    """The first stage that was left with nothing, or else what the verdict says."""
-    if counts["points"] and verdict.undecided and cloud.attitude == "assumed":
-        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
-    for what, reason in (
-        ("points", Reason.NO_POINTS),
-        ("segments", Reason.NO_SEGMENTS),
-        ("matches", Reason.NO_MATCHES),
-    ):
-        if counts[what] == 0:
-            return {"reason": reason, "message": reason.value}
-    return {"reason": verdict.reason, "message": verdict.message}
-
-
-def _runner_up(verdict: Verdict, T_local_sensor: Pose) -> RunnerUp | None:
-    other = verdict.runner_up
-    if other is None:
-        return None
-    return RunnerUp(other.T_map_local @ T_local_sensor, other.inliers, other.overlap)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from ..localization import Reason
 from ..types import Candidate, Float64, Pose
 
-
 DECISIVE_INLIERS = 3.0
 """Inliers that say less than this against those of the best different place may be chance: six
 against four are about as much. Set by hand."""
