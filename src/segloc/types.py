@@ -44,11 +44,9 @@ class Scan:
     T_odom_sensor : (4, 4) array, optional
         Pose of the sensor in an odometry frame whose z axis points up.
     gravity : (3,) array, optional
-        Direction of gravity, down, in the sensor frame, of any length: for roll and pitch where
-        there is no pose. An accelerometer at rest measures its opposite.
+        Down, in the sensor frame, of any length; what an accelerometer at rest measures is up.
     gravity_error_deg : float
-        How far off that may be, in degrees: what the scan itself shows, within this of ``gravity``,
-        counts first. 0: gravity counts as it is.
+        How far off that may be, degrees: what the scan shows within this of it counts first.
     T_base_sensor : (4, 4) array, optional
         How the sensor is mounted on a base that mostly stands level: where neither pose nor
         gravity is known, roll and pitch are looked for around there.
