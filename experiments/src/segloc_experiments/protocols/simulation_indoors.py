@@ -82,7 +82,7 @@ def single_scans(scene: str, count: int) -> Iterator[Float32]:
 
 
 def gathered(scene: str, count: int) -> Iterator[Float32]:
-    """Level crops of what a hand-held Mid-360 sees along 80 m, thinned to the points of the real."""
+    """Level crops of what a hand-held Mid-360 sees along 80 m, with as many points as the real."""
     rng = np.random.default_rng(0)
     for drive in drives(scene, "mid360", "handheld"):
         world = [_moved(drive.scan(i).points, drive.truth[i]) for i in range(len(drive))]
