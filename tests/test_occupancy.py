@@ -12,6 +12,7 @@ from samples.real import real
 from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import open_sequence
+from segloc.occupancy import OccupancySearch
 from segloc.types import Pose
 
 CELL, LEVELS, YAWS = 0.5, 4, 24
@@ -143,6 +144,12 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
         assert localizer.occupancy.candidates(scene) == []
     empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
     assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
+
+
+def test_a_map_too_wide_for_it_has_no_candidates(plaza: Plaza, localizer: Localizer) -> None:
+    scene = localizer.describe(plaza.scan(geometry.yaw_transform(0.0, (0, 0, 1.7)))).scene
+    cloud = np.concatenate([localizer.prior_map.cloud, [[3e5, 3e5, 0]]]).astype(np.float32)
+    assert OccupancySearch(cloud, np.zeros(3), np.empty((0, 4, 4))).candidates(scene) == []
 
 
 @pytest.mark.data
