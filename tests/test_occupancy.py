@@ -84,7 +84,9 @@ def test_the_kernel_refuses_what_it_cannot_use() -> None:
     with pytest.raises(ValueError, match="one value for each point"):
         _native.PoseSearch(points, slices[:5], roots, CELL, LEVELS, 15.0)
     with pytest.raises(ValueError, match="too far apart"):
-        _native.PoseSearch(points, slices, np.int32([[0, 0], [10**6, 10**6]]), CELL, LEVELS, 15.0)
+        _native.PoseSearch(
+            points, slices, np.array([[0, 0], [10**6, 10**6]], np.int32), CELL, LEVELS, 15.0
+        )
     search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, 15.0)
     with pytest.raises(ValueError, match="beyond the range"):
         far = np.full((1, 2), 40, np.float32)
