@@ -12,6 +12,7 @@ from samples.real import real
 from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import open_sequence
+from segloc.occupancy import OccupancySearch
 from segloc.types import Pose
 
 CELL, LEVELS, YAWS = 0.5, 4, 24
@@ -83,7 +84,9 @@ def test_the_kernel_refuses_what_it_cannot_use() -> None:
     with pytest.raises(ValueError, match="one value for each point"):
         _native.PoseSearch(points, slices[:5], roots, CELL, LEVELS, 15.0)
     with pytest.raises(ValueError, match="too far apart"):
-        _native.PoseSearch(points, slices, np.int32([[0, 0], [10**6, 10**6]]), CELL, LEVELS, 15.0)
+        _native.PoseSearch(
+            points, slices, np.array([[0, 0], [10**6, 10**6]], np.int32), CELL, LEVELS, 15.0
+        )
     search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, 15.0)
     with pytest.raises(ValueError, match="beyond the range"):
         far = np.full((1, 2), 40, np.float32)
@@ -143,6 +146,12 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
         assert localizer.occupancy.candidates(scene) == []
     empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
     assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
+
+
+def test_a_map_too_wide_for_it_has_no_candidates(plaza: Plaza, localizer: Localizer) -> None:
+    scene = localizer.describe(plaza.scan(geometry.yaw_transform(0.0, (0, 0, 1.7)))).scene
+    cloud = np.concatenate([localizer.prior_map.cloud, [[3e5, 3e5, 0]]]).astype(np.float32)
+    assert OccupancySearch(cloud, np.zeros(3), np.empty((0, 4, 4))).candidates(scene) == []
 
 
 @pytest.mark.data

@@ -132,7 +132,8 @@ def test_spacing_is_the_median_distance_to_the_second_nearest_other(
 ) -> None:
     points = np.random.default_rng(seed).uniform(-5, 5, (count, 3)).astype(np.float32)
     drawn = points[np.arange(min(count, 64)) * count // min(count, 64)]
-    nearest = np.sort(cKDTree(points).query(drawn, k=3)[0][:, 2])
+    distances = np.asarray(cKDTree(points).query(drawn, k=3)[0])
+    nearest = np.sort(distances[:, 2])
     expected = max(least, nearest[len(nearest) // 2])
     assert _native.point_spacing(points, least, 64) == pytest.approx(expected, rel=1e-4)
 

@@ -136,6 +136,17 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     yield "Surface.align", Call(known.align, align, frozenset({"source"}))
 
 
+def _occupancy() -> Iterator[tuple[str, Call]]:
+    points, slices = _points(300), np.arange(300).astype(np.uint8)
+    roots = np.mgrid[-1:2, -1:2].reshape(2, -1).T.astype(np.int32).copy()
+    made = {"points": points, "slices": slices, "roots": roots}
+    made |= {"cell": 0.5, "levels": 3, "range": 10.0}
+    yield "PoseSearch", Call(_native.PoseSearch, made)
+    asked = {"columns": points[:40, :2].copy() / 2, "slices": slices[:40].copy(), "yaws": 12}
+    asked |= {"leaf_level": 1, "width": 50, "count": 4, "separation": 1.0, "separation_deg": 9.0}
+    yield "PoseSearch.search", Call(_native.PoseSearch(**made).search, asked)
+
+
 def _descriptors() -> Iterator[tuple[str, Call]]:
     yield "segment_moments", Call(_native.segment_moments, _segments())
     esf = _segments() | {"triples": 500, "seed": 1}
@@ -261,6 +272,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         *("VisibilityCheck", "VisibilityCheck.count", "Surface", "Surface.align"),
         "Surface.offsets",
     ),
+    _occupancy: ("PoseSearch", "PoseSearch.search"),
     _descriptors: (
         *("segment_moments", "esf", "gestalt", "voxel_shapes"),
         *("prepare_segments", "fps", "dilated_neighbors", "shape_profiles"),

@@ -103,6 +103,12 @@ class _OccupancyMap:
         self._config = config
         self._windows = 0
         self._native: _native.PoseSearch | None = None
+        with suppress(ValueError):  # wider than the kernels' tables: nothing is found
+            self._prepare(cloud, path, segmentation)
+
+    def _prepare(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
+        """With the narrowest of the widest windows that the work allows for."""
+        config = self._config
         self._ground = Ground(cloud, path, segmentation)
         heights = cloud[:, 2] - self._ground.below_cloud
         standing = heights > HEIGHTS_M[0]
@@ -116,10 +122,9 @@ class _OccupancyMap:
             self._windows = len(roots)
             if self._windows * FEWEST_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
-                with suppress(ValueError):  # wider than the kernel's tables
-                    self._native = _native.PoseSearch(
-                        points, slices, roots, config.cell, levels, farthest
-                    )
+                self._native = _native.PoseSearch(
+                    points, slices, roots, config.cell, levels, farthest
+                )
                 return
 
     def search(

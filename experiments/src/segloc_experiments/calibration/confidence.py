@@ -4,7 +4,8 @@ Every world is mapped by one sensor in one session and gone through by several i
 fifth of the things replaced: outdoors on a car, in autumn; in halls and offices in a hand that
 tilts up to 35 degrees. Queries of these are localized in the map alone, in the map of the first
 half of its path, and in it padded with the world before. The same queries in the mirror image of
-that map and in the map of the world before are negatives. Each query is made with accumulated scans
+that map and in the map of the world before are negatives (of a hall that may be its own mirror
+image, only the latter). Each query is made with accumulated scans
 and with a single one of which nothing tells how it stands, every second of them thinned; the gates
 of verification are open, so that the best candidate is always refined. A logistic model
 (``segloc.verification.confidence``) is then fitted to the candidates' features -> right or wrong.
@@ -64,18 +65,23 @@ Row = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of world: how large, what maps it, and what is localized in it."""
+    """A kind of world: how large, what maps it, and what is localized in it.
+
+    Parts of a world that is ``alike`` may be exactly that: nothing could tell its mirror image, or
+    what lies past the end of its map, from what is in the map.
+    """
 
     size_m: float
+    alike: bool = False
     mapped_by: str = "hdl64e"
     sensors: tuple[str, ...] = ("hdl64e", "vlp16")
     platform: Platform | None = None
 
 
-INDOORS = Kind(80.0, "os1-64", ("os1-64", "vlp16"), handheld())
+INDOORS = Kind(80.0, False, "os1-64", ("os1-64", "vlp16"), handheld())
 KINDS = {
     "town": Kind(200.0),
-    "warehouse": INDOORS,
+    "warehouse": replace(INDOORS, alike=True),
     "industrial": Kind(200.0),
     "park": Kind(200.0),
     "offices": INDOORS,
@@ -89,15 +95,18 @@ class SimulatedWorld:
     """A session to map, and others, by several sensors, to localize."""
 
     name: str
+    alike: bool
     mapped: SimulatedSequence
     queries: dict[str, SimulatedSequence]
 
 
-def worlds(first_seed: int, each: int) -> Iterator[SimulatedWorld]:
+def worlds(first_seed: int, each: int, chosen: list[str]) -> Iterator[SimulatedWorld]:
     """So many worlds of every kind."""
     seeds = count(first_seed)
     for name, kind in list(KINDS.items()) * each:
         seed = next(seeds)
+        if name not in chosen:
+            continue
         world = SCENES[name](seed, size_m=kind.size_m)
         drive = partial(simulate_sessions, world, length_m=LENGTH_M, seed=seed)
         mapped = drive(SENSORS[kind.mapped_by](900), [Conditions()])[0]
@@ -105,7 +114,7 @@ def worlds(first_seed: int, each: int) -> Iterator[SimulatedWorld]:
             sensor: drive(SENSORS[sensor](900), [Conditions(), LATER], platform=kind.platform)[1]
             for sensor in kind.sensors
         }
-        yield SimulatedWorld(f"{name} {seed}", mapped, queries)
+        yield SimulatedWorld(f"{name} {seed}", kind.alike, mapped, queries)
 
 
 def thinned(scan: Scan, seed: int) -> Scan:
@@ -182,12 +191,11 @@ class Calibration:
     def world(self, world: SimulatedWorld, before: SegmentMap | None) -> SegmentMap:
         """All drives of a world in its map, in its mirror image, and in another world's map."""
         prior_map = build_map(world.mapped, self.config)
-        half = build_map(_first_half(world.mapped), self.config)
-        places: list[Place] = [
-            (self.localizer(prior_map), True, EVERY_M),
-            (self.localizer(half), True, EVERY_M),
-            (self.localizer(mirrored(prior_map)), False, ELSEWHERE_EVERY_M),
-        ]
+        places: list[Place] = [(self.localizer(prior_map), True, EVERY_M)]
+        if not world.alike:
+            half = build_map(_first_half(world.mapped), self.config)
+            places.append((self.localizer(half), True, EVERY_M))
+            places.append((self.localizer(mirrored(prior_map)), False, ELSEWHERE_EVERY_M))
         if before is not None:
             padding = padded(prior_map, [before], PADDED)
             places.append((self.localizer(padding), True, EVERY_M))
@@ -211,6 +219,7 @@ def _first_half(drive: SimulatedSequence) -> SimulatedSequence:
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("--each", type=int, default=2, help="worlds of every kind")
+    options.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     options.add_argument("--first-seed", type=int, default=3000)
     options.add_argument("--out", type=Path, default=Path("calibration.npz"))
     options.add_argument("--rows", nargs="+", type=Path, help="rows of earlier runs")
@@ -218,7 +227,7 @@ def main() -> None:
     args = options.parse_args()
     if args.rows is None:
         calibration, before = Calibration(args.out), None
-        for world in worlds(args.first_seed, args.each):
+        for world in worlds(args.first_seed, args.each, args.kinds):
             before = calibration.world(world, before)
         rows = np.array(calibration.rows)
     else:
