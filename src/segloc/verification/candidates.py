@@ -55,6 +55,10 @@ class CandidateScores:
         rivals = [Candidate(T, self._inliers(T)) for T in found.rivals]
         return found.start, self._map.ranked(rivals, self._query) if rivals else []
 
+    def rough_overlap(self, score: Score) -> float:
+        """The overlap at a refined pose as it is measured of candidates that are not."""
+        return self._map.ranked([Candidate(score.T_map_local, 0)], self._query)[0].overlap
+
     def roughly(self, rival: RankedCandidate) -> CoarseScore:
         """A rival near a candidate, where it stands."""
         return self._map.coarse(rival, self._query)

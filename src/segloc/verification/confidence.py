@@ -15,7 +15,10 @@ from ..errors import WeightsError
 from ..section import Section
 from .evidence import Evidence, Score
 
-FEATURES = ("seen", "inliers_over_rival", "overlap_over_rival", "seen_over_rival", "walls")
+FEATURES = (
+    *("seen", "inliers", "inliers_over_rival"),
+    *("overlap_over_rival", "seen_over_rival", "walls"),
+)
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 
 
@@ -27,6 +30,9 @@ class Chance(Section):
     seen: float = Field(ge=0, le=1, description="so much of a map is seen somewhere")
     least_seen: float = Field(
         ge=0, le=1, description="a rival at which less is seen tells no more than one at this"
+    )
+    most_inliers: int = Field(
+        ge=1, description="more segments than this agree on no wrong pose: more say no more"
     )
     judged: float = Field(
         gt=0, description="the overlap counts as much as so many judged map points"
@@ -72,8 +78,9 @@ class ConfidenceModel(Section):
     def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
 
-        What is seen; what the inliers say against those elsewhere; how much more the clouds
-        overlap, and is seen, than at the rivals; and how well the walls fit that fit worst.
+        What is seen; how many segments agree, and what that says against those elsewhere; how much
+        more the clouds overlap, and is seen, than at the rivals; and how well the walls fit that
+        fit worst.
         What is not known says what chance would, or the overlap.
         """
         score, chance = evidence.score, self.chance
@@ -82,6 +89,7 @@ class ConfidenceModel(Section):
         rival_seen = evidence.rival_seen(chance.judged)
         return (
             seen,
+            math.log1p(min(score.inliers, chance.most_inliers)),
             min(evidence.inlier_evidence, self.max_inlier_evidence),
             _logit(score.overlap)
             - _logit(chance.overlap if rival_overlap is None else rival_overlap),

@@ -37,7 +37,7 @@ class VerificationConfig(Section):
         description="candidates that are judged",
     )
     refined_from: float = Field(
-        0.8,
+        0.9,
         ge=0,
         le=10,
         description="a rival is refined whose rough overlap is at least this share of the pose's",

@@ -21,6 +21,8 @@ from ..section import Section
 from ..types import Float32, Float64, Pose
 
 _SLIGHTLY_DEG = (0.0, -8.0, -4.0, 4.0, 8.0)
+_BETTER = 1.05
+"""Another start is tried where the clouds fit so many times as well."""
 _ABOUT_DEG = (90.0, 180.0, 270.0)
 """Places built by people look alike when one turns by right angles."""
 
@@ -87,7 +89,7 @@ class NearbySearch:
         start = _argmax(np.where(here, share, -1.0))
         elsewhere = self._peaks(np.where(here, -1.0, share), shifts)
         rivals = [self._moved(T, peak, shifts) for peak in islice(elsewhere, config.most)]
-        if share[start] <= share[0][distance == 0.0][0]:
+        if share[start] < _BETTER * share[0][distance == 0.0][0]:
             return Surroundings(T, rivals)
         return Surroundings(self._moved(T, start, shifts), rivals)
 

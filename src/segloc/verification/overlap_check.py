@@ -17,8 +17,9 @@ from .free_space_check import QueryView, judged
 from .nearby import NearbySearch, Surroundings
 from .walls import worst_wall
 
-_STILL_M, _MOST_AGAIN = 0.1, 2
-"""An alignment that moved farther is begun anew from where it ended, at most so often."""
+_STILL_M, _MOST_AGAIN = 1.0, 2
+"""An alignment that moved farther may not have ended where it would: it is begun anew from there,
+at most so often."""
 
 
 class QueryCloud:

@@ -15,9 +15,9 @@ from .decision import decide, equal_rival, too_few_inliers
 from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
 from .overlap_check import MapCloud
 
-HOPELESS = 0.005
-"""A candidate less likely than this before ICP is not refined. Set by hand, far below the
-threshold."""
+HOPELESS = 0.02
+"""A candidate less likely than this is not refined, nor, once it is, its rivals. Set by hand, far
+below the threshold."""
 CERTAIN = 0.9
 """The rivals of a candidate more likely than this are not refined. Set by hand, above the
 threshold."""
@@ -103,22 +103,19 @@ class Verifier:
         neighbourhood, stands in for the refined one, with a slack for what ICP may add.
         """
         config, chance = self.config, self.model.chance.inliers
-        slack = config.rival_overlap_ratio
         others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_rivals]
         rivals: list[Score] = [scores.coarse(j) for j in others]
         evidence = scores.evidence(scores.coarse(k), rivals, chance)
-        hopeless = self.model.probability(evidence) < min(HOPELESS, config.min_confidence)
-        if hopeless and not equal_rival(evidence, self.model, config, slack):
+        if self._is_hopeless(evidence):
             return evidence
         start, nearby = scores.around(k)
-        score: Score = scores.refined(k, start)
-        score, near = self._best_around(scores, score, nearby)
+        score, near = self._best_around(scores, scores.refined(k, start), nearby)
         evidence = scores.evidence(score, [*near, *rivals], chance)
-        certain = self.model.probability(evidence) >= max(CERTAIN, config.min_confidence)
-        if certain and not equal_rival(evidence, self.model, config, slack):
+        if self._is_hopeless(evidence) or self._is_certain(evidence):
             return evidence
+        least = config.refined_from * scores.rough_overlap(score)
         rivals = [
-            scores.refined(j) if self._may_equal(scores.ranked[j], score) else scores.coarse(j)
+            scores.refined(j) if scores.ranked[j].overlap >= least else scores.coarse(j)
             for j in others
         ]
         return scores.evidence(score, [*near, *rivals], chance)
@@ -128,17 +125,29 @@ class Verifier:
     ) -> tuple[Score, list[Score]]:
         """The pose that is likelier by itself, and its rivals near it.
 
-        A rival is refined where it might become the equal of the candidate.
+        A rival is refined where the clouds roughly fit nearly as well.
         """
-        rivals: list[Score] = []
+        rough, rivals = scores.rough_overlap(score), list[Score]()
         for each in nearby:
-            close = self._may_equal(each, score)
-            rival: Score = scores.closely(each) if close else scores.roughly(each)
-            if close and self.model.standalone(rival) > self.model.standalone(score):
+            if each.overlap < self.config.refined_from * rough:
+                rivals.append(scores.roughly(each))
+                continue
+            rival: Score = scores.closely(each)
+            if self.model.standalone(rival) > self.model.standalone(score):
                 score, rival = rival, score
+                rough = max(rough, each.overlap)
             rivals.append(rival)
         return score, rivals
 
-    def _may_equal(self, rival: RankedCandidate, score: Score) -> bool:
-        """Whether a rival is worth refining."""
-        return rival.overlap >= self.config.refined_from * score.overlap
+    def _is_hopeless(self, evidence: Evidence) -> bool:
+        least = min(HOPELESS, self.config.min_confidence)
+        return self.model.probability(evidence) < least and not self._may_be_equal(evidence)
+
+    def _is_certain(self, evidence: Evidence) -> bool:
+        enough = max(CERTAIN, self.config.min_confidence)
+        return self.model.probability(evidence) >= enough and not self._may_be_equal(evidence)
+
+    def _may_be_equal(self, evidence: Evidence) -> bool:
+        """Whether a rival might turn out to be equal once it is refined."""
+        slack = self.config.rival_overlap_ratio
+        return equal_rival(evidence, self.model, self.config, slack) is not None

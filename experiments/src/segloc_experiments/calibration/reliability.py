@@ -13,6 +13,7 @@ from segloc.verification.confidence import FEATURES
 
 COLUMNS = (
     "seen, logit",
+    "inliers, logarithm",
     "inliers, log-likelihood over a rival's",
     "overlap, logit over a rival's",
     "seen, logit over a rival's",
