@@ -30,6 +30,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "datasets": (4, "recordings: loaders, bags, packets, odometry"),
     "tracker.py": (4, "many queries over time"),
     "localizer.py": (5, "the method on one page"),
+    "answer.py": (5, "a verdict to the answer"),
     "landmarks": (5, "landmarks of one's own, such as tree stems: detections in, a pose out"),
     "config.py": (6, "all settings, one preset a method"),
     "attitude.py": (8, "which way is up in a scan"),
@@ -66,7 +67,7 @@ ROOMS: dict[str, tuple[int, str]] = {
 
 KERNELS = {
     "bindings": "Python functions: shapes checked, interpreter's lock released",
-    "verification": "visibility of map points, point index for overlap",
+    "verification": "visibility of map points, point index for overlap, correlation",
     "registration": "generalised ICP, normals on demand",
     "occupancy": "maps seen from above, branch and bound over poses",
     "pose": "votes, Hough accumulator, refinement, PROSAC",

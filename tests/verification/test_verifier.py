@@ -168,7 +168,7 @@ def test_confidence_rises_with_every_feature() -> None:
         evidence(15, 0.85, 0.95, 3.0, (0.3, 0.95)),
     ):
         assert MODEL.probability(worse) < good
-    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2)) < 0.05
+    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2, (0.4, 0.6))) < 0.05
     # However many segments agree, clouds that agree no better than elsewhere outweigh them.
     assert MODEL.probability(evidence(500, 0.4, 0.6, 100.0, (0.4, 0.6))) < 0.5
 
@@ -216,8 +216,8 @@ def test_no_score_makes_an_impossible_confidence() -> None:
 
 def test_the_confidence_was_fitted_under_the_default_configuration() -> None:
     assert differences(Config().model_dump(mode="json"), MODEL.settings) == []
-    whole = {"local_cloud", "segmentation", "mapping", "matching", "pose", "verification"}
-    assert set(MODEL.settings) == whole - {"local_cloud"} and MODEL.card["command"]
+    whole = {"segmentation", "mapping", "matching", "pose", "occupancy", "verification"}
+    assert set(MODEL.settings) == whole and MODEL.card["command"]
 
 
 @pytest.mark.parametrize(

@@ -87,8 +87,7 @@ class Verifier:
 
     def _judge(self, scores: CandidateScores, k: int) -> Verdict:
         ranked = scores.ranked[k]
-        by_matches = ranked.candidate.fit is None
-        if by_matches and ranked.inliers < self.config.min_inliers:
+        if ranked.inliers < self.config.min_inliers:
             return too_few_inliers(ranked, scores.runner_up(ranked.T_map_local), self.config)
         evidence = self._enough_evidence(scores, k)
         runner_up = scores.runner_up(evidence.score.T_map_local)
