@@ -59,7 +59,8 @@ def equal_rival(
     """A rival that explains the query about as well, by its segments or by its clouds.
 
     Where a place repeats itself, it is chance which of its parts a segment is matched to: few
-    matches do not speak against a place at which the clouds fit. With a ``slack`` below 1, rivals
+    matches do not speak against a place at which the clouds fit, nor do as few as chance brings
+    about speak for one. With a ``slack`` below 1, rivals
     count too that might turn out to be equal once they are refined.
     """
     best = evidence.score
@@ -67,7 +68,10 @@ def equal_rival(
     if alone < config.min_confidence:
         return None
     for rival in evidence.rivals:
-        supported = rival.support > config.rival_support_ratio * best.support
+        supported = (
+            rival.inliers > model.chance.inliers
+            and rival.support > config.rival_support_ratio * best.support
+        )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
         if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:
             return rival

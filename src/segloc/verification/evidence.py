@@ -191,9 +191,9 @@ class Verdict:
     @property
     def is_thin(self) -> bool:
         """Whether the segments say little for or against any pose, so that the clouds must."""
-        if self.reason is not None:
-            return self.undecided
-        return self.evidence is not None and self.evidence.inlier_evidence < DECISIVE_INLIERS
+        if self.undecided or self.evidence is None:
+            return True
+        return self.evidence.inlier_evidence < DECISIVE_INLIERS
 
     @property
     def rank(self) -> tuple[bool, float, int]:
