@@ -25,7 +25,7 @@ from segloc import (
 from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.localization import Localization, Reason
-from segloc.verification import Verdict
+from segloc.verification import Evidence, Score, Verdict
 
 GEO = Config.preset("geo")
 
@@ -295,8 +295,10 @@ def test_the_best_of_all_attempts_counts(
     localizer = Localizer(prior_map)
     query = localizer.describe(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))))
 
+    decisive = Evidence(Score(np.eye(4), 20, 0.9, 900, 1000, 0.1, 0.9), 4.0, ())
+
     def verdict(reason: Reason | None, confidence: float) -> Verdict:
-        return Verdict(reason, "", confidence)
+        return Verdict(reason, "", confidence, evidence=decisive)
 
     uncertain, less = (verdict(Reason.TOO_UNCERTAIN, p) for p in (0.7, 0.3))
     nothing = verdict(Reason.NO_CONSISTENT_MATCHES, 0.0)

@@ -71,8 +71,6 @@ def _measured(verdict: Verdict) -> dict[str, float | None]:
 
 def _why(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
     """The first stage that was left with nothing, or else what the verdict says."""
-    if counts["points"] and verdict.undecided and cloud.attitude == "assumed":
-        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
     for what, reason in (
         ("points", Reason.NO_POINTS),
         ("segments", Reason.NO_SEGMENTS),
@@ -80,6 +78,8 @@ def _why(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict
     ):
         if counts[what] == 0:
             return {"reason": reason, "message": reason.value}
+    if verdict.undecided and cloud.attitude == "assumed":
+        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
     return {"reason": verdict.reason, "message": verdict.message}
 
 

@@ -207,16 +207,18 @@ class Localizer:
             if not verdict.undecided:
                 break
         assert best is not None  # no schedule is empty
-        if self.config.occupancy.enabled and best.verdict.is_thin:
-            return self.search_occupancy(query, best, times)
-        return best
+        if not (self.config.occupancy.enabled and best.verdict.is_thin):
+            return best
+        found = self.search_occupancy(query, best, times)
+        believed = best.verdict.reason is None
+        return found if believed or found.verdict.rank > best.verdict.rank else best
 
     def search_occupancy(
         self, query: Query, tried: Search, times: StageTimes | None = None
     ) -> Search:
         """Candidate poses by what stands where -> verdict: what :meth:`search` tries last.
 
-        The best pose so far is judged among them.
+        The candidates so far, and the best pose, are judged among them.
         """
         times = times or StageTimes(self._clock)
         agreeing = query.scene.segments.centroids, self.prior_map.centroids, tried.matches
@@ -225,9 +227,10 @@ class Localizer:
                 replace(c, inliers=self.estimator.inliers(*agreeing, c.T_map_local))
                 for c in self.occupancy.candidates(query.scene)
             ]
-            if tried.verdict.best is not None:
-                so_far = tried.verdict.best
-                candidates.append(Candidate(so_far.T_map_local, so_far.inliers, fit=so_far.overlap))
+        # By the clouds alone, as all are compared here: `fit` is not asked for.
+        candidates += [replace(c, fit=0.0) for c in tried.candidates]
+        if (best := tried.verdict.best) is not None:
+            candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
         with times("verification"):
             verdict = self._verified(query, tried.matches, candidates)
         return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,6 +36,13 @@ def queries(walk: PlazaSequence, positions: Iterable[int]) -> QuerySet:
     return QuerySet(walk, chosen, walk.poses[chosen])
 
 
+def by_segments(**sections: Any) -> Config:
+    """Without the search by what stands where, which would find what segments do not."""
+    config = Config.preset("geo")
+    occupancy = config.occupancy.model_copy(update={"enabled": False})
+    return config.model_copy(update={"occupancy": occupancy, **sections})
+
+
 def stages(localizer: Localizer, walk: PlazaSequence) -> set[str]:
     return {case.stage for case in funnel(localizer, queries(walk, [2, 5])).cases}
 
@@ -61,11 +69,10 @@ def test_a_rejected_pose_names_its_gate(prior_map: SegmentMap, walk: PlazaSequen
 
 
 def test_matches_and_segments_that_are_missing(prior_map: SegmentMap, walk: PlazaSequence) -> None:
-    config = Config.preset("geo").model_copy(update={"threads": 1})
     shuffled = changed(prior_map, vectors=np.roll(prior_map.vectors, 7, axis=0))
-    few = config.model_copy(
-        update={"matching": config.matching.model_copy(update={"neighbours": 1, "escalation": 1})}
-    )
+    matching = Config.preset("geo").matching
+    one = matching.model_copy(update={"neighbours": 1, "escalation": 1})
+    few = by_segments(matching=one, threads=1)
     assert stages(Localizer(shuffled, few), walk) == {"true neighbours not matched"}
     moved = changed(prior_map, centroids=prior_map.centroids + np.array([0, 0, 30.0]))
     assert stages(Localizer(moved, few), walk) == {"segments not repeated"}
@@ -90,7 +97,7 @@ def changed(prior_map: SegmentMap, **columns: np.ndarray) -> SegmentMap:
 def test_too_few_segments_and_no_pose(
     prior_map: SegmentMap, walk: PlazaSequence, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    blind = Localizer(prior_map)
+    blind = Localizer(prior_map, by_segments())
     monkeypatch.setattr(blind.estimator, "estimate", lambda *_: [])
     assert stages(blind, walk) == {"pose not found"}
     monkeypatch.setattr(failures, "FEWEST_SEGMENTS", 10_000)

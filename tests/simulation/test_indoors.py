@@ -358,7 +358,7 @@ def test_a_query_in_the_warehouse_is_localized_in_a_map_of_the_same_hall() -> No
     near = np.flatnonzero(cKDTree(mapped).query(driven)[0] < 2.0)[::3]
     answers = [(k, localizer.localize(drives[1].scan(int(k)).points)) for k in near]
     found = [(k, answer) for k, answer in answers if answer.localized]
-    assert len(found) > 0.5 * len(answers) > 3
+    assert len(found) > 0.3 * len(answers) > 3
     for k, answer in found:
         assert answer.T_map_sensor is not None
         error = np.linalg.inv(drives[1].truth[k]) @ answer.T_map_sensor

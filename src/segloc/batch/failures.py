@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 REPEAT_RADIUS_M = 0.5
 """A query segment is repeated where the map has the centroid of a segment this close to its own."""
 
+FEWEST_INLIERS = 3
+"""So many segments agree on some pose by chance: with fewer right ones, none is found."""
+
 FEWEST_SEGMENTS = 10
 """A query with fewer segments shows too little, whatever the map holds."""
 
@@ -208,7 +211,7 @@ def _stage(
     verdict: Verdict,
     T: Pose,
 ) -> str:
-    needed = localizer.config.verification.min_inliers
+    needed = max(localizer.config.verification.min_inliers, FEWEST_INLIERS)
     localized, falsely, few, unrepeated, unmatched, unfound, rejected = STAGES
     if verdict.best is not None and verdict.reason is None:
         return localized if _same(verdict.best.T_map_local, T) else falsely
