@@ -12,7 +12,11 @@ constexpr double kLayer = 1.0;    // metres
 constexpr double kBelow = 3.0;    // of the lowest layer's bottom, under the sensor, metres
 constexpr double kBetween = 0.3;  // so near its edge, a map point fills the next layer as well
 
-int layer_of(double above) { return static_cast<int>(std::floor((above + kBelow) / kLayer)); }
+// -1 for all that is lower, kLayers for all that is higher.
+int layer_of(double above) {
+  const double layer = std::floor((above + kBelow) / kLayer);
+  return static_cast<int>(std::clamp(layer, -1.0, double(kLayers)));
+}
 
 // Layers of the map's occupancy around a place, each a plane of bytes.
 class Planes {
@@ -84,7 +88,7 @@ std::vector<Cell> query_cells(const Planes& planes, const float* points, std::si
     if (!(std::max(std::abs(moved[0]), std::abs(moved[1])) < planes.reach(options.half_width))) {
       continue;  // it would leave the planes: the transform is far from level
     }
-    const int layer = layer_of(std::clamp(moved[2], -kBelow - kLayer, kLayers * kLayer));
+    const int layer = layer_of(moved[2]);
     if (layer < 0 || layer >= kLayers) continue;
     cells.push_back({layer, planes.cell(moved[1]), planes.cell(moved[0])});
   }
