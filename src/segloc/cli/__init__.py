@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import signal
 import sys
 from importlib.metadata import entry_points
 from typing import Annotated, NoReturn
@@ -88,6 +90,8 @@ def main() -> None:
 
     What is the user's to mend ends as one line and exit status 1, Ctrl-C as one line and 130.
     """
+    # Once all is done and said, Ctrl-C would kill Python without a word while it tidies up.
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     try:
         app()
     except KeyboardInterrupt:
