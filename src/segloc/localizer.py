@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -19,7 +20,7 @@ from .occupancy import OccupancySearch
 from .pose import PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, LocalCloud, Matches
+from .types import Candidate, Descriptors, LocalCloud, Matches, Pose
 from .verification import Verdict, Verifier
 
 
@@ -200,7 +201,9 @@ class Localizer:
             with times("pose"):
                 candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
             with times("verification"):
-                verdict = self._verified(query, matches, candidates)
+                verdict = self.verifier.verify(
+                    query.scene, candidates, self._inliers(query, matches)
+                )
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
@@ -221,10 +224,10 @@ class Localizer:
         The candidates so far, and the best pose, are judged among them.
         """
         times = times or StageTimes(self._clock)
-        agreeing = query.scene.segments.centroids, self.prior_map.centroids, tried.matches
+        inliers = self._inliers(query, tried.matches)
         with times("pose"):
             candidates = [
-                replace(c, inliers=self.estimator.inliers(*agreeing, c.T_map_local))
+                replace(c, inliers=inliers(c.T_map_local))
                 for c in self.occupancy.candidates(query.scene)
             ]
         # By the clouds alone, as all are compared here: `fit` is not asked for.
@@ -232,13 +235,13 @@ class Localizer:
         if (best := tried.verdict.best) is not None:
             candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
         with times("verification"):
-            verdict = self._verified(query, tried.matches, candidates)
+            verdict = self.verifier.verify(query.scene, candidates, inliers)
         return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
 
-    def _verified(self, query: Query, matches: Matches, candidates: list[Candidate]) -> Verdict:
+    def _inliers(self, query: Query, matches: Matches) -> Callable[[Pose], int]:
+        """How many segments of the query agree with a pose that was not estimated of them."""
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
-        inliers = partial(self.estimator.inliers, centroids, map_centroids, matches)
-        return self.verifier.verify(query.scene, candidates, inliers)
+        return partial(self.estimator.inliers, centroids, map_centroids, matches)
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

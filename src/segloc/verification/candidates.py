@@ -91,6 +91,6 @@ class CandidateScores:
         """
         apart = self._separation.apart
         rivals = [r for r in rivals if apart(r.T_map_local, score.T_map_local)]
-        others = [self.ranked[j].inliers for j in self.elsewhere(score.T_map_local)]
+        others = [c.inliers for c in self.ranked if apart(c.T_map_local, score.T_map_local)]
         most = max([*others, *(rival.inliers for rival in rivals), chance_inliers])
         return Evidence(score, score.inliers / most, tuple(rivals))

@@ -60,8 +60,8 @@ def equal_rival(
 
     Where a place repeats itself, it is chance which of its parts a segment is matched to: few
     matches do not speak against a place at which the clouds fit, nor do as few as chance brings
-    about speak for one. With a ``slack`` below 1, rivals
-    count too that might turn out to be equal once they are refined.
+    about speak for one. With a ``slack`` below 1, rivals count too that might turn out to be equal
+    once they are refined.
     """
     best = evidence.score
     alone = model.standalone(best)

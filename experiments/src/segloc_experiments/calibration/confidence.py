@@ -28,7 +28,7 @@ import numpy as np
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_positions
-from segloc.datasets import Sequence
+from segloc.datasets import Selection, Sequence
 from segloc.local_cloud import window
 from segloc.localizer import Query
 from segloc.simulation import (
@@ -206,14 +206,8 @@ class Calibration:
 
 
 def _first_half(drive: SimulatedSequence) -> SimulatedSequence:
-    half = slice(0, len(drive) // 2)
-    return replace(
-        drive,
-        indices=drive.indices[half],
-        truth=drive.truth[half],
-        poses=drive.poses[half],
-        _last=None,
-    )
+    last = drive.indices[len(drive) // 2 - 1]
+    return drive.select(Selection(((0, int(last)),)))
 
 
 def main() -> None:

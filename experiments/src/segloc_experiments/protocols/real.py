@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localizer, SegmentMap, build_map
+from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_scans
-from segloc.batch.score import Tolerance, distances_to_path, pose_errors
+from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
 from segloc.datasets import NO_POSES, open_sequence
 from segloc.types import Float64, Int64, Pose, Recording
 
@@ -31,8 +31,6 @@ from ..intervals import wilson
 from ..recordings import FewerBeams, Files, Turned
 from ..script import head, parser, row
 
-COVERED_M = 3.0
-"""A query lies within map coverage where the map's trajectory passes so close."""
 OUT, BACK = "0:74", "82:104"
 """The scans of the corridor that are mapped, and those on the way back."""
 TOLERANCE = Tolerance()
@@ -144,7 +142,7 @@ def _seen(turned: Turned, truths: Float64, positions: Int64 | None = None) -> Fl
     """The poses of the turned sensor."""
     positions = np.arange(len(truths), dtype=np.int64) if positions is None else positions
     turns = (turned.T_turned_level(int(i)) for i in positions)
-    return np.stack([T @ np.linalg.inv(turn) for T, turn in zip(truths, turns, strict=True)])
+    return np.stack([T @ geometry.inverse(turn) for T, turn in zip(truths, turns, strict=True)])
 
 
 class Judge:
@@ -196,7 +194,7 @@ class Judge:
     @staticmethod
     def _covered(localizer: Localizer, truth: Pose) -> bool:
         path = localizer.prior_map.trajectory
-        return bool(distances_to_path(truth[None], path)[0] <= COVERED_M)
+        return bool(distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M)
 
 
 def _outcome(estimate: Pose | None, truth: Pose | None) -> str:
