@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from segloc import geometry
-from segloc.datasets import Derived
 from segloc.files import replacing
 from segloc.io import read_scan
+from segloc.reposed import Derived
 from segloc.simulation import SimulatedSequence
 from segloc.simulation.motion.paths import on_ground
 from segloc.types import Float64, Pose, Recording, Scan, stamp_at

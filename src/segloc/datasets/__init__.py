@@ -9,7 +9,6 @@ import numpy as np
 from ..errors import DatasetError
 from ..types import Float64, Pose
 from ..types import Recording as Recording
-from .base import Derived as Derived
 from .base import Selection as Selection
 from .base import Sequence as Sequence
 from .base import parse_select as parse_select

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ConfigError
-from ..types import Float64, Int64, Recording, Scan
+from ..types import Int64, Recording
 
 _RANGE = re.compile(r"(\d{0,18})(:?)(\d{0,18})", re.ASCII)
 
@@ -21,35 +21,6 @@ class Sequence(Recording, Protocol):
     def select(self, selection: Selection) -> Sequence:
         """The scans whose indices are in the selection, in the same order."""
         ...
-
-
-SourceT = TypeVar("SourceT", bound=Recording)
-
-
-@dataclass(frozen=True)
-class Derived(Generic[SourceT]):
-    """A recording made of another's scans. Its poses are for the subclass to say."""
-
-    source: SourceT
-
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    @property
-    def indices(self) -> Int64:
-        return self.source.indices
-
-    @property
-    def stamps(self) -> Float64 | None:
-        return self.source.stamps
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def scan(self, i: int) -> Scan:
-        """The scan at position i."""
-        return self.source.scan(i)
 
 
 @dataclass(frozen=True)

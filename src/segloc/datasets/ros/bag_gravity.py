@@ -18,7 +18,7 @@ from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, weighed
 from ..tracks import quaternion_poses
 from .bag_file import BagFile, faults_of
 from .bag_headers import seconds
-from .bag_tf import Edges, frame_name, mount
+from .bag_tf import Edges, frame_name, fullest_topics, mount
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -58,12 +58,8 @@ def find_imu(reader: AnyReader, edges: Edges, frame: str) -> ImuTopic | None:
     frame : str
         Of the points.
     """
-    counts: dict[str, int] = {}
-    for item in reader.connections:
-        if item.msgtype == _IMU and item.msgcount:
-            counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
     others: list[ImuTopic] = []
-    for topic in sorted(counts, key=lambda name: (-counts[name], name)):
+    for topic in fullest_topics(reader, _IMU):
         imu = _frame_of(reader, topic)
         T = mount(edges, frame, imu)
         if T is not None:

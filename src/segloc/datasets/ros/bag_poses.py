@@ -11,7 +11,7 @@ from ...motion import interpolated
 from ...types import Float64
 from ..tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses
 from .bag_headers import seconds
-from .bag_tf import Edges, chain, frame_name, mount, row
+from .bag_tf import Edges, chain, frame_name, fullest_topics, mount, row
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -54,13 +54,7 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
     """
     remarks: list[str] = []
     base: Track | None = None
-    topics: dict[str, int] = {}
-    for item in reader.connections:
-        if item.msgtype == _ODOMETRY:
-            topics[item.topic] = topics.get(item.topic, 0) + item.msgcount
-    for topic in sorted(topics, key=lambda name: (-topics[name], name)):
-        if not topics[topic]:
-            continue
+    for topic in fullest_topics(reader, _ODOMETRY):
         stamps, poses, body = _read_odometry(reader, topic)
         T_body_sensor = mount(edges, body, frame)
         if T_body_sensor is not None:

@@ -76,6 +76,15 @@ def read_tf(reader: AnyReader) -> Edges:
     return edges
 
 
+def fullest_topics(reader: AnyReader, msgtype: str) -> list[str]:
+    """The topics of a type that have messages, those with the most first."""
+    counts: dict[str, int] = {}
+    for item in reader.connections:
+        if item.msgtype == msgtype and item.msgcount:
+            counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
+    return sorted(counts, key=lambda name: (-counts[name], name))
+
+
 def row(xyz: Any, q: Any) -> list[float]:
     """Position and quaternion as one row."""
     return [xyz.x, xyz.y, xyz.z, q.x, q.y, q.z, q.w]
