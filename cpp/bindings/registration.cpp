@@ -39,11 +39,12 @@ Out<double> matrix_of(const Rigid& T) {
 }
 
 auto align_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
-            int max_iterations, int threads) {
+            int max_iterations, int threads, int max_final) {
   const Rigid start = rigid_of(T_target_source);
   require_between(max_iterations, 0, 10'000, "max_iterations");
+  require_between(max_final, 0, 10'000, "max_final");
   GicpOptions options;
-  options.max_iterations = max_iterations;
+  options.max_iterations = max_iterations, options.max_final = max_final;
   GicpResult result;
   {
     nb::gil_scoped_release release;
@@ -98,7 +99,7 @@ void bind_registration(nb::module_& m) {
       .def("normals", &normals_)
       .def("offsets", &offsets_, nb::arg("source"), nb::arg("T_target_source").noconvert())
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
-           nb::arg("max_iterations") = 20, nb::arg("threads") = 0);
+           nb::arg("max_iterations") = 20, nb::arg("threads") = 0, nb::arg("max_final") = 6);
 }
 
 }  // namespace segloc::bindings

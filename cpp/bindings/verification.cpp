@@ -7,12 +7,14 @@
 namespace segloc::bindings {
 namespace {
 
+// A point where the index has none around counts as `unmapped` of one that is near.
 auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
-              double radius) {
+              double radius, double unmapped) {
   require_points(points);
   require(poses.shape(1) == 4 && poses.shape(2) == 4, "poses must have shape (H, 4, 4)");
   require_usable(poses.data(), poses.size(), "poses");
   require_between(radius, kShortest, index.radius(), "radius");
+  require_between(unmapped, 0.0, 1.0, "unmapped");
   std::vector<double> share(poses.shape(0)), rmse(poses.shape(0));
   {
     nb::gil_scoped_release release;
@@ -20,7 +22,9 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
     require_usable(points.data(), points.size(), "points");
     for (std::size_t h = 0; h < share.size(); ++h) {
       const auto found = index.overlap(points.data(), m, poses.data() + 16 * h, radius);
-      share[h] = found.judged == 0 ? 0.0 : double(found.near) / double(found.judged);
+      const double known = double(found.near) + unmapped * double(found.unmapped);
+      const std::size_t all = found.judged + found.unmapped;
+      share[h] = all == 0 ? 0.0 : known / double(all);
       rmse[h] = std::sqrt(found.squared_sum / double(found.near));  // NaN where nothing is near
     }
   }
@@ -97,7 +101,7 @@ void bind_verification(nb::module_& m) {
           nb::arg("points").noconvert(), nb::arg("radius"))
       .def("__len__", &PointIndex::size)
       .def("overlap", &overlap_, nb::arg("points").noconvert(), nb::arg("poses").noconvert(),
-           nb::arg("radius"))
+           nb::arg("radius"), nb::arg("unmapped") = 0.0)
       .def("correlate", &correlate_, nb::arg("points").noconvert(),
            nb::arg("T_map_local").noconvert(), nb::arg("headings"), nb::arg("cell"),
            nb::arg("half_width"), nb::arg("range"))

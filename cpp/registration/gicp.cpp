@@ -271,6 +271,7 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
   if (stride > 1) {
     Problem few(target, source, stride, threads);
     optimise(few, options.max_iterations, options, result);
+    if (options.max_final == 0) return result;
   }
   Problem all(target, source, 1, threads);
   optimise(all, stride > 1 ? options.max_final : options.max_iterations, options, result);

@@ -12,7 +12,7 @@ namespace segloc {
 struct GicpOptions {
   std::size_t coarse = 600;        // about so many points are aligned first, where there are more
   int max_iterations = 20;         // of all points, or of the first ones
-  int max_final = 6;               // of all points after those
+  int max_final = 6;               // of all points after those; 0: it ends with the first ones
   double translation_step = 2e-3;  // steps smaller than both of these are the last, metres
   double rotation_step = 2e-3;     // radians
 };

@@ -16,9 +16,9 @@ struct CorrelationOptions {
   std::size_t cells = 600;  // occupied cells of the query that are used at most
 };
 
-// (Headings, shifts along y, shifts along x) row-major: twice the occupied cells of the query that
-// are occupied in the map, too, and once those that lie beside such a cell; and how many cells of
-// the query were used at each heading.
+// (Headings, shifts along y, shifts along x) row-major: four times the occupied cells of the query
+// that are occupied in the map, too, twice those that lie beside such a cell, and once those where
+// the map has nothing all around; and how many cells of the query were used at each heading.
 struct Correlation {
   std::vector<std::uint16_t> counts;
   std::vector<std::uint16_t> used;

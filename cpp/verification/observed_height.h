@@ -11,7 +11,8 @@
 namespace segloc {
 
 // A sensor whose field of view ends lower than another one's sees less of trees and houses. What is
-// higher than anything the cloud has nearby was not in view, and says nothing of a pose.
+// higher than anything the cloud has nearby was not in view, and says nothing of a pose. Nor does
+// what lies where the cloud has nothing, not even ground: beyond the end of a map.
 class ObservedHeight {
  public:
   ObservedHeight(const float* points, std::size_t n) {
@@ -29,14 +30,17 @@ class ObservedHeight {
     }
   }
 
-  // Whether a point is no higher than the cloud is around it. Near the ground it always is, and so
-  // it is where the cloud has nothing at all.
-  bool contains(float x, float y, float z) const {
-    if (!near(x, y)) return true;
-    const auto found = around_.find(key(cell(x), cell(y)));
-    if (found == around_.end()) return true;
-    return z <= std::max(found->second.high, found->second.low + kAlways) + kSlack;
+  enum class View { kSeen, kTooHigh, kUnmapped };
+
+  // Whether the cloud would have a point here if one were: not where it is higher than the cloud is
+  // around it, nor where the cloud has nothing at all. Near the ground it would.
+  View at(float x, float y, float z) const {
+    const Span* span = around(x, y);
+    if (span == nullptr) return View::kUnmapped;
+    const float top = std::max(span->high, span->low + kAlways) + kSlack;
+    return z <= top ? View::kSeen : View::kTooHigh;
   }
+  bool is_mapped(float x, float y) const { return around(x, y) != nullptr; }
 
  private:
   static constexpr float kCell = 4.0f, kAlways = 3.0f, kSlack = 0.5f;  // metres
@@ -50,6 +54,11 @@ class ObservedHeight {
     }
   };
 
+  const Span* around(float x, float y) const {
+    if (!near(x, y)) return nullptr;
+    const auto found = around_.find(key(cell(x), cell(y)));
+    return found == around_.end() ? nullptr : &found->second;
+  }
   static bool near(float x, float y) { return std::abs(x) < kLimit && std::abs(y) < kLimit; }
   static std::int64_t cell(float v) { return static_cast<std::int64_t>(std::floor(v / kCell)); }
   static std::uint64_t key(std::int64_t x, std::int64_t y) {

@@ -38,7 +38,9 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
       moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] +
                                     T[4 * a + 3]);
     }
-    if (!height_.contains(moved[0], moved[1], moved[2])) continue;
+    const ObservedHeight::View view = height_.at(moved[0], moved[1], moved[2]);
+    result.unmapped += view == ObservedHeight::View::kUnmapped;
+    if (view != ObservedHeight::View::kSeen) continue;
     ++result.judged;
     const float d2 = grid_.nearest_squared(moved, limit);
     if (d2 > limit) continue;

@@ -16,9 +16,10 @@ class PointIndex {
   PointIndex(const float* points, std::size_t n, double radius);
 
   struct Overlap {
-    std::size_t judged = 0;  // points no higher than the indexed ones around them
-    std::size_t near = 0;    // those with an indexed point within the radius
-    double squared_sum = 0;  // of the distances of the latter
+    std::size_t judged = 0;    // points no higher than the indexed ones around them
+    std::size_t near = 0;      // those with an indexed point within the radius
+    double squared_sum = 0;    // of the distances of the latter
+    std::size_t unmapped = 0;  // points with no indexed ones around them at any height
   };
 
   // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
@@ -33,6 +34,9 @@ class PointIndex {
   void visit(double x, double y, double radius, Visit&& visit) const {
     for (const std::uint32_t i : within(x, y, radius)) visit(grid_[i]);
   }
+
+  // Whether there are any points around, at any height.
+  bool is_mapped(float x, float y) const { return height_.is_mapped(x, y); }
 
   std::size_t size() const { return grid_.size(); }
   double radius() const { return grid_.radius(); }

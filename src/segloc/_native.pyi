@@ -91,13 +91,18 @@ class Surface:
         T_target_source: NDArray[np.float64],
         max_iterations: int = 20,
         threads: int = 0,
+        max_final: int = 6,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int, int]: ...
 
 class PointIndex:
     def __init__(self, points: NDArray[np.float32], radius: float) -> None: ...
     def __len__(self) -> int: ...
     def overlap(
-        self, points: NDArray[np.float32], poses: NDArray[np.float64], radius: float
+        self,
+        points: NDArray[np.float32],
+        poses: NDArray[np.float64],
+        radius: float,
+        unmapped: float = 0.0,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
     def correlate(
         self,

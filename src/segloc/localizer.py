@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from .answer import answer
@@ -17,11 +15,11 @@ from .localization import Localization
 from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .occupancy import OccupancySearch
-from .pose import PoseEstimator
+from .pose import Agreement, PoseEstimator
 from .segmentation import Segmentation, Segmenter
 from .stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, LocalCloud, Matches, Pose
-from .verification import Verdict, Verifier
+from .types import Candidate, Descriptors, LocalCloud, Matches
+from .verification import QueryCloud, Verdict, Verifier
 
 
 @dataclass(frozen=True)
@@ -192,6 +190,7 @@ class Localizer:
         times = times or StageTimes(self._clock)
         centroids = query.scene.segments.centroids
         neighbours = self.matcher.neighbours(query.descriptors)
+        cloud = self.verifier.query(query.scene)
         best: Search | None = None
         for count in self.matcher.schedule:
             with times("matching"):
@@ -201,9 +200,7 @@ class Localizer:
             with times("pose"):
                 candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
             with times("verification"):
-                verdict = self.verifier.verify(
-                    query.scene, candidates, self._inliers(query, matches)
-                )
+                verdict = self.verifier.verify(cloud, candidates, self._agreement(query, matches))
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
@@ -212,19 +209,24 @@ class Localizer:
         assert best is not None  # no schedule is empty
         if not (self.config.occupancy.enabled and best.verdict.is_thin):
             return best
-        found = self.search_occupancy(query, best, times)
+        found = self.search_occupancy(query, best, times, cloud)
         believed = best.verdict.reason is None
         return found if believed or found.verdict.rank > best.verdict.rank else best
 
     def search_occupancy(
-        self, query: Query, tried: Search, times: StageTimes | None = None
+        self,
+        query: Query,
+        tried: Search,
+        times: StageTimes | None = None,
+        cloud: QueryCloud | None = None,
     ) -> Search:
         """Candidate poses by what stands where -> verdict: what :meth:`search` tries last.
 
         The candidates so far, and the best pose, are judged among them.
         """
         times = times or StageTimes(self._clock)
-        inliers = self._inliers(query, tried.matches)
+        cloud = cloud or self.verifier.query(query.scene)
+        inliers = self._agreement(query, tried.matches)
         with times("pose"):
             candidates = [
                 replace(c, inliers=inliers(c.T_map_local))
@@ -235,13 +237,13 @@ class Localizer:
         if (best := tried.verdict.best) is not None:
             candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
         with times("verification"):
-            verdict = self.verifier.verify(query.scene, candidates, inliers)
+            verdict = self.verifier.verify(cloud, candidates, inliers)
         return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
 
-    def _inliers(self, query: Query, matches: Matches) -> Callable[[Pose], int]:
+    def _agreement(self, query: Query, matches: Matches) -> Agreement:
         """How many segments of the query agree with a pose that was not estimated of them."""
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
-        return partial(self.estimator.inliers, centroids, map_centroids, matches)
+        return self.estimator.agreement(centroids, map_centroids, matches)
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

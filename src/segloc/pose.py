@@ -46,6 +46,47 @@ class PoseConfig(Section):
     max_candidates: int = Field(8, ge=1, le=1000, description="candidates handed to verification")
 
 
+class Agreement:
+    """How many distinct segments of a query agree with a pose that was not estimated of them.
+
+    Parameters
+    ----------
+    query : (P, 3) float64
+        Segment centroids of the query cloud, local frame (z up).
+    map_centroids : (M, 3) float64
+        Segment centroids of the map, map frame (z up).
+    matches : Matches
+    config : PoseConfig
+    """
+
+    def __init__(
+        self, query: Float64, map_centroids: Float64, matches: Matches, config: PoseConfig
+    ) -> None:
+        self._from, self._to = query[matches.query], map_centroids[matches.map]
+        self._objects = _objects(query, config.distinct_radius)[matches.query]
+        self._config = config
+
+    def __call__(self, T_map_local: Pose) -> int:
+        """Distinct objects with a match that fits the pose."""
+        config = self._config
+        x, y, z = (self._to - geometry.transform(T_map_local, self._from)).T
+        fits = (x**2 + y**2 < config.inlier_tolerance**2) & (np.abs(z) < config.height_tolerance)
+        return len(np.unique(self._objects[fits]))
+
+
+def _objects(centroids: Float64, radius: float) -> Int64:
+    """The object of each of (P, 3) segments: one with the first that is so near, seen from above.
+
+    An object cut at two heights is two segments.
+    """
+    x, y = centroids[:, 0], centroids[:, 1]
+    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < radius**2
+    objects = np.arange(len(centroids), dtype=np.int64)
+    for i, row in enumerate(near):
+        objects[i] = objects[row.argmax()]  # row[i] is true
+    return objects
+
+
 class PoseEstimator:
     """Finds poses on which many matches agree; several, at different places, best first."""
 
@@ -71,24 +112,9 @@ class PoseEstimator:
         poses, inliers = find(query, map_centroids, matches)
         return [Candidate(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
 
-    def inliers(
-        self, query: Float64, map_centroids: Float64, matches: Matches, T_map_local: Pose
-    ) -> int:
-        """Distinct query segments that agree with a pose that was not estimated.
-
-        Parameters are those of :meth:`estimate`.
-        """
-        config = self.config
-        moved = geometry.transform(T_map_local, query[matches.query])
-        x, y, z = (map_centroids[matches.map] - moved).T
-        fits = (x**2 + y**2 < config.inlier_tolerance**2) & (np.abs(z) < config.height_tolerance)
-        left = list(query[np.unique(matches.query[fits])])
-        count = 0
-        while left:
-            first = left.pop()
-            left = [c for c in left if np.linalg.norm(c - first) > config.distinct_radius]
-            count += 1
-        return count
+    def agreement(self, query: Float64, map_centroids: Float64, matches: Matches) -> Agreement:
+        """How many segments agree with any pose; parameters are those of :meth:`estimate`."""
+        return Agreement(query, map_centroids, matches, self.config)
 
     def _consensus(
         self, query: Float64, map_centroids: Float64, matches: Matches

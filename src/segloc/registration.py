@@ -77,14 +77,19 @@ class Target:
         Of :meth:`Aligner.surface`.
     index : PointIndex
         Of the points that overlap is computed with.
+    unmapped_overlap : float
+        What a point counts that lies where the cloud has nothing, not even ground.
     """
 
     surface: _native.Surface
     index: _native.PointIndex
+    unmapped_overlap: float = 0.0
 
     def overlap(self, sample: Float32, T_target_source: Pose, radius: float) -> tuple[float, float]:
         """Overlap of a sample (N, 3) within a radius, and the pairs' RMSE in metres."""
-        overlap, rmse = self.index.overlap(sample, T_target_source[None], radius)
+        overlap, rmse = self.index.overlap(
+            sample, T_target_source[None], radius, self.unmapped_overlap
+        )
         return float(overlap[0]), float(rmse[0])
 
 
@@ -111,13 +116,24 @@ class Aligner:
         return _native.Surface(thinned, self._max_correspondence, 2.0 * self._voxel)
 
     def align(
-        self, target: _native.Surface, source: _native.Surface, T_target_source: Pose
+        self,
+        target: _native.Surface,
+        source: _native.Surface,
+        T_target_source: Pose,
+        *,
+        roughly: bool = False,
     ) -> Aligned | None:
-        """Align from a first guess; None where it is not finite, or the clouds share too little."""
+        """Align from a first guess; None where it is not finite, or the clouds share too little.
+
+        ``roughly``: with some of the source's points, at about a third of the time.
+        """
         if not np.isfinite(T_target_source).all():
             return None
         T, H, error, inliers, _ = target.align(
-            source, np.ascontiguousarray(T_target_source), threads=self._threads
+            source,
+            np.ascontiguousarray(T_target_source),
+            threads=self._threads,
+            **({"max_final": 0} if roughly else {}),
         )
         degrees = 3 * inliers - 6
         if min(inliers, len(target)) < MIN_POINTS or not np.isfinite(np.append(T, H)).all():
@@ -128,10 +144,16 @@ class Aligner:
         return Aligned(geometry.orthonormal(T), (inverse + inverse.T) / 2)
 
     def register(
-        self, target: Target, source: Source, T_target_source: Pose, radius: float
+        self,
+        target: Target,
+        source: Source,
+        T_target_source: Pose,
+        radius: float,
+        *,
+        roughly: bool = False,
     ) -> Registered | None:
         """Align from a first guess and score the overlap within a radius; None as for `align`."""
-        aligned = self.align(target.surface, source.surface, T_target_source)
+        aligned = self.align(target.surface, source.surface, T_target_source, roughly=roughly)
         if aligned is None:
             return None
         T = aligned.T_target_source

@@ -20,8 +20,24 @@ from segloc.verification.walls import worst_wall
 LAYERS, BELOW, BETWEEN = 8, 3.0, 0.3
 
 
+BLOCK, COLUMN_M = 4, 4.0
+
+
+def unmapped(cloud: Float32, T: Pose, cell: float, half: int) -> set[tuple[int, int]]:
+    """(y, x) of cells in blocks where the map has nothing in the columns around."""
+    columns = {tuple(c) for c in np.floor(cloud[:, :2] / COLUMN_M).astype(int)}
+    cells: set[tuple[int, int]] = set()
+    for y, x in np.ndindex(2 * half // BLOCK + 1, 2 * half // BLOCK + 1):
+        at = np.array([x, y]) * BLOCK - half
+        u, v = np.floor((T[:2, 3] + at * cell) / COLUMN_M).astype(int)
+        if not any((u + i - 1, v + j - 1) in columns for i, j in np.ndindex(3, 3)):
+            block = np.ndindex(BLOCK, BLOCK)
+            cells |= {(int(at[1]) + i, int(at[0]) + j) for i, j in block}
+    return cells
+
+
 def occupied(cloud: Float32, T: Pose, cell: float) -> dict[tuple[int, int, int], int]:
-    """(layer, y, x) of the map's cells: 2 for those with a point, 1 for the eight about each."""
+    """(layer, y, x) of the map's cells: 4 for those with a point, 2 for the eight about each."""
     cells: dict[tuple[int, int, int], int] = {}
     for x, y, z in cloud - T[:3, 3]:
         low, high = np.floor(z + BELOW - BETWEEN), np.floor(z + BELOW + BETWEEN)
@@ -29,7 +45,7 @@ def occupied(cloud: Float32, T: Pose, cell: float) -> dict[tuple[int, int, int],
             at = np.floor(np.array([y, x]) / cell + 0.5).astype(int)
             for dy, dx in np.ndindex(3, 3):
                 key = (layer, int(at[0]) + dy - 1, int(at[1]) + dx - 1)
-                cells[key] = max(cells.get(key, 0), 2 if (dy, dx) == (1, 1) else 1)
+                cells[key] = max(cells.get(key, 0), 4 if (dy, dx) == (1, 1) else 2)
     return cells
 
 
@@ -37,7 +53,8 @@ def occupied(cloud: Float32, T: Pose, cell: float) -> dict[tuple[int, int, int],
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.25, 0.5, 1.0]))
 def test_correlation_counts_cells_that_are_occupied_in_both(seed: int, cell: float) -> None:
     rng = np.random.default_rng(seed)
-    cloud = rng.uniform([-14, -14, -5], [14, 14, 8], (300, 3)).astype(np.float32)
+    most = rng.uniform(0, 14)  # the map may end where the query does not
+    cloud = rng.uniform([-14, -14, -5], [most, 14, 8], (300, 3)).astype(np.float32)
     query = rng.uniform([-9, -9, -4], [9, 9, 6], (80, 3)).astype(np.float32)
     T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
     counts, used = _native.PointIndex(cloud, 1.0).correlate(
@@ -45,6 +62,8 @@ def test_correlation_counts_cells_that_are_occupied_in_both(seed: int, cell: flo
     )
     assert counts.shape == (2, 7, 7)
     theirs = occupied(cloud, T, cell)
+    half = int(np.ceil((8.0 + 5 * cell) / cell)) + 1
+    nothing = unmapped(cloud, T, cell, half)
     for h, heading in enumerate((0.0, 1.3)):
         near = query[np.hypot(query[:, 0], query[:, 1]) < 8.0]
         turn = T[:3, :3] @ geometry.yaw_transform(heading)[:3, :3]
@@ -56,7 +75,7 @@ def test_correlation_counts_cells_that_are_occupied_in_both(seed: int, cell: flo
         assert used[h] == len(own)
         for i, j in np.ndindex(7, 7):
             moved_on = ((k, v + i - 3, u + j - 3) for k, v, u in own)
-            assert counts[h, i, j] == sum(theirs.get(key, 0) for key in moved_on)
+            assert counts[h, i, j] == sum(theirs.get(key, key[1:] in nothing) for key in moved_on)
 
 
 def test_offsets_are_those_across_the_nearest_surface() -> None:
@@ -120,7 +139,8 @@ def verifier(cloud: Float32) -> Verifier:
 def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) -> None:
     x, yaw = alias
     wrong = Candidate(geometry.yaw_transform(yaw, (x, 0.0, 0.0)), 3)
-    verdict = verifier(hall()).verify(scene(hall()), [wrong], lambda T: 3)
+    judge = verifier(hall())
+    verdict = judge.verify(judge.query(scene(hall())), [wrong], lambda T: 3)
     assert verdict.evidence is not None
     best = verdict.evidence.score.T_map_local
     assert np.hypot(*best[:2, 3]) < 0.2 and np.cos(geometry.heading(best)) > 0.99
@@ -131,7 +151,8 @@ def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) ->
 def test_where_a_place_repeats_itself_nothing_is_believed(inliers: int) -> None:
     bare = hall(marked=False)
     right = Candidate(np.eye(4), inliers)
-    verdict = verifier(bare).verify(scene(bare), [right], lambda T: inliers)
+    judge = verifier(bare)
+    verdict = judge.verify(judge.query(scene(bare)), [right], lambda T: inliers)
     assert verdict.reason in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
     assert verdict.confidence < 0.8 or verdict.reason is Reason.AMBIGUOUS
 

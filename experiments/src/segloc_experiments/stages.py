@@ -55,5 +55,5 @@ def single_pass(
             scene.segments.centroids, localizer.prior_map.centroids, matches
         )
     with watch("verification"):
-        localizer.verifier.verify(scene, hypotheses)
+        localizer.verifier.verify(localizer.verifier.query(scene), hypotheses)
     return scene, matches

@@ -175,7 +175,7 @@ def _examine(
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
     """The true pose, moved to where the clouds fit best; as it was where they do not."""
-    refined = localizer.verifier.refined(Candidate(T, 0), scene)
+    refined = localizer.verifier.refined(Candidate(T, 0), localizer.verifier.query(scene))
     return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
 
 

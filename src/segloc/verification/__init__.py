@@ -7,4 +7,5 @@ from .evidence import Evidence as Evidence
 from .evidence import RefinedScore as RefinedScore
 from .evidence import Score as Score
 from .evidence import Verdict as Verdict
+from .overlap_check import QueryCloud as QueryCloud
 from .verifier import Verifier as Verifier

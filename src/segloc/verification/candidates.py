@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from ..geometry import Separation
 from ..types import Candidate, Pose
@@ -49,6 +50,10 @@ class CandidateScores:
             self._refined[k] = self._map.refined(self.ranked[k].candidate, self._query, start)
         return self._refined[k]
 
+    def finished(self, score: RefinedScore) -> RefinedScore:
+        """A refined candidate after ICP of all points."""
+        return self._map.finished(score, self._query)
+
     def around(self, k: int) -> tuple[Pose, list[RankedCandidate]]:
         """A better start for candidate k, and rivals near it, the best supported first."""
         found = self._map.around(self.ranked[k].T_map_local, self._query)
@@ -59,13 +64,27 @@ class CandidateScores:
         """The overlap at a refined pose as it is measured of candidates that are not."""
         return self._map.ranked([Candidate(score.T_map_local, 0)], self._query)[0].overlap
 
+    def narrowing(self, best: RefinedScore) -> Callable[[Score], Score]:
+        """What makes coarse scores comparable with a refined one.
+
+        Within the narrower neighbourhood of refined ones less overlaps: at the best pose, and so
+        at its rivals.
+        """
+        share = min(1.0, best.overlap / max(self.rough_overlap(best), 1e-9))
+
+        def narrowed(score: Score) -> Score:
+            coarse = isinstance(score, CoarseScore)
+            return replace(score, overlap=share * score.overlap) if coarse else score
+
+        return narrowed
+
     def roughly(self, rival: RankedCandidate) -> CoarseScore:
         """A rival near a candidate, where it stands."""
         return self._map.coarse(rival, self._query)
 
-    def closely(self, rival: RankedCandidate) -> RefinedScore:
-        """A rival near a candidate, where the clouds fit best."""
-        return self._map.refined(rival.candidate, self._query)
+    def closely(self, rival: Candidate) -> RefinedScore:
+        """A rival where the clouds fit best."""
+        return self._map.refined(rival, self._query)
 
     def runner_up(self, T_map_local: Pose) -> RankedCandidate | None:
         """The best supported candidate at a different place or with a different heading."""

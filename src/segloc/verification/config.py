@@ -57,6 +57,12 @@ class VerificationConfig(Section):
     coarse_sample: int = Field(
         500, ge=1, le=10**6, description="the same while candidates are ranked"
     )
+    unmapped_overlap: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="a query point that lies where the map has nothing counts so much; chance",
+    )
     icp_voxel: float = Field(
         0.8, ge=0.05, le=10, description="clouds are thinned to this for ICP, metres"
     )
@@ -83,6 +89,9 @@ class VerificationConfig(Section):
     )
     visibility_sample: int = Field(
         3000, ge=1, le=10**6, description="map points that are judged at most"
+    )
+    coarse_visibility_sample: int = Field(
+        1000, ge=1, le=10**6, description="the same before a pose is refined"
     )
     wall_offset: float = Field(
         0.15, gt=0, le=10, description="a wall that is off by less fits, metres"

@@ -12,6 +12,11 @@ RIVAL_STANDING = 0.5
 pose. Set by hand."""
 
 
+SUPPORTED_FIT = 0.7
+"""However many segments agree with a rival, it is no equal where the clouds fit so much worse. Set
+by hand."""
+
+
 def decide(
     evidence: Evidence,
     runner_up: RankedCandidate | None,
@@ -71,6 +76,7 @@ def equal_rival(
         supported = (
             rival.inliers > model.chance.inliers
             and rival.support > config.rival_support_ratio * best.support
+            and rival.overlap > SUPPORTED_FIT * best.overlap
         )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
         if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:

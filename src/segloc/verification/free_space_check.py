@@ -32,7 +32,12 @@ class QueryView:
 
 
 def judged(
-    index: _native.PointIndex, view: QueryView, T: Pose, radius: float, config: VerificationConfig
+    index: _native.PointIndex,
+    view: QueryView,
+    T: Pose,
+    radius: float,
+    range_m: float,
+    sample: int,
 ) -> tuple[int, int]:
     """How many map points the query sees, too, and how many were judged.
 
@@ -45,10 +50,13 @@ def judged(
         From the local frame to that of the cloud.
     radius : float
         A map point with a query point so near is seen, metres.
-    config : VerificationConfig
+    range_m : float
+        Map points this near are judged, metres.
+    sample : int
+        So many of them at most.
     """
     x, y = float(T[0, 3]), float(T[1, 3])
-    points = index.sample(x, y, config.visibility_range, config.visibility_sample)
+    points = index.sample(x, y, range_m, sample)
     T_local_map = np.ascontiguousarray(geometry.inverse(T))
     seen, violations = view.judged(points, T_local_map, radius)
     return seen, seen + violations

@@ -82,7 +82,7 @@ class NearbySearch:
         counts, used = self._index.correlate(
             points, T, self._headings, config.cell_m, config.half_width_m, config.range_m
         )
-        share = counts / np.maximum(2.0 * used, 1.0)[:, None, None]
+        share = counts / np.maximum(4.0 * used, 1.0)[:, None, None]
         shifts = (np.arange(share.shape[1]) - share.shape[1] // 2) * config.cell_m
         distance = np.hypot(shifts[:, None], shifts[None, :])
         here = self._slight[:, None, None] & (distance < self._separation.metres)

@@ -23,10 +23,19 @@ at most so often."""
 
 
 class QueryCloud:
-    """A query cloud, made ready to be compared with a map at several poses."""
+    """A query cloud, made ready to be compared with a map at several poses.
+
+    Attributes
+    ----------
+    sample : (N, 3) float32
+        What overlap is computed from.
+    aligned : dict
+        The alignments with the map so far, by where they set out from.
+    """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
+        self.aligned: dict[bytes, Registered | None] = {}
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
@@ -75,7 +84,7 @@ class MapCloud:
         self._config, self._origin, self._separation = config, origin, separation
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
-        self._target = Target(self._aligner.surface(cloud), index)
+        self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
         self._nearby = NearbySearch(index, config.nearby, separation)
 
     def query(self, scene: Segmentation) -> QueryCloud:
@@ -86,7 +95,9 @@ class MapCloud:
         """The candidates with their rough overlap, the best supported first."""
         poses = np.stack([self._relative(c.T_map_local) for c in candidates])
         few = thinned(query.sample, self._config.coarse_sample)
-        overlap, rmse = self._target.index.overlap(few, poses, self._config.coarse_radius)
+        overlap, rmse = self._target.index.overlap(
+            few, poses, self._config.coarse_radius, self._config.unmapped_overlap
+        )
         ranked = [
             RankedCandidate(c, float(o), float(r))
             for c, o, r in zip(candidates, overlap, rmse, strict=True)
@@ -96,7 +107,7 @@ class MapCloud:
     def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
         """A candidate where it stands, with the share of the map that is roughly seen there."""
         config, T = self._config, self._relative(ranked.T_map_local)
-        seen = judged(self._target.index, query.view, T, config.coarse_radius, config)
+        seen = self._judged(query, T, config.coarse_radius, config.coarse_visibility_sample)
         return CoarseScore(
             ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse, None
         )
@@ -111,23 +122,39 @@ class MapCloud:
     ) -> RefinedScore:
         """A candidate at the pose where the clouds fit best; at its own where they do not.
 
-        ICP sets out from the candidate's pose, and from ``start`` if it is another.
+        ICP of some of the points sets out from the candidate's pose, and from ``start`` if it is
+        another.
         """
-        config, T = self._config, self._relative(candidate.T_map_local)
+        T = self._relative(candidate.T_map_local)
+        found = self._best(T, None if start is None else self._relative(start), query)
+        return self._score(T, candidate.inliers, found, query)
+
+    def finished(self, score: RefinedScore, query: QueryCloud) -> RefinedScore:
+        """A refined candidate after ICP of all points."""
+        T = self._relative(score.T_map_local)
+        found = self._registered(T, T, query, roughly=False)
+        return score if found is None else self._score(T, score.inliers, found, query)
+
+    def _score(
+        self, T: Pose, inliers: int, found: Registered | None, query: QueryCloud
+    ) -> RefinedScore:
+        """What is measured at T, or where it was aligned to."""
+        config = self._config
         covariance: Float64 | None = None
         walls: float | None = None
-        found = self._best(T, None if start is None else self._relative(start), query)
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
             T, covariance = found.T_target_source, found.covariance
             overlap, rmse = found.overlap, found.rmse
             walls = worst_wall(self._target.surface, query.surface, T, config.wall_offset)
-        seen = judged(self._target.index, query.view, T, config.seen_radius, config)
+        seen = self._judged(query, T, config.seen_radius, config.visibility_sample)
         T_map_local = self._absolute(T)
-        return RefinedScore(
-            T_map_local, candidate.inliers, overlap, *seen, rmse, walls, covariance=covariance
-        )
+        return RefinedScore(T_map_local, inliers, overlap, *seen, rmse, walls, covariance)
+
+    def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
+        range_m = self._config.visibility_range
+        return judged(self._target.index, query.view, T, radius, range_m, sample)
 
     def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
         """The better of two alignments, which goes on until it holds still."""
@@ -145,11 +172,19 @@ class MapCloud:
             found = again
         return found
 
-    def _registered(self, start: Pose, T: Pose, query: QueryCloud) -> Registered | None:
+    def _registered(
+        self, start: Pose, T: Pose, query: QueryCloud, *, roughly: bool = True
+    ) -> Registered | None:
         """Where the clouds fit best; None where they do not, or ICP has run away from T."""
         if not self._config.refine:
             return None
-        found = self._aligner.register(self._target, query, start, self._config.overlap_radius)
+        key = start.tobytes() + bytes([roughly])
+        if key not in query.aligned:
+            radius = self._config.overlap_radius
+            query.aligned[key] = self._aligner.register(
+                self._target, query, start, radius, roughly=roughly
+            )
+        found = query.aligned[key]
         if found is None:
             return None
         metres = float(np.linalg.norm(found.T_target_source[:3, 3] - T[:3, 3]))

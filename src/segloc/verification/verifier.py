@@ -12,12 +12,14 @@ from .candidates import CandidateScores, Inliers
 from .confidence import ConfidenceModel, shipped_confidence
 from .config import VerificationConfig
 from .decision import decide, equal_rival, too_few_inliers
-from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
-from .overlap_check import MapCloud
+from .evidence import CoarseScore, Evidence, RankedCandidate, RefinedScore, Score, Verdict
+from .overlap_check import MapCloud, QueryCloud
 
 HOPELESS = 0.02
-"""A candidate less likely than this is not refined, nor, once it is, its rivals. Set by hand, far
-below the threshold."""
+"""A candidate less likely than this is not refined. Set by hand, far below the threshold."""
+UNLIKELY = 0.3
+"""The rivals of a candidate that is less likely than this once it is refined are not. Set by hand,
+below what trackers keep."""
 CERTAIN = 0.9
 """The rivals of a candidate more likely than this are not refined. Set by hand, above the
 threshold."""
@@ -56,9 +58,13 @@ class Verifier:
         self._separation = separation or Separation()
         self._map = MapCloud(cloud, origin, self.config, self._separation, threads)
 
+    def query(self, scene: Segmentation) -> QueryCloud:
+        """A query's cloud, made ready to be compared with the map any number of times."""
+        return self._map.query(scene)
+
     def verify(
         self,
-        scene: Segmentation,
+        query: QueryCloud,
         candidates: Sequence[Candidate],
         inliers: Inliers = lambda _: 0,
     ) -> Verdict:
@@ -70,7 +76,6 @@ class Verifier:
         """
         if not candidates:
             return Verdict(Reason.NO_CONSISTENT_MATCHES, "no consistent matches")
-        query = self._map.query(scene)
         scores = CandidateScores(
             candidates, self._map, query, self.config, self._separation, inliers
         )
@@ -81,9 +86,9 @@ class Verifier:
                 return verdicts[-1]
         return verdicts[0]
 
-    def refined(self, candidate: Candidate, scene: Segmentation) -> RefinedScore:
+    def refined(self, candidate: Candidate, query: QueryCloud) -> RefinedScore:
         """A candidate at the pose where the clouds fit best; at its own where they do not."""
-        return self._map.refined(candidate, self._map.query(scene))
+        return self._map.finished(self._map.refined(candidate, query), query)
 
     def _judge(self, scores: CandidateScores, k: int) -> Verdict:
         ranked = scores.ranked[k]
@@ -97,31 +102,38 @@ class Verifier:
         """As much evidence as the verdict needs: what cannot change it is not measured.
 
         Refining costs most. A hopeless candidate is not refined: ICP moves a pose by a metre or
-        two and does not make a wrong place right. The rivals of a certain one are not refined
-        unless one of them might become its equal: their coarse overlap, within a wider
-        neighbourhood, stands in for the refined one, with a slack for what ICP may add.
+        two and does not make a wrong place right. The rivals of an unlikely one are not refined,
+        nor those of a certain one, unless one of them might become its equal: their coarse overlap
+        stands in for the refined one, with a slack for what ICP may add. Only what may be believed
+        is aligned with all of its points.
         """
         config, chance = self.config, self.model.chance.inliers
         others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_rivals]
         rivals: list[Score] = [scores.coarse(j) for j in others]
         evidence = scores.evidence(scores.coarse(k), rivals, chance)
-        if self._is_hopeless(evidence):
+        if self._is_below(HOPELESS, evidence):
             return evidence
         start, nearby = scores.around(k)
         score, near = self._best_around(scores, scores.refined(k, start), nearby)
-        evidence = scores.evidence(score, [*near, *rivals], chance)
-        if self._is_hopeless(evidence) or self._is_certain(evidence):
+        narrowed = scores.narrowing(score)
+        rivals = [narrowed(rival) for rival in (*near, *rivals)]
+        evidence = scores.evidence(score, rivals, chance)
+        if self._is_below(UNLIKELY, evidence):
             return evidence
-        least = config.refined_from * scores.rough_overlap(score)
-        rivals = [
-            scores.refined(j) if scores.ranked[j].overlap >= least else scores.coarse(j)
-            for j in others
-        ]
-        return scores.evidence(score, [*near, *rivals], chance)
+        if not self._is_certain(evidence):
+            least = config.refined_from * scores.rough_overlap(score)
+            strong = [j for j in others if scores.ranked[j].overlap >= least]
+            weak = [scores.coarse(j) for j in others if j not in strong]
+            rivals = [narrowed(rival) for rival in (*near, *map(scores.refined, strong), *weak)]
+        rivals = [self._closer(scores, score, rival) for rival in rivals]
+        evidence = scores.evidence(score, rivals, chance)
+        if self._is_below(UNLIKELY, evidence):
+            return evidence
+        return scores.evidence(scores.finished(score), rivals, chance)
 
     def _best_around(
-        self, scores: CandidateScores, score: Score, nearby: Sequence[RankedCandidate]
-    ) -> tuple[Score, list[Score]]:
+        self, scores: CandidateScores, score: RefinedScore, nearby: Sequence[RankedCandidate]
+    ) -> tuple[RefinedScore, list[Score]]:
         """The pose that is likelier by itself, and its rivals near it.
 
         A rival is refined where the clouds roughly fit nearly as well.
@@ -131,15 +143,22 @@ class Verifier:
             if each.overlap < self.config.refined_from * rough:
                 rivals.append(scores.roughly(each))
                 continue
-            rival: Score = scores.closely(each)
+            rival = scores.closely(each.candidate)
             if self.model.standalone(rival) > self.model.standalone(score):
                 score, rival = rival, score
                 rough = max(rough, each.overlap)
             rivals.append(rival)
         return score, rivals
 
-    def _is_hopeless(self, evidence: Evidence) -> bool:
-        least = min(HOPELESS, self.config.min_confidence)
+    def _closer(self, scores: CandidateScores, best: Score, rival: Score) -> Score:
+        """A rival, refined if it would be the equal of the best by what was roughly measured."""
+        alone = Evidence(best, 1.0, (rival,))
+        if isinstance(rival, CoarseScore) and equal_rival(alone, self.model, self.config):
+            return scores.closely(Candidate(rival.T_map_local, rival.inliers))
+        return rival
+
+    def _is_below(self, probability: float, evidence: Evidence) -> bool:
+        least = min(probability, self.config.min_confidence)
         return self.model.probability(evidence) < least and not self._may_be_equal(evidence)
 
     def _is_certain(self, evidence: Evidence) -> bool:
