@@ -119,6 +119,17 @@ def test_finds_the_pose_of_a_cloud_in_another(seed: int) -> None:
     assert np.abs(found.covariance - found.covariance.T).max() == 0
 
 
+def test_rough_alignment_is_near_the_other() -> None:
+    aligner = Aligner(0.15, REACH, threads=1)
+    there, here = aligner.surface(room(1, 40_000)), aligner.surface(room(2, 40_000))
+    assert len(here) > 1200  # so that there are points to leave out
+    found = [aligner.align(there, here, small_pose(3), roughly=rough) for rough in (False, True)]
+    assert found[0] is not None and found[1] is not None
+    between = geometry.inverse(found[0].T_target_source) @ found[1].T_target_source
+    assert 0 < np.linalg.norm(between[:3, 3]) < 0.05
+    assert geometry.rotation_angle(between) < 0.01
+
+
 def test_is_the_same_at_any_number_of_threads_and_in_any_order() -> None:
     target, source = room(5, 6000), room(6, 6000)
     T = small_pose(7)

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <stdexcept>
 #include <tuple>
 #include <utility>
@@ -22,25 +21,20 @@ struct Branch {
   }
 };
 
+// Parts are scored with some of the columns first; so many times `width` of them with all.
+// In the end as few as that of the poses that are wanted.
+constexpr std::size_t kOneOf = 4, kOfParts = 2, kOfPoses = 32;
+
 constexpr std::size_t kMostCells = std::size_t{1} << 26;
 
-// Bits of each value; written out so that compilers count many at once.
-inline std::uint8_t ones(std::uint8_t v) {
-  v = static_cast<std::uint8_t>(v - ((v >> 1) & 0x55));
-  v = static_cast<std::uint8_t>((v & 0x33) + ((v >> 2) & 0x33));
-  return static_cast<std::uint8_t>((v + (v >> 4)) & 0x0f);
-}
-
-// Of a whole run at once.
-inline void add_ones(const std::uint8_t* from, std::uint8_t mask, std::uint8_t* sums) {
-  std::uint8_t found[SearchArea::kRun], sum[SearchArea::kRun];
-  std::memcpy(found, from, sizeof(found));
-  std::memcpy(sum, sums, sizeof(sum));
-  for (std::size_t j = 0; j < SearchArea::kRun; ++j) {
-    sum[j] = static_cast<std::uint8_t>(sum[j] + ones(found[j] & mask));
+// The bits of each byte.
+struct BitCounts {
+  std::uint8_t of[256] = {};
+  constexpr BitCounts() {
+    for (int v = 1; v < 256; ++v) of[v] = static_cast<std::uint8_t>((v & 1) + of[v / 2]);
   }
-  std::memcpy(sums, sum, sizeof(sum));
-}
+};
+constexpr BitCounts kOnes;
 
 double angle(std::size_t k, const SearchLimits& limits) {
   return 2.0 * kPi * double(k) / double(limits.yaws);
@@ -88,13 +82,14 @@ std::vector<Branch> best_windows(const SearchArea& area, const std::vector<std::
   return branches;
 }
 
-// The most that a pose within a window can reach.
+// The most that a pose within a window can reach with some of the columns.
 std::uint32_t bound(const OccupancyPyramid& map, int level, const Branch& b,
-                    const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m) {
+                    const std::int32_t* offsets, const std::uint8_t* slices, std::size_t begin,
+                    std::size_t end) {
   std::uint32_t sum = 0;
-  for (std::size_t i = 0; i < m; ++i) {
+  for (std::size_t i = begin; i < end; ++i) {
     const std::uint8_t found = map.at(level, b.x + offsets[2 * i], b.y + offsets[2 * i + 1]);
-    sum += ones(found & slices[i]);
+    sum += kOnes.of[found & slices[i]];
   }
   return sum;
 }
@@ -104,6 +99,34 @@ void keep_best(std::vector<Branch>& branches, std::size_t width) {
   std::nth_element(branches.begin(), branches.begin() + static_cast<std::ptrdiff_t>(width),
                    branches.end());
   branches.resize(width);
+}
+
+// The four quarters of each window, without scores.
+std::vector<Branch> divided(const std::vector<Branch>& branches, int level) {
+  std::vector<Branch> parts;
+  parts.reserve(4 * branches.size());
+  const std::int32_t half = 1 << level;
+  for (const Branch& b : branches) {
+    for (const std::int32_t y : {b.y, b.y + half}) {
+      for (const std::int32_t x : {b.x, b.x + half}) parts.push_back({0, b.yaw, x, y});
+    }
+  }
+  return parts;
+}
+
+// The columns in an order whose beginning, of the size that is returned, is spread over all.
+std::size_t spread(const float* columns, const std::uint8_t* slices, std::size_t m,
+                   std::vector<float>& ordered, std::vector<std::uint8_t>& of_ordered) {
+  std::size_t next = 0, first = 0;
+  for (const bool chosen : {true, false}) {
+    for (std::size_t i = 0; i < m; ++i) {
+      if ((i % kOneOf == 0) != chosen) continue;
+      std::copy_n(columns + 2 * i, 2, &ordered[2 * next]);
+      of_ordered[next++] = slices[i];
+    }
+    if (chosen) first = next;
+  }
+  return first;
 }
 
 bool alike(const PlanarPose& a, const PlanarPose& b, const SearchLimits& limits) {
@@ -181,19 +204,20 @@ void SearchArea::score(const std::int32_t* offsets, const std::uint8_t* slices, 
   constexpr std::size_t kGroup = 31;  // their sum fits a byte
   const int top = map_.levels() - 1;
   const std::int32_t last = (1 << top) - 1;
+  const Kernels& kernel_table = kernels(parse_isa("auto"));
   scores.assign(runs_.size() * kRun, 0);
   std::vector<std::uint8_t> sums(scores.size());
+  std::vector<std::size_t> places(runs_.size());
   for (std::size_t begin = 0; begin < m; begin += kGroup) {
     std::fill(sums.begin(), sums.end(), std::uint8_t{0});
     for (std::size_t i = begin; i < std::min(m, begin + kGroup); ++i) {
       const std::int32_t x = offsets[2 * i], y = offsets[2 * i + 1];
       const auto place = static_cast<std::size_t>(((y & last) << top) | (x & last));
-      const std::uint8_t* image = &image_[place * wide_ * high_];
       const std::ptrdiff_t shift =
           std::ptrdiff_t{y >> top} * static_cast<std::ptrdiff_t>(wide_) + (x >> top);
-      for (std::size_t k = 0; k < runs_.size(); ++k) {
-        add_ones(image + runs_[k].at + shift, slices[i], &sums[k * kRun]);
-      }
+      const std::size_t first = place * wide_ * high_ + static_cast<std::size_t>(shift);
+      for (std::size_t k = 0; k < places.size(); ++k) places[k] = runs_[k].at + first;
+      kernel_table.add_slices(image_.data(), places.data(), places.size(), slices[i], sums.data());
     }
     for (std::size_t w = 0; w < sums.size(); ++w) {
       scores[w] = static_cast<std::uint16_t>(scores[w] + sums[w]);
@@ -203,22 +227,25 @@ void SearchArea::score(const std::int32_t* offsets, const std::uint8_t* slices, 
 
 std::vector<PlanarPose> SearchArea::search(const float* columns, const std::uint8_t* slices,
                                            std::size_t m, const SearchLimits& limits) const {
-  const std::vector<std::int32_t> offsets = turned(columns, m, map_.cell(), limits);
-  std::vector<Branch> branches = best_windows(*this, offsets, slices, m, limits);
+  std::vector<float> ordered(2 * m);
+  std::vector<std::uint8_t> of_ordered(m);
+  const std::size_t first = spread(columns, slices, m, ordered, of_ordered);
+  const std::vector<std::int32_t> offsets = turned(ordered.data(), m, map_.cell(), limits);
+  std::vector<Branch> branches = best_windows(*this, offsets, of_ordered.data(), m, limits);
   for (int level = map_.levels() - 2; level >= limits.leaf_level; --level) {
     keep_best(branches, limits.width);
-    std::vector<Branch> parts;
-    parts.reserve(4 * branches.size());
-    const std::int32_t half = 1 << level;
-    for (const Branch& b : branches) {
-      for (const std::int32_t y : {b.y, b.y + half}) {
-        for (const std::int32_t x : {b.x, b.x + half}) {
-          Branch part{0, b.yaw, x, y};
-          part.score = bound(map_, level, part, &offsets[2 * m * b.yaw], slices, m);
-          parts.push_back(part);
-        }
+    std::vector<Branch> parts = divided(branches, level);
+    const auto add = [&](std::size_t begin, std::size_t end) {
+      for (Branch& part : parts) {
+        const std::int32_t* at = &offsets[2 * m * part.yaw];
+        part.score += bound(map_, level, part, at, of_ordered.data(), begin, end);
       }
-    }
+    };
+    add(0, first);
+    const bool last = level == limits.leaf_level;
+    keep_best(parts, last ? std::min(limits.width, kOfPoses * limits.count)
+                          : kOfParts * limits.width);
+    add(first, m);
     branches = std::move(parts);
   }
   return apart(branches, map_, limits);

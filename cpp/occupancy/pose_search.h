@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "occupancy/occupancy_pyramid.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 
@@ -51,7 +52,7 @@ class SearchArea {
     }
   }
 
-  static constexpr std::size_t kRun = 16;
+  static constexpr std::size_t kRun = kWindowRun;
 
   const OccupancyPyramid& map() const { return map_; }
   std::size_t bytes() const { return image_.size(); }

@@ -5,6 +5,7 @@
 #include "network/conv_kernel.h"
 #include "network/neighbors_kernel.h"
 #include "network/xconv_kernel.h"
+#include "occupancy/windows_kernel.h"
 #include "pose/consensus_kernel.h"
 #include "pose/votes_kernel.h"
 #include "simd/kernels.h"
@@ -16,7 +17,7 @@ namespace SEGLOC_ISA {
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,    kBlock,      kPanel,       &fps,
                         &neighbors,      &xconv,    &dense,      &conv,        &knn_scan,
-                        &near_pose,      kTraining, &vote_cells, &full_windows};
+                        &near_pose,      kTraining, &vote_cells, &full_windows, &add_slices};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

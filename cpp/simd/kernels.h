@@ -151,6 +151,9 @@ struct TrainKernels {
                         bool activate, const float* coefficients, float* output);
 };
 
+// Windows of a map that lie side by side.
+static constexpr size_t kWindowRun = 16;
+
 struct Kernels {
   Isa isa;
   size_t width;  // floats in a vector
@@ -175,6 +178,10 @@ struct Kernels {
   // table. A multiple of 32 columns; the value before the table may be read.
   size_t (*full_windows)(uint16_t* cells, size_t columns, size_t rows, uint32_t fewest,
                          uint32_t* found);
+  // Adds to the sum of each window how many of the slices it holds: bytes, in runs that begin at
+  // `places` of the image.
+  void (*add_slices)(const uint8_t* image, const size_t* places, size_t count, uint8_t slices,
+                     uint8_t* sums);
 };
 
 const Kernels& kernels(Isa isa);

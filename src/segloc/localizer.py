@@ -135,7 +135,9 @@ class Localizer:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
         return _restored, (self.prior_map, self.config, self._clock)
 
-    def localize(self, scans: Scans | LocalCloud) -> Localization:
+    def localize(
+        self, scans: Scans | LocalCloud, *, deadline_ms: float | None = None
+    ) -> Localization:
         """The pose of the (last) scan in the map, or the reason why there is none.
 
         Parameters
@@ -143,6 +145,9 @@ class Localizer:
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
             One scan, or its points; or consecutive ones with odometry poses, of which the last is
             the query.
+        deadline_ms : float, optional
+            No more candidates are tried after it: the answer is the verdict on those so far. The
+            first ones always are, so that a query may take longer.
 
         Raises
         ------
@@ -151,7 +156,7 @@ class Localizer:
             found".
         """
         times = StageTimes(self._clock)
-        return self.locate(self.describe(scans, times), times)
+        return self.locate(self.describe(scans, times), times, deadline_ms)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Scans -> local cloud -> segments -> descriptors."""
@@ -166,10 +171,12 @@ class Localizer:
             descriptors = self.descriptor.encode(prepared)
         return Query(cloud, scene, descriptors)
 
-    def locate(self, query: Query, times: StageTimes | None = None) -> Localization:
+    def locate(
+        self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
+    ) -> Localization:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self._clock)
-        found = self.search(query, times)
+        found = self.search(query, times, deadline_ms)
         counts = {
             "scans": query.cloud.num_scans,
             "points": len(query.cloud.points),
@@ -180,7 +187,9 @@ class Localizer:
         }
         return answer(query.cloud, found.verdict, counts, times.with_total())
 
-    def search(self, query: Query, times: StageTimes | None = None) -> Search:
+    def search(
+        self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
+    ) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
         Where too little speaks for any pose, it is tried again with more neighbours; the better
@@ -204,10 +213,11 @@ class Localizer:
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
-            if not verdict.undecided:
+            if not verdict.undecided or times.beyond(deadline_ms):
                 break
         assert best is not None  # no schedule is empty
-        if not (self.config.occupancy.enabled and best.verdict.is_thin):
+        more = self.config.occupancy.enabled and best.verdict.is_thin
+        if not more or times.beyond(deadline_ms):
             return best
         found = self.search_occupancy(query, best, times, cloud)
         believed = best.verdict.reason is None

@@ -29,6 +29,10 @@ class StageTimes:
         yield
         self.ms[stage] = self.ms.get(stage, 0.0) + 1e3 * (self._clock() - start)
 
+    def beyond(self, deadline_ms: float | None) -> bool:
+        """Whether all stages together took as long."""
+        return deadline_ms is not None and sum(self.ms.values()) >= deadline_ms
+
     def with_total(self) -> dict[str, float]:
         """The times of all stages, and their sum as "total"."""
         return {**self.ms, "total": sum(self.ms.values())}

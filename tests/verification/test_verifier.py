@@ -28,13 +28,13 @@ from segloc.verification.confidence import load_confidence
 from segloc.verification.decision import decide
 
 
-def within_reach(points: Float64, cloud: Float32) -> NDArray[np.bool_]:
-    """Whether each point is as low as the cloud reaches around it, or there is no cloud."""
+def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each point is as low as the cloud reaches around it, and whether there is no cloud."""
     cells, own = np.floor(points[:, None, :2] / 4), np.floor(cloud[:, :2] / 4)
     around = (np.abs(cells - own) <= 1).all(axis=2)
     low = np.where(around, cloud[:, 2], np.inf).min(axis=1)
     high = np.where(around, cloud[:, 2], -np.inf).max(axis=1)
-    return ~around.any(axis=1) | (points[:, 2] <= np.maximum(high, low + 3) + 0.5)
+    return points[:, 2] <= np.maximum(high, low + 3) + 0.5, ~around.any(axis=1)
 
 
 @settings(max_examples=50, deadline=None)
@@ -49,10 +49,13 @@ def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, shar
     if np.abs(distance - asked).min() < 1e-5:  # decided by rounding
         return
     moved = geometry.transform(T, query)
-    judged = within_reach(moved, cloud)
-    near = (distance < asked) & judged
-    overlap, rmse = PointIndex(cloud, radius).overlap(query, T[None], asked)
-    assert overlap[0] == near.sum() / max(judged.sum(), 1)
+    low, unmapped = within_reach(moved, cloud)
+    near = (distance < asked) & low & ~unmapped
+    judged = (low | unmapped).sum()
+    index = PointIndex(cloud, radius)
+    for counts in (0.0, 0.25):
+        overlap, rmse = index.overlap(query, T[None], asked, counts)
+        assert overlap[0] == (near.sum() + counts * unmapped.sum()) / max(judged, 1)
     if near.any():
         assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
 

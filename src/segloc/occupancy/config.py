@@ -21,10 +21,10 @@ class OccupancyConfig(Section):
         40.0, ge=5, le=100, description="what a query shows farther away is left out"
     )
     yaws: int = Field(120, ge=8, le=720, description="headings that are tried")
-    columns: int = Field(200, ge=64, le=4096, description="occupied cells of a query at most")
-    width: int = Field(2000, ge=16, le=10**6, description="windows that are divided at each level")
+    columns: int = Field(400, ge=64, le=4096, description="occupied cells of a query at most")
+    width: int = Field(4000, ge=16, le=10**6, description="windows that are divided at each level")
     work: int = Field(
-        600_000,
+        1_200_000,
         ge=1000,
         le=10**8,
         description="columns of the query times widest windows at most; bounds the time",

@@ -30,11 +30,14 @@ class RankedCandidate:
         map point within the coarse radius, in [0, 1].
     rmse : float
         Root mean square distance of those pairs, metres.
+    seen : float
+        Of a candidate of the clouds alone: the share of the map in view that the query sees, too.
     """
 
     candidate: Candidate
     overlap: float
     rmse: float
+    seen: float = 1.0
 
     @property
     def T_map_local(self) -> Pose:
@@ -50,7 +53,7 @@ class RankedCandidate:
     def support(self) -> float:
         """What candidates are ranked by."""
         by_matches = self.candidate.fit is None
-        return self.inliers * self.overlap if by_matches else self.overlap
+        return self.overlap * (self.inliers if by_matches else self.seen)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from .free_space_check import QueryView, judged
 from .nearby import NearbySearch, Surroundings
 from .walls import worst_wall
 
+_RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
+"""Map points that are judged while candidates are ranked; the overlap counts as so many of them."""
 _STILL_M, _MOST_AGAIN = 1.0, 2
 """An alignment that moved farther may not have ended where it would: it is begun anew from there,
 at most so often."""
@@ -99,10 +101,18 @@ class MapCloud:
             few, poses, self._config.coarse_radius, self._config.unmapped_overlap
         )
         ranked = [
-            RankedCandidate(c, float(o), float(r))
+            RankedCandidate(c, float(o), float(r), self._seen(c, float(o), query))
             for c, o, r in zip(candidates, overlap, rmse, strict=True)
         ]
         return sorted(ranked, key=lambda each: each.support, reverse=True)
+
+    def _seen(self, candidate: Candidate, overlap: float, query: QueryCloud) -> float:
+        """What ranks candidates of the clouds alone, of which many overlap where little stands."""
+        if candidate.fit is None:
+            return 1.0
+        config, T = self._config, self._relative(candidate.T_map_local)
+        confirmed, all_judged = self._judged(query, T, config.coarse_radius, _RANKING_SAMPLE)
+        return (confirmed + _RANKING_PRIOR * overlap) / (all_judged + _RANKING_PRIOR)
 
     def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
         """A candidate where it stands, with the share of the map that is roughly seen there."""

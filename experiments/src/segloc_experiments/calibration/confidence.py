@@ -52,12 +52,7 @@ ELSEWHERE_EVERY_M = 20.0
 PADDED = 60_000
 SPARSE = 6_400
 LENGTH_M = 110.0
-OPEN = {
-    "min_inliers": 0,
-    "min_confidence": 0.0,
-    "rival_support_ratio": 1e9,
-    "rival_overlap_ratio": 1.0,
-}
+OPEN = {"min_inliers": 0, "min_confidence": 0.0}
 LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
 Row = tuple[float, ...]
