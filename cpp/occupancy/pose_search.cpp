@@ -22,8 +22,8 @@ struct Branch {
 };
 
 // Parts are scored with some of the columns first; so many times `width` of them with all.
-// In the end as few as that of the poses that are wanted.
-constexpr std::size_t kOneOf = 4, kOfParts = 2, kOfPoses = 32;
+// In the end fewer: an eighth of `width`, or so many times the poses that are wanted.
+constexpr std::size_t kOneOf = 4, kOfParts = 2, kLastOf = 8, kOfPoses = 32;
 
 constexpr std::size_t kMostCells = std::size_t{1} << 26;
 
@@ -243,7 +243,7 @@ std::vector<PlanarPose> SearchArea::search(const float* columns, const std::uint
     };
     add(0, first);
     const bool last = level == limits.leaf_level;
-    keep_best(parts, last ? std::min(limits.width, kOfPoses * limits.count)
+    keep_best(parts, last ? std::max(limits.width / kLastOf, kOfPoses * limits.count)
                           : kOfParts * limits.width);
     add(first, m);
     branches = std::move(parts);

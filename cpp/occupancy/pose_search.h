@@ -33,8 +33,8 @@ class SearchArea {
   SearchArea(const OccupancyPyramid& map, const std::int32_t* roots, std::size_t r, double range);
 
   // The query: (m, 2) columns in metres about the sensor, no farther than `range`, and the slices
-  // that each occupies. Best first. Where no more than `width` branches of a level could still hold
-  // one of the best, none is overlooked (up to the step of the heading).
+  // that each occupies. Best first. Where `width` is eight times the branches of a level that
+  // could still hold one of the best, none is overlooked (up to the step of the heading).
   std::vector<PlanarPose> search(const float* columns, const std::uint8_t* slices, std::size_t m,
                                  const SearchLimits& limits) const;
 
