@@ -41,7 +41,8 @@ from segloc.simulation import (
     simulate_sessions,
 )
 from segloc.types import Pose
-from segloc.verification import Evidence, shipped_confidence
+from segloc.verification import Evidence, VerificationConfig, shipped_confidence
+from segloc.verification.decision import equal_rival
 
 from ..padding import padded
 from ..script import parser
@@ -125,7 +126,7 @@ Place = tuple[Localizer, bool, float]
 
 
 def candidates(places: list[Place], drive: Sequence) -> list[Row]:
-    """Rows (features, inliers, right) of queries along a drive, in several maps."""
+    """Rows (features, inliers, equal, right) of queries along a drive, in several maps."""
     local = places[0][0].config.local_cloud
     poses = drive.poses
     assert poses is not None
@@ -157,12 +158,13 @@ def _row(evidence: Evidence, query: Query, truth: Pose | None) -> Row:
     if truth is not None:
         delta = geometry.inverse(truth) @ best.T_map_local @ query.cloud.T_local_sensor
         right = bool(np.linalg.norm(delta[:3, 3]) < RIGHT_M)
-    features = shipped_confidence().features(evidence)
-    return (*features, float(best.inliers), float(right))
+    model = shipped_confidence()
+    equal = equal_rival(evidence, model, VerificationConfig()) is not None
+    return (*model.features(evidence), float(best.inliers), float(equal), float(right))
 
 
 class Calibration:
-    """Gathers rows (features, inliers, right, world); they are kept in ``out``."""
+    """Gathers rows (features, inliers, equal, right, world); they are kept in ``out``."""
 
     def __init__(self, out: Path) -> None:
         self.config = Config.preset("profile")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from segloc.verification import shipped_confidence
+from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
 
 COLUMNS = (
@@ -20,8 +20,9 @@ COLUMNS = (
     "worst wall, logit",
     "inliers",
 )
-INLIERS, RIGHT, WORLD = len(FEATURES), len(FEATURES) + 1, len(FEATURES) + 2
-"""Columns of a row: the features come first."""
+INLIERS, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
+"""Columns of a row: the features come first. EQUAL: whether a rival explains the query as well."""
+BELIEVED = VerificationConfig().min_confidence
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
@@ -74,8 +75,11 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         ("model of the package", probability(rows, _shipped())),
     ):
         brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
+        believed = (q >= BELIEVED) & (rows[:, EQUAL] == 0)
         print(
-            f"model of {name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely}"
+            f"model of {name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely};"
+            f" believed: {believed[right].sum()} of {right.sum()} right ones,"
+            f" {believed[~right].sum()} of {(~right).sum()} wrong ones"
         )
     for name, part in (("right", rows[right]), ("wrong", rows[~right])):
         for column, label in enumerate(COLUMNS):
