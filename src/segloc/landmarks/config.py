@@ -8,6 +8,23 @@ from ..pose import PoseConfig
 from ..section import Section
 
 
+class StemConfig(Section):
+    """How stems are found in clouds."""
+
+    lowest_m: float = Field(0.5, ge=-10, le=100, description="looked at above this over ground")
+    highest_m: float = Field(5.0, gt=0, le=100, description="and below this, metres")
+    slice_m: float = Field(0.6, ge=0.05, le=10, description="in slices of this height")
+    tolerance: float = Field(
+        0.3, ge=0.02, le=5, description="points of a slice closer than this belong together"
+    )
+    widest_m: float = Field(1.2, gt=0, le=20, description="what is wider is no stem")
+    link_m: float = Field(
+        0.3, gt=0, le=5, description="a stem moves less than this from slice to slice"
+    )
+    fewest_points: int = Field(4, ge=3, le=10_000, description="points of a stem")
+    least_length_m: float = Field(0.9, gt=0, le=50, description="of what is seen of a stem")
+
+
 class Effort(Section):
     """How many matches are looked for."""
 
