@@ -12,6 +12,7 @@ from .answer import answer
 from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
+from .landmarks.stem_search import StemSearch
 from .local_cloud import Accumulator, Scans
 from .localization import Localization
 from .map.segment_map import SegmentMap
@@ -125,6 +126,13 @@ class Localizer:
             config.occupancy,
             config.segmentation,
         )
+        self.stems = StemSearch(
+            prior_map.cloud,
+            prior_map.origin,
+            prior_map.cloud_voxel,
+            config.stems,
+            config.segmentation,
+        )
         self.verifier = Verifier(
             prior_map.cloud,
             prior_map.origin,
@@ -186,8 +194,8 @@ class Localizer:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
         Where too little speaks for any pose, it is tried again with more neighbours; the better
-        of the verdicts counts. Where segments still say little, for or against one, the clouds are
-        compared all over the map.
+        of the verdicts counts. Where segments still say little, for or against one, stems do, if
+        there are any; and where those do not settle it, the clouds are compared all over the map.
         """
         times = times or StageTimes(self._clock)
         centroids = query.scene.segments.centroids
@@ -210,11 +218,34 @@ class Localizer:
             if not verdict.undecided:
                 break
         assert best is not None  # no schedule is empty
-        if not (self.config.occupancy.enabled and best.verdict.is_thin):
+        if not best.verdict.is_thin:
             return best
-        found = self.search_occupancy(query, best, times)
-        believed = best.verdict.reason is None
-        return found if believed or found.verdict.rank > best.verdict.rank else best
+        if self.config.stems.enabled:
+            best, settled = self.search_stems(query, best, times)
+            if settled:
+                return best
+        if not self.config.occupancy.enabled:
+            return best
+        return _better(best, self.search_occupancy(query, best, times))
+
+    def search_stems(
+        self, query: Query, tried: Search, times: StageTimes | None = None
+    ) -> tuple[Search, bool]:
+        """Candidate poses by stems -> verdict, and whether stems and clouds both settle on it."""
+        times = times or StageTimes(self._clock)
+        with times("pose"):
+            alone = query.cloud.num_scans == 1
+            stems = self.stems.search(query.scene, seen_from_origin=alone)
+        if not stems.candidates:
+            return tried, False
+        found = self._by_clouds(query, stems.candidates, tried, times)
+        best = found.verdict.best
+        settled = stems.decided and found.verdict.reason is None and best is not None
+        if settled and best is not None:
+            apart = self.config.pose.separation.apart
+            settled = not apart(best.T_map_local, stems.candidates[0].T_map_local)
+        # What comes next compares its own candidates with these.
+        return replace(_better(tried, found), candidates=found.candidates), settled
 
     def search_occupancy(
         self, query: Query, tried: Search, times: StageTimes | None = None
@@ -224,12 +255,17 @@ class Localizer:
         The candidates so far, and the best pose, are judged among them.
         """
         times = times or StageTimes(self._clock)
+        with times("pose"):
+            candidates = self.occupancy.candidates(query.scene)
+        return self._by_clouds(query, candidates, tried, times)
+
+    def _by_clouds(
+        self, query: Query, proposed: list[Candidate], tried: Search, times: StageTimes
+    ) -> Search:
+        """The verdict on candidates that no matches propose, among all that were tried before."""
         inliers = self._inliers(query, tried.matches)
         with times("pose"):
-            candidates = [
-                replace(c, inliers=inliers(c.T_map_local))
-                for c in self.occupancy.candidates(query.scene)
-            ]
+            candidates = [replace(c, inliers=inliers(c.T_map_local)) for c in proposed]
         # By the clouds alone, as all are compared here: `fit` is not asked for.
         candidates += [replace(c, fit=0.0) for c in tried.candidates]
         if (best := tried.verdict.best) is not None:
@@ -242,6 +278,12 @@ class Localizer:
         """How many segments of the query agree with a pose that was not estimated of them."""
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
         return partial(self.estimator.inliers, centroids, map_centroids, matches)
+
+
+def _better(tried: Search, found: Search) -> Search:
+    """What was found last, unless it is less sure that there is nothing than what was tried."""
+    believed = tried.verdict.reason is None
+    return found if believed or found.verdict.rank > tried.verdict.rank else tried
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

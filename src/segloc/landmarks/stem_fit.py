@@ -18,7 +18,7 @@ _UPRIGHT_M2 = 0.2
 _NOISE_M = 0.04
 """Of ranges and bark: residuals below it say nothing."""
 _MOST_RADIUS_M = 0.6
-_MIDDLE = (0.1, 0.9)
+_MIDDLE = (0.05, 0.95)
 """Of the points across the line of sight: what lies beyond is twigs, and beams that saw an edge."""
 _LEAST_DIAMETER_M = 0.05
 
