@@ -31,7 +31,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "tracker.py": (4, "many queries over time"),
     "localizer.py": (5, "the method on one page"),
     "answer.py": (5, "a verdict to the answer"),
-    "landmarks": (5, "landmarks of one's own, such as tree stems: detections in, a pose out"),
+    "landmarks": (7, "stems found in clouds, and landmarks of one's own: a pose, or candidates"),
     "config.py": (6, "all settings, one preset a method"),
     "attitude.py": (8, "which way is up in a scan"),
     "mounting.py": (8, "how a sensor is mounted on its base"),

@@ -1,4 +1,4 @@
-"""Points above ground -> upright things: compact clusters of slices of height, one above another."""
+"""Points above ground -> upright things: small clusters of slices, one above another."""
 
 from __future__ import annotations
 

@@ -53,7 +53,8 @@ class _Sums:
         self._count = len(things)
 
     def __call__(self, values: Float64) -> Float64:
-        return np.bincount(self.which, values, self._count)
+        sums: Float64 = np.bincount(self.which, values, self._count).astype(np.float64)
+        return sums
 
 
 def fitted(things: Upright, seen_from_origin: bool) -> Fits:
@@ -127,7 +128,7 @@ def _all_around(
 def _one_sided(
     sums: _Sums, weight: Float64, level: Float64, things: Upright
 ) -> tuple[Float64, Float64]:
-    """Centres and radii of things that are seen from (0, 0): the width is seen, and the near side."""
+    """Centres and radii of things seen from (0, 0): their width is seen, and their near side."""
     total = np.maximum(sums(weight), 1e-9)
     mean = np.stack([sums(weight * c) / total for c in level.T], axis=1)
     ahead = mean / np.maximum(np.hypot(*mean.T), 1e-9)[:, None]

@@ -1,4 +1,4 @@
-"""Local cloud -> candidate poses, by the stems in it: for forests, where segments say too little."""
+"""Local cloud -> candidate poses, by its stems: for forests, where segments say too little."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..segmentation import Segmentation, SegmentationConfig
-from ..types import Candidate, Float32, Float64
+from ..types import Candidate, Float32, Float64, Int64
 from .config import Effort, LandmarkConfig, StemConfig
 from .landmark_map import LandmarkMap
 from .localizer import LandmarkLocalizer
@@ -104,7 +104,7 @@ class StemSearch:
         return LandmarkMap(positions, columns[:, 3:6], columns[:, 6], views, np.empty((0, 4, 4)))
 
 
-def _best_seen(stems: Stems, most: int) -> np.ndarray:
+def _best_seen(stems: Stems, most: int) -> Int64:
     """Which stems most points show, in the order in which they are."""
     assert stems.counts is not None  # they were found
     return np.sort(np.argsort(-stems.counts, kind="stable")[:most])

@@ -9,7 +9,7 @@ import numpy as np
 from .. import _native, geometry
 from ..local_cloud import Accumulator, LocalCloudConfig, Scans
 from ..segmentation import SegmentationConfig
-from ..types import Float32, Float64, LocalCloud
+from ..types import Float32, Float64, Int64, LocalCloud
 from .config import StemConfig
 from .landmarks import Landmarks
 from .stem_clusters import upright
@@ -33,7 +33,7 @@ class Stems(Landmarks):
     """
 
     position_std: Float64 | None = None
-    counts: np.ndarray | None = None
+    counts: Int64 | None = None
 
 
 class StemFinder:
@@ -79,9 +79,7 @@ class StemFinder:
         fits = fitted(things, seen_from_origin)
         axes = np.column_stack([fits.leans, np.ones(len(things))])
         std = np.hypot(_MODEL_M, fits.deviations / np.sqrt(np.maximum(things.counts, 1)))
-        return Stems(
-            fits.feet, axes, fits.diameters, position_std=std, counts=things.counts
-        )
+        return Stems(fits.feet, axes, fits.diameters, position_std=std, counts=things.counts)
 
 
 def find_stems(

@@ -97,9 +97,7 @@ def stem_map(prior_map: SegmentMap) -> LandmarkMap:
     stems = StemFinder().find(prior_map.cloud, spacing=prior_map.cloud_voxel)
     columns = stems.moved(np.eye(4))
     positions, views = columns[:, :3] + prior_map.origin, np.ones(len(stems), np.int64)
-    return LandmarkMap(
-        positions, columns[:, 3:6], columns[:, 6], views, prior_map.trajectory
-    )
+    return LandmarkMap(positions, columns[:, 3:6], columns[:, 6], views, prior_map.trajectory)
 
 
 @dataclass(frozen=True)
