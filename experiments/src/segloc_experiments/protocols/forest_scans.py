@@ -39,6 +39,7 @@ RIGHT_M, RIGHT_DEG = 1.0, 5.0
 NEAR_M, NEAR_DEG = 5.0, 10.0
 LATER = Conditions(foliage=0.3, replaced=0.2)
 CLOUDS = ("single", "accumulated")
+MAPS = ("own", "mirrored", "another")
 
 Locate = Callable[[LocalCloud], Localization]
 
@@ -158,17 +159,18 @@ def main() -> None:
     options.add_argument("--beams", type=int, help="of that sensor; by default all")
     options.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
     options.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
+    options.add_argument("--maps", nargs="+", default=list(MAPS), choices=MAPS)
     options.add_argument("--every", type=int, default=6, help="scans, 2 m apart, between queries")
     options.add_argument("--accumulated-every", type=float, default=12.0, metavar="METRES")
     options.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
     args = options.parse_args()
     forests = Forests(args.sensor, args.columns, args.beams, args.map_sensor, args.kept)
     tallies: dict[tuple[str, str, str], Tally] = {}
-    other = forests.map(args.other)
+    other = forests.map(args.other) if "another" in args.maps else None
     for seed in args.seeds:
         prior_map = forests.map(seed)
-        places = {"its own": prior_map, "mirrored": mirrored(prior_map), "another": other}
-        located = {place: methods(each) for place, each in places.items()}
+        places = {"own": prior_map, "mirrored": mirrored(prior_map), "another": other or prior_map}
+        located = {place: methods(places[place]) for place in args.maps}
         for clouds in args.clouds:
             queries = (
                 forests.single(seed, args.every)
@@ -182,7 +184,7 @@ def main() -> None:
                         answer = locate(cloud)
                         seconds = time.process_time() - begin
                         tally = tallies.setdefault((clouds, place, name), Tally())
-                        tally.add(answer, truth if place == "its own" else None, seconds)
+                        tally.add(answer, truth if place == "own" else None, seconds)
     print(head("clouds", "map", "method", "found", "near", "false", "ms"))
     for key, tally in tallies.items():
         print(row(*key, *tally.cells()))
