@@ -28,11 +28,12 @@ LAYERS = (
     Layer("simulation pictures"),
     Layer("datasets"),
     Layer("tracker"),
-    Layer("localizer landmarks answer", together=True),
+    Layer("localizer answer fallback search", together=True),
     Layer("map.build map.update", together=True),
     Layer("config"),
     Layer(
-        "local_cloud levelling segmentation matching pose occupancy registration verification map",
+        "local_cloud levelling segmentation matching pose occupancy landmarks registration "
+        "verification map",
         together=True,
     ),
     Layer("attitude mounting"),

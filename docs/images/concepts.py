@@ -21,7 +21,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
-from segloc.localizer import Query as Described
+from segloc.search import Query as Described
 from segloc.segmentation import Segmentation
 from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
 from segloc.types import Candidate, Matches

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
+from .landmarks.config import StemConfig
 from .local_cloud import LocalCloudConfig
 from .map.config import MappingConfig
 from .map.merge import TEXT_SEPARATOR
@@ -47,6 +48,7 @@ FOR_USERS = (
     "matching.escalation",
     "pose.estimator",
     "occupancy.enabled",
+    "stems.enabled",
     "verification.min_confidence",
     "verification.min_inliers",
     "verification.refine",
@@ -69,6 +71,7 @@ class Config(Section):
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
+    stems: StemConfig = StemConfig()
     verification: VerificationConfig = VerificationConfig()
 
     @classmethod

@@ -3,55 +3,23 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
 from typing import Any
 
 from .answer import answer
 from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
+from .fallback import Fallback
 from .local_cloud import Accumulator, Scans
 from .localization import Localization
 from .map.segment_map import SegmentMap
 from .matching import Matcher
-from .occupancy import OccupancySearch
-from .pose import Agreement, PoseEstimator
-from .segmentation import Segmentation, Segmenter
+from .pose import PoseEstimator
+from .search import Query, Search
+from .segmentation import Segmenter
 from .stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, LocalCloud, Matches
-from .verification import QueryCloud, Verdict, Verifier
-
-
-@dataclass(frozen=True)
-class Query:
-    """What one or several scans show, cut into segments and described."""
-
-    cloud: LocalCloud
-    scene: Segmentation
-    descriptors: Descriptors
-
-
-@dataclass(frozen=True)
-class Search:
-    """What was found for one query, with all that was considered.
-
-    Attributes
-    ----------
-    proposed : int
-        Matches before pruning.
-    matches : Matches
-    candidates : list of Candidate
-        T_map_local, best first, at different places, before verification.
-    verdict : Verdict
-    by_segments : bool
-        Whether the candidates come from matches alone.
-    """
-
-    proposed: int
-    matches: Matches
-    candidates: list[Candidate]
-    verdict: Verdict
-    by_segments: bool = True
+from .types import LocalCloud
+from .verification import Verifier
 
 
 class Localizer:
@@ -116,13 +84,6 @@ class Localizer:
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
-        self.occupancy = OccupancySearch(
-            prior_map.cloud,
-            prior_map.origin,
-            prior_map.trajectory,
-            config.occupancy,
-            config.segmentation,
-        )
         self.verifier = Verifier(
             prior_map.cloud,
             prior_map.origin,
@@ -130,6 +91,7 @@ class Localizer:
             separation=config.pose.separation,
             threads=threads,
         )
+        self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
@@ -193,11 +155,11 @@ class Localizer:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
         Where too little speaks for any pose, it is tried again with more neighbours; the better
-        of the verdicts counts. Where segments still say little, for or against one, the clouds are
-        compared all over the map.
+        of the verdicts counts. Where segments still say little, for or against one, stems do, if
+        there are any; and where those do not settle it, the clouds are compared all over the map.
         """
         times = times or StageTimes(self._clock)
-        centroids = query.scene.segments.centroids
+        centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
         neighbours = self.matcher.neighbours(query.descriptors)
         cloud = self.verifier.query(query.scene)
         best: Search | None = None
@@ -207,53 +169,19 @@ class Localizer:
             with times("pruning"):
                 matches = self.matcher.prune(query.descriptors, proposed)
             with times("pose"):
-                candidates = self.estimator.estimate(centroids, self.prior_map.centroids, matches)
+                candidates = self.estimator.estimate(centroids, map_centroids, matches)
+                inliers = self.estimator.agreement(centroids, map_centroids, matches)
             with times("verification"):
-                verdict = self.verifier.verify(cloud, candidates, self._agreement(query, matches))
+                verdict = self.verifier.verify(cloud, candidates, inliers)
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
             if not verdict.undecided or times.beyond(deadline_ms):
                 break
         assert best is not None  # no schedule is empty
-        more = self.config.occupancy.enabled and best.verdict.is_thin
-        if not more or times.beyond(deadline_ms):
+        if not best.verdict.is_thin:
             return best
-        found = self.search_occupancy(query, best, times, cloud)
-        believed = best.verdict.reason is None
-        return found if believed or found.verdict.rank > best.verdict.rank else best
-
-    def search_occupancy(
-        self,
-        query: Query,
-        tried: Search,
-        times: StageTimes | None = None,
-        cloud: QueryCloud | None = None,
-    ) -> Search:
-        """Candidate poses by what stands where -> verdict: what :meth:`search` tries last.
-
-        The candidates so far, and the best pose, are judged among them.
-        """
-        times = times or StageTimes(self._clock)
-        cloud = cloud or self.verifier.query(query.scene)
-        inliers = self._agreement(query, tried.matches)
-        with times("pose"):
-            candidates = [
-                replace(c, inliers=inliers(c.T_map_local))
-                for c in self.occupancy.candidates(query.scene)
-            ]
-        # By the clouds alone, as all are compared here: `fit` is not asked for.
-        candidates += [replace(c, fit=0.0) for c in tried.candidates]
-        if (best := tried.verdict.best) is not None:
-            candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
-        with times("verification"):
-            verdict = self.verifier.verify(cloud, candidates, inliers)
-        return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
-
-    def _agreement(self, query: Query, matches: Matches) -> Agreement:
-        """How many segments of the query agree with a pose that was not estimated of them."""
-        centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
-        return self.estimator.agreement(centroids, map_centroids, matches)
+        return self.fallback.search(query, best, cloud, times, deadline_ms)
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

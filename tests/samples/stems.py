@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from segloc import geometry
 from segloc.landmarks import LandmarkMap, Landmarks
-from segloc.types import Pose
+from segloc.types import Float64, Pose
 
 SIZE_M = 80.0
 
@@ -59,3 +60,34 @@ def surveyed(stems: Landmarks) -> LandmarkMap:
     poses = [pose(x, 40.0, 0.1 * x) for x in np.arange(15.0, 70.0, 5.0)]
     views = [(seen(stems, T, keep=0.9, seed=k), T) for k, T in enumerate(poses)]
     return LandmarkMap.build(views)
+
+
+def cylinders(
+    stems: Landmarks, seed: int = 0, *, tall_m: float = 6.0, noise: float = 0.01
+) -> Float64:
+    """Points on their bark, the first metres of it, all around, and on the ground of the slope."""
+    rng = np.random.default_rng(seed)
+    assert stems.diameters is not None
+    parts = []
+    for foot, axis, diameter in zip(
+        stems.positions, stems.directions, stems.diameters, strict=True
+    ):
+        up, turn = rng.uniform(0, tall_m, 400), rng.uniform(-math.pi, math.pi, 400)
+        ring = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]) * diameter / 2
+        parts.append(foot + up[:, None] / axis[2] * axis + ring)
+    where = rng.uniform(0, SIZE_M, (40_000, 2))
+    parts.append(np.column_stack([where, 0.05 * where[:, 0]]))
+    points = np.concatenate(parts)
+    return points + rng.normal(0, noise, points.shape)
+
+
+def visible(points: Float64, stems: Landmarks, T: Pose, radius_m: float = 25.0) -> Float64:
+    """Those of the points near a pose that lie on the near side of their stem, sensor frame."""
+    tree = cKDTree(stems.positions[:, :2])
+    _, stem = tree.query(points[:, :2])
+    outwards = points[:, :2] - stems.positions[stem, :2]
+    towards = T[:2, 3] - stems.positions[stem, :2]
+    ground = points[:, 2] < 0.05 * points[:, 0] + 0.1
+    seen_side = ground | ((outwards * towards).sum(axis=1) > 0)
+    near = np.hypot(*(points[:, :2] - T[:2, 3]).T) < radius_m
+    return geometry.transform(geometry.inverse(T), points[seen_side & near])

@@ -29,7 +29,7 @@ from segloc.verification.decision import decide
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether each point is as low as the cloud reaches around it, and whether there is no cloud."""
+    """Whether each point is as low as the cloud around it, and whether there is no cloud."""
     cells, own = np.floor(points[:, None, :2] / 4), np.floor(cloud[:, :2] / 4)
     around = (np.abs(cells - own) <= 1).all(axis=2)
     low = np.where(around, cloud[:, 2], np.inf).min(axis=1)

@@ -9,7 +9,8 @@ import numpy as np
 
 from .. import geometry
 from ..config import Config
-from ..localizer import Localizer, Query
+from ..localizer import Localizer
+from ..search import Query
 from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges

@@ -14,10 +14,11 @@ from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..local_cloud import Accumulator
 from ..localization import Localization, Localized, NotLocalized, Reason
-from ..localizer import Localizer, Query
+from ..localizer import Localizer
 from ..map.build import add_view, empty_map, map_views
 from ..map.segment_map import SegmentMap
 from ..pose import PoseEstimator
+from ..search import Query
 from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
 from ..verification.verifier import Verifier

@@ -79,7 +79,23 @@ class LandmarkLocalizer:
         with times("gathering"):
             T_local_sensor = levelling(landmarks.directions)
             columns = landmarks.moved(T_local_sensor)
-        counts: dict[str, int] = {"segments": len(landmarks)}
+        best, counts = self.judged(columns, times)
+        common = {"counts": counts, "times_ms": times.with_total(), "stamp": landmarks.stamp}
+        return _answer(best, len(landmarks), T_local_sensor, common)
+
+    def judged(
+        self, columns: Float64, times: StageTimes | None = None
+    ) -> tuple[LandmarkVerdict, dict[str, int]]:
+        """The verdict on landmarks in a frame whose z axis points up, and the counts of stages.
+
+        Parameters
+        ----------
+        columns : (N, 7) float64
+            Positions, axes and diameters.
+        times : StageTimes, optional
+        """
+        times = times or StageTimes(self._clock)
+        counts: dict[str, int] = {"segments": len(columns)}
         best: LandmarkVerdict | None = None
         for effort, index in enumerate(self._indices, start=1):
             counts["efforts"] = effort
@@ -89,8 +105,7 @@ class LandmarkLocalizer:
             if not verdict.undecided:
                 break
         assert best is not None  # there is at least one effort
-        common = {"counts": counts, "times_ms": times.with_total(), "stamp": landmarks.stamp}
-        return _answer(best, len(landmarks), T_local_sensor, common)
+        return best, counts
 
     def _attempt(
         self, columns: Float64, index: TriangleIndex, counts: dict[str, int], times: StageTimes
@@ -103,14 +118,14 @@ class LandmarkLocalizer:
             candidates = self._candidates(positions, matches)[: index.effort.most_candidates]
         counts["candidates"] = len(candidates)
         with times("verification"):
-            return self._judged(columns, candidates, counts)
+            return self._verdict(columns, candidates, counts)
 
     def _candidates(self, positions: Float64, matches: Matches) -> list[Candidate]:
         if not len(matches):
             return []
         return self._estimator.estimate(positions, self.prior_map.positions, matches)
 
-    def _judged(
+    def _verdict(
         self, columns: Float64, candidates: list[Candidate], counts: dict[str, int]
     ) -> LandmarkVerdict:
         for what, reason in (

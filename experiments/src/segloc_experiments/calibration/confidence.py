@@ -30,7 +30,7 @@ from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_positions
 from segloc.datasets import Selection, Sequence
 from segloc.local_cloud import window
-from segloc.localizer import Query
+from segloc.search import Query
 from segloc.simulation import (
     SCENES,
     SENSORS,
@@ -40,6 +40,7 @@ from segloc.simulation import (
     handheld,
     simulate_sessions,
 )
+from segloc.stage_times import StageTimes
 from segloc.types import Pose
 from segloc.verification import Evidence, VerificationConfig, shipped_confidence
 from segloc.verification.decision import equal_rival
@@ -149,7 +150,9 @@ def _judged(localizer: Localizer, query: Query, truth: Pose | None) -> list[Row]
     found = localizer.search(query)
     verdicts = [found.verdict]
     if found.by_segments:
-        verdicts.append(localizer.search_occupancy(query, found).verdict)
+        cloud, times = localizer.verifier.query(query.scene), StageTimes()
+        last = localizer.fallback.by_occupancy(query, found, cloud, times)
+        verdicts.append(last.verdict)
     return [_row(v.evidence, query, truth) for v in verdicts if v.evidence is not None]
 
 

@@ -1,0 +1,111 @@
+"""Where segments say little: candidates by stems and by what stands where; the clouds judge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .config import Config
+from .landmarks.stem_search import StemSearch
+from .map.segment_map import SegmentMap
+from .occupancy import OccupancySearch
+from .pose import PoseEstimator
+from .search import Query, Search
+from .stage_times import StageTimes
+from .types import Candidate
+from .verification import QueryCloud, Verifier
+
+
+class Fallback:
+    """Compares the clouds all over the map, and judges what it finds among what was tried.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+    config : Config
+    estimator : PoseEstimator
+        Counts how many segments agree with a pose.
+    verifier : Verifier
+    """
+
+    def __init__(
+        self, prior_map: SegmentMap, config: Config, estimator: PoseEstimator, verifier: Verifier
+    ) -> None:
+        self._config, self._centroids = config, prior_map.centroids
+        self._estimator, self._verifier = estimator, verifier
+        cloud, origin = prior_map.cloud, prior_map.origin
+        self.stems = StemSearch(
+            cloud, origin, prior_map.cloud_voxel, config.stems, config.segmentation
+        )
+        self.occupancy = OccupancySearch(
+            cloud, origin, prior_map.trajectory, config.occupancy, config.segmentation
+        )
+
+    def search(
+        self,
+        query: Query,
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+        deadline_ms: float | None = None,
+    ) -> Search:
+        """Stems, where there are any; where those do not settle it, what stands where."""
+        settled = times.beyond(deadline_ms)
+        if self._config.stems.enabled and not settled:
+            tried, settled = self._by_stems(query, tried, cloud, times)
+        if not self._config.occupancy.enabled or settled or times.beyond(deadline_ms):
+            return tried
+        return _better(tried, self.by_occupancy(query, tried, cloud, times))
+
+    def _by_stems(
+        self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
+    ) -> tuple[Search, bool]:
+        """The verdict by stems, and whether stems and clouds both settle on it."""
+        with times("pose"):
+            alone = query.cloud.num_scans == 1
+            stems = self.stems.search(query.scene, seen_from_origin=alone)
+        if not stems.candidates:
+            return tried, False
+        found = self._judged(query, stems.candidates, tried, cloud, times)
+        best = found.verdict.best
+        settled = stems.decided and found.verdict.reason is None and best is not None
+        if settled and best is not None:
+            apart = self._config.pose.separation.apart
+            settled = not apart(best.T_map_local, stems.candidates[0].T_map_local)
+        # What comes next compares its own candidates with these.
+        return replace(_better(tried, found), candidates=found.candidates), settled
+
+    def by_occupancy(
+        self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
+    ) -> Search:
+        """The verdict by what stands where."""
+        with times("pose"):
+            candidates = self.occupancy.candidates(query.scene)
+        return self._judged(query, candidates, tried, cloud, times)
+
+    def _judged(
+        self,
+        query: Query,
+        proposed: list[Candidate],
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+    ) -> Search:
+        """The verdict on candidates that no matches propose, among all that were tried before."""
+        with times("pose"):
+            inliers = self._estimator.agreement(
+                query.scene.segments.centroids, self._centroids, tried.matches
+            )
+            candidates = [replace(c, inliers=inliers(c.T_map_local)) for c in proposed]
+        # By the clouds alone, as all are compared here: `fit` is not asked for.
+        candidates += [replace(c, fit=0.0) for c in tried.candidates]
+        if (best := tried.verdict.best) is not None:
+            candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
+        with times("verification"):
+            verdict = self._verifier.verify(cloud, candidates, inliers)
+        return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
+
+
+def _better(tried: Search, found: Search) -> Search:
+    """What was found last, unless it is less sure that there is nothing than what was tried."""
+    believed = tried.verdict.reason is None
+    return found if believed or found.verdict.rank > tried.verdict.rank else tried
