@@ -79,24 +79,35 @@ class ConfidenceModel(Section):
         """What the model weighs.
 
         What is seen; how many segments agree, and what that says against those elsewhere; how much
-        more the clouds overlap, and is seen, than at the rivals; and how well the walls fit that
-        fit worst.
+        more the clouds overlap, and is seen, than at the rival at which they agree best; and how
+        well the walls fit that fit worst.
         What is not known says what chance would, or the overlap.
         """
         score, chance = evidence.score, self.chance
         seen = _logit(score.expected_seen(chance.judged))
-        rival_overlap = evidence.rival_overlap
-        rival_seen = evidence.rival_seen(chance.judged)
+        rival_overlap, rival_seen = self._rival(evidence)
         return (
             seen,
             math.log1p(min(score.inliers, chance.most_inliers)),
             min(evidence.inlier_evidence, self.max_inlier_evidence),
-            _logit(score.overlap)
-            - _logit(chance.overlap if rival_overlap is None else rival_overlap),
-            seen
-            - _logit(max(chance.seen if rival_seen is None else rival_seen, chance.least_seen)),
+            _logit(score.overlap) - rival_overlap,
+            seen - rival_seen,
             _logit(score.overlap if score.walls is None else score.walls),
         )
+
+    def _rival(self, evidence: Evidence) -> tuple[float, float]:
+        """Overlap and what is seen, as log-odds, at the rival where both together are most.
+
+        A pose at which much overlaps explains nothing where the map in view is not seen.
+        """
+        chance = self.chance
+        if not evidence.rivals:
+            return _logit(chance.overlap), _logit(max(chance.seen, chance.least_seen))
+        at = (
+            (_logit(r.overlap), _logit(max(r.expected_seen(chance.judged), chance.least_seen)))
+            for r in evidence.rivals
+        )
+        return max(at, key=sum)
 
     def standalone(self, score: Score) -> float:
         """The confidence if nothing but chance were at any other place."""

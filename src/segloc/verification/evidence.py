@@ -149,15 +149,6 @@ class Evidence:
         as many as it has (Poisson, without the constant)."""
         return self.score.inliers * math.log(max(self.inlier_ratio, 0.1))
 
-    @property
-    def rival_overlap(self) -> float | None:
-        """The most that ``overlap`` reaches at a rival; None without rivals."""
-        return max((rival.overlap for rival in self.rivals), default=None)
-
-    def rival_seen(self, prior: float) -> float | None:
-        """The most that is expected to be seen at a rival; None without rivals."""
-        return max((rival.expected_seen(prior) for rival in self.rivals), default=None)
-
 
 @dataclass(frozen=True)
 class Verdict:
