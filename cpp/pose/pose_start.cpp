@@ -41,17 +41,21 @@ class FineVotes {
       : x_(x - radius),
         y_(y - radius),
         width_(width),
+        per_metre_(1.0 / width),
         side_(static_cast<int>(2.0 * radius / width) + 2),
-        counters_(static_cast<std::size_t>(side_ * side_)) {}
+        stride_(side_ + 2),
+        counters_(static_cast<std::size_t>(stride_ * stride_)) {}
 
   void clear() { std::fill(counters_.begin(), counters_.end(), Counter{}); }
 
   void add(double x, double y, std::uint32_t group, std::uint32_t match) {
-    const int column = cell(x - x_), row = cell(y - y_);
-    for (int corner = 0; corner < 4; ++corner) {
-      const int i = column + (corner & 1), j = row + (corner >> 1);
-      if (i < 0 || j < 0 || i >= side_ || j >= side_) continue;
-      Counter& counter = counters_[static_cast<std::size_t>(j * side_ + i)];
+    const double u = (x - x_) * per_metre_ + 1.0, v = (y - y_) * per_metre_ + 1.0;
+    if (!(u >= 0.0 && v >= 0.0 && u <= side_ && v <= side_)) return;
+    // A margin of one cell on each side, so that all four corners exist.
+    const auto first = static_cast<std::size_t>(static_cast<int>(v) * stride_ + static_cast<int>(u));
+    const auto stride = static_cast<std::size_t>(stride_);
+    for (const std::size_t at : {first, first + 1, first + stride, first + stride + 1}) {
+      Counter& counter = counters_[at];
       if (counter.votes != 0 && counter.group == group) continue;
       counter = {counter.votes + 1, group, match};
     }
@@ -59,17 +63,20 @@ class FineVotes {
 
   // Whether some cell has more votes than the start; which then is moved there.
   bool improve(PoseStart& start) const {
-    std::size_t best = start.support, at = counters_.size();
-    for (std::size_t k = 0; k < counters_.size(); ++k) {
-      if (counters_[k].votes <= best) continue;
-      best = counters_[k].votes;
-      at = k;
+    std::size_t best = start.support;
+    int column = -1, row = -1;
+    for (int j = 1; j <= side_; ++j) {
+      for (int i = 1; i <= side_; ++i) {
+        const Counter& counter = counters_[static_cast<std::size_t>(j * stride_ + i)];
+        if (counter.votes <= best) continue;
+        best = counter.votes, column = i - 1, row = j - 1;
+        start.index = counter.match;
+      }
     }
-    if (at == counters_.size()) return false;
+    if (column < 0) return false;
     start.support = best;
-    start.index = counters_[at].match;
-    start.pose.t[0] = x_ + width_ * static_cast<double>(at % static_cast<std::size_t>(side_));
-    start.pose.t[1] = y_ + width_ * static_cast<double>(at / static_cast<std::size_t>(side_));
+    start.pose.t[0] = x_ + width_ * column;
+    start.pose.t[1] = y_ + width_ * row;
     return true;
   }
 
@@ -78,14 +85,8 @@ class FineVotes {
     std::uint32_t votes = 0, group = 0, match = 0;  // the last voter
   };
 
-  // -2 for whatever lies beside the votes, however far.
-  int cell(double offset) const {
-    const double at = std::floor(offset / width_);
-    return at >= -2.0 && at < static_cast<double>(side_) ? static_cast<int>(at) : -2;
-  }
-
-  double x_, y_, width_;
-  int side_;
+  double x_, y_, width_, per_metre_;
+  int side_, stride_;
   std::vector<Counter> counters_;
 };
 
