@@ -44,7 +44,7 @@ def prior_map(scenario: Scenario, seed: int, work: Path) -> SegmentMap:
         config = Config().model_copy(update={"threads": 1})
         first, *others = (build_map(drive, config) for drive in scenario.map_drives(seed))
         for other in others:
-            first.merge(other)
+            first = first.merge(other)
         first.save(path)
     return SegmentMap.load(path)
 

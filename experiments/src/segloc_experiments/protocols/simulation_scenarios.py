@@ -28,7 +28,8 @@ from segloc.simulation.sensors.ranging import Lidar
 from segloc.simulation.worlds.world import World
 
 STOREYS = 5
-COVERED_M = 3.0
+COVERED_M = 1.5
+"""Indoors a path this near is on the same side of a wall."""
 JUNCTION_M, BARE_M = 6.0, 12.0
 """A mine's query this near a junction is at one; that far from any it is on a stretch."""
 
@@ -95,7 +96,7 @@ class Scenario:
             Where it is: "" or, in mines, "junction", "stretch" or "between".
         """
         found = []
-        for storey in self.query_storeys:
+        for nth, storey in enumerate(self.query_storeys):
             make = self.query_world or self.world
             mapped, later = self._drives(make, seed, self.asked, storey)
             ends = np.arange(len(later))
@@ -103,7 +104,8 @@ class Scenario:
                 away = distances_to_path(later.truth, mapped.truth)
                 ends = ends[away < COVERED_M]
             share = -(-count // len(self.query_storeys))
-            chosen = ends[np.linspace(0, len(ends) - 1, share + 2).astype(int)[1:-1]]
+            shift = (nth + 1) / (len(self.query_storeys) + 1)  # other places on each storey
+            chosen = ends[((np.arange(share) + shift) / share * len(ends)).astype(int)]
             found += [(_ending(later, i, self.asked.scans), _where(later, i)) for i in chosen]
         return found
 
@@ -113,7 +115,7 @@ class Scenario:
             side.lidar(),
             [Conditions(), Conditions(replaced=0.05)],
             length_m=self.length_m,
-            spacing_m=1.0,
+            spacing_m=1.5,
             seed=seed,
             platform=side.platform(),
             storey=storey,
@@ -179,7 +181,8 @@ def _outdoors(asked: Side, length_m: float = 200.0) -> dict[str, Scenario]:
 
 def _floors(differ: float, expected: str, asked: Side = _QUADRUPED) -> Scenario:
     name = f"building-{differ:g}"
-    five = {"storeys": _ALL, "query_storeys": _ALL, "seeds": (21, 22), "length_m": 100.0}
+    seeds = (21, 22) if differ > 0.3 else (21,)
+    five = {"storeys": _ALL, "query_storeys": _ALL, "seeds": seeds, "length_m": 140.0}
     return Scenario(name, _storeys(differ), _OS0, asked, expected, **five)  # type: ignore[arg-type]
 
 
