@@ -67,16 +67,23 @@ class CandidateScores:
         """A rival near a candidate, where the clouds fit best."""
         return self._map.refined(rival.candidate, self._query)
 
+    def closer(self, score: Score) -> RefinedScore:
+        """The same where the clouds fit best."""
+        return self._map.refined(Candidate(score.T_map_local, score.inliers), self._query)
+
     def runner_up(self, T_map_local: Pose) -> RankedCandidate | None:
         """The best supported candidate at a different place or with a different heading."""
         apart = self._separation.apart
         return next((c for c in self.ranked if apart(c.T_map_local, T_map_local)), None)
 
     def worth_judging(self) -> list[int]:
-        """The best candidates, without those far below the very best."""
+        """The best candidates, without those far below the very best; and where the clouds roughly
+        fit best."""
         least = 0.5 * self.ranked[0].support
         best = self.ranked[: self._config.max_refined]
-        return [k for k, candidate in enumerate(best) if candidate.support >= least]
+        chosen = [k for k, candidate in enumerate(best) if candidate.support >= least]
+        fits = max(range(len(self.ranked)), key=lambda k: self.ranked[k].overlap)
+        return chosen if fits in chosen else [*chosen, fits]
 
     def elsewhere(self, T_map_local: Pose) -> list[int]:
         """Candidates at other places, first those where the clouds roughly fit best."""

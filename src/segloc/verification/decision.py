@@ -5,11 +5,14 @@ from __future__ import annotations
 from ..localization import Reason, ambiguous_with
 from .confidence import ConfidenceModel
 from .config import VerificationConfig
-from .evidence import Evidence, RankedCandidate, Score, Verdict
+from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
 
 RIVAL_STANDING = 0.5
 """A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best
 pose. Set by hand."""
+UNEXPLAINED_TIMES, UNEXPLAINED_MORE = 2.5, 0.015
+"""A rival is no equal that leaves so many times as much of the query unexplained, and so much more.
+Halls and storeys that repeat themselves differ in little else. Set by hand."""
 
 
 def decide(
@@ -73,6 +76,15 @@ def equal_rival(
             and rival.support > config.rival_support_ratio * best.support
         )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
+        if is_outdone(rival, best):
+            continue
         if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:
             return rival
     return None
+
+
+def is_outdone(rival: Score, best: Score) -> bool:
+    """Whether much of what the rival leaves unexplained lies on the map at the best pose."""
+    refined = isinstance(rival, RefinedScore) and isinstance(best, RefinedScore)
+    left = UNEXPLAINED_TIMES * (1.0 - best.overlap) + UNEXPLAINED_MORE
+    return refined and 1.0 - rival.overlap > left

@@ -103,8 +103,13 @@ class MapCloud:
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""
-        found = self._nearby.around(query.sample, self._relative(T_map_local))
-        return Surroundings(self._absolute(found.start), [self._absolute(T) for T in found.rivals])
+        T, config = self._relative(T_map_local), self._config
+        found = self._nearby.around(query.sample, T)
+        few = thinned(query.sample, config.coarse_sample)
+        others = self._nearby.storeys(few, found.start, config.coarse_radius)
+        return Surroundings(
+            self._absolute(found.start), [self._absolute(T) for T in [*found.rivals, *others]]
+        )
 
     def refined(
         self, candidate: Candidate, query: QueryCloud, start: Pose | None = None

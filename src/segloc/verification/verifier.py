@@ -12,7 +12,7 @@ from .candidates import CandidateScores, Inliers
 from .confidence import ConfidenceModel, shipped_confidence
 from .config import VerificationConfig
 from .decision import decide, equal_rival, too_few_inliers
-from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
+from .evidence import CoarseScore, Evidence, RankedCandidate, RefinedScore, Score, Verdict
 from .overlap_check import MapCloud
 
 HOPELESS = 0.02
@@ -117,7 +117,15 @@ class Verifier:
             scores.refined(j) if scores.ranked[j].overlap >= least else scores.coarse(j)
             for j in others
         ]
-        return scores.evidence(score, [*near, *rivals], chance)
+        return self._settled(scores, scores.evidence(score, [*near, *rivals], chance))
+
+    def _settled(self, scores: CandidateScores, evidence: Evidence) -> Evidence:
+        """The same with those rivals refined that would be equal as they are."""
+        config, chance = self.config, self.model.chance.inliers
+        while isinstance(rival := equal_rival(evidence, self.model, config), CoarseScore):
+            rivals = [scores.closer(r) if r is rival else r for r in evidence.rivals]
+            evidence = scores.evidence(evidence.score, rivals, chance)
+        return evidence
 
     def _best_around(
         self, scores: CandidateScores, score: Score, nearby: Sequence[RankedCandidate]
