@@ -190,8 +190,11 @@ class Verdict:
 
     @property
     def is_thin(self) -> bool:
-        """Whether the segments say little for or against any pose, so that the clouds must."""
-        if self.undecided or self.evidence is None:
+        """Whether the segments say little for or against any pose, so that the clouds must.
+
+        Where they speak for two, they do: neither need be the right one.
+        """
+        if self.reason is not None or self.evidence is None:
             return True
         return self.evidence.inlier_evidence < DECISIVE_INLIERS
 
