@@ -34,7 +34,9 @@ def storeys(cloud: Float32, path: Float64) -> Iterator[tuple[Float32, Float64]]:
         return
     nearest = np.abs(path[:, 2, None] - levels).argmin(axis=1)
     paths = [path[nearest == k] for k in range(len(levels))]
-    edges = [level - _drop(cloud, part) - _BELOW_M for level, part in zip(levels, paths, strict=True)]
+    edges = [
+        level - _drop(cloud, part) - _BELOW_M for level, part in zip(levels, paths, strict=True)
+    ]
     for low, high, part in zip(edges, [*edges[1:], np.inf], paths, strict=True):
         inside = (cloud[:, 2] > low) & (cloud[:, 2] < high)
         yield np.ascontiguousarray(cloud[inside]), part
