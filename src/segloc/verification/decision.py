@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ..localization import Reason, ambiguous_with
 from .confidence import ConfidenceModel
 from .config import VerificationConfig
@@ -10,9 +12,12 @@ from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
 RIVAL_STANDING = 0.5
 """A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best
 pose. Set by hand."""
-UNEXPLAINED_TIMES, UNEXPLAINED_MORE = 2.5, 0.015
-"""A rival is no equal that leaves so many times as much of the query unexplained, and so much more.
-Halls and storeys that repeat themselves differ in little else. Set by hand."""
+UNEXPLAINED_TIMES, UNEXPLAINED_MORE = 2.0, 0.02
+"""A direction speaks against a rival that leaves so many times as much of it unexplained, and so
+much more. Set by hand."""
+OUTDONE, AGAINST = 0.5, 0.25
+"""A rival is no equal where this share of all directions speaks against it, and no more than this
+share of those for it. One thing that has moved speaks in one direction. Set by hand."""
 
 
 def decide(
@@ -84,7 +89,20 @@ def equal_rival(
 
 
 def is_outdone(rival: Score, best: Score) -> bool:
-    """Whether much of what the rival leaves unexplained lies on the map at the best pose."""
-    refined = isinstance(rival, RefinedScore) and isinstance(best, RefinedScore)
-    left = UNEXPLAINED_TIMES * (1.0 - best.overlap) + UNEXPLAINED_MORE
-    return refined and 1.0 - rival.overlap > left
+    """Whether the clouds fit better at the best pose all around.
+
+    Halls that repeat themselves differ a little everywhere; storeys may differ by one thing, and so
+    does a place from what it was when it was mapped.
+    """
+    if not (isinstance(rival, RefinedScore) and isinstance(best, RefinedScore)):
+        return False
+    pairs = [
+        p for p in zip(best.sectors, rival.sectors, strict=False) if not any(map(math.isnan, p))
+    ]
+    against = sum(_speaks_against(b, a) for a, b in pairs)
+    for_it = sum(_speaks_against(a, b) for a, b in pairs)
+    return bool(pairs) and against >= OUTDONE * len(pairs) and for_it <= AGAINST * against
+
+
+def _speaks_against(overlap: float, other: float) -> bool:
+    return 1.0 - overlap > UNEXPLAINED_TIMES * (1.0 - other) + UNEXPLAINED_MORE

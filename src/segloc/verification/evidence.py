@@ -117,9 +117,12 @@ class RefinedScore(Score):
     ----------
     covariance : (6, 6) float64 or None
         Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
+    sectors : tuple of float
+        The overlap of each direction by itself; NaN where there is too little.
     """
 
     covariance: Float64 | None
+    sectors: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ from .walls import worst_wall
 _STILL_M, _MOST_AGAIN = 1.0, 2
 """An alignment that moved farther may not have ended where it would: it is begun anew from there,
 at most so often."""
+_SECTORS, _FEWEST = 12, 40
+"""Directions that are compared by themselves, and the points that each must have."""
 
 
 class QueryCloud:
@@ -27,6 +29,7 @@ class QueryCloud:
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
+        self.sectors = _sectors(self.sample)
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
@@ -131,7 +134,17 @@ class MapCloud:
         seen = judged(self._target.index, query.view, T, config.seen_radius, config)
         T_map_local = self._absolute(T)
         return RefinedScore(
-            T_map_local, candidate.inliers, overlap, *seen, rmse, walls, covariance=covariance
+            T_map_local,
+            candidate.inliers,
+            overlap,
+            *seen,
+            rmse,
+            walls,
+            covariance=covariance,
+            sectors=tuple(
+                self._target.overlap(p, T, config.overlap_radius)[0] if len(p) else np.nan
+                for p in query.sectors
+            ),
         )
 
     def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
@@ -165,3 +178,11 @@ class MapCloud:
 
     def _absolute(self, T: Pose) -> Pose:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
+
+
+def _sectors(points: Float32) -> list[Float32]:
+    """The points in each direction about the sensor; none where there are too few."""
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    which = np.floor((azimuth / (2.0 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
+    parts = [np.ascontiguousarray(points[which == k]) for k in range(_SECTORS)]
+    return [part if len(part) >= _FEWEST else part[:0] for part in parts]
