@@ -13,6 +13,7 @@ from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geom
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import open_sequence
 from segloc.occupancy import OccupancySearch
+from segloc.occupancy.storeys import storeys
 from segloc.types import Pose
 
 CELL, LEVELS, YAWS = 0.5, 4, 24
@@ -169,3 +170,29 @@ def test_a_corridor_driven_back_is_found_by_what_stands() -> None:
         T = truth @ geometry.inverse(query.cloud.T_local_sensor)
         found += near(localizer.occupancy.candidates(query.scene)[0].T_map_local, T)
     assert found >= 20
+
+
+def storey(rng: np.random.Generator, z: float) -> tuple[np.ndarray, np.ndarray]:
+    """The cloud of a floor, its ceiling and a few posts, and the path of a sensor 0.6 m above."""
+    flat = np.mgrid[0:20:0.3, 0:10:0.3].reshape(2, -1).T
+    posts = np.repeat(rng.uniform([0, 0], [20, 10], (12, 2)), 9, axis=0)
+    heights = np.tile(0.3 * np.arange(1, 10), 12)
+    parts = [(flat, np.zeros(len(flat))), (flat, np.full(len(flat), 2.8)), (posts, heights)]
+    cloud = np.concatenate([np.column_stack([xy, z + h]) for xy, h in parts])
+    path = np.column_stack([np.linspace(1, 19, 30), np.full(30, 5.0), np.full(30, z + 0.6)])
+    return cloud.astype(np.float32), path
+
+
+def test_storeys_are_told_apart_and_hills_are_not() -> None:
+    rng = np.random.default_rng(0)
+    floors = [storey(rng, z) for z in (0.0, 3.1, 6.2)]
+    cloud, path = (np.concatenate(parts) for parts in zip(*floors, strict=True))
+    parts = list(storeys(cloud, path))
+    assert len(parts) == 3
+    for (found, way), (expected, line) in zip(parts, floors, strict=True):
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(way, line)
+    hill = path.copy()
+    hill[:, 0] += np.repeat([0.0, 20.0, 40.0], 30)  # as high, but beside each other
+    assert len(list(storeys(cloud, hill))) == 1
+    assert len(list(storeys(cloud, np.empty((0, 3))))) == 1

@@ -16,7 +16,7 @@ _SHARE = 0.2  # in so many of all that it passes through, there are storeys
 _LEVEL_M = 1.0  # a path on one storey keeps within so much,
 _FEWEST = 0.05  # and is so long a part of the whole
 _UNDER_M, _STEP_M, _DEEP = 1.2, 0.1, 40  # where its floor is looked for: so near, so many steps
-_BELOW_M = 0.2  # what lies so far below a floor belongs to it
+_BELOW_M = 0.1  # what lies so far below a floor belongs to it
 
 
 def storeys(cloud: Float32, path: Float64) -> Iterator[tuple[Float32, Float64]]:
