@@ -293,3 +293,17 @@ def test_a_map_does_not_hand_on_how_its_sensor_was_mounted() -> None:
     assert map_config(prior_map).local_cloud.mount == MountConfig()
     used, notes = query_config(prior_map, config)
     assert used.local_cloud.mount == mount and notes == ()
+
+
+def test_from_the_air_the_ground_counts_and_not_the_roofs() -> None:
+    rng = np.random.default_rng(0)
+    roofs, sides = [], np.radians(42.0)
+    for x, y in rng.uniform(-18, 18, (12, 2)):
+        across, along = rng.uniform(-4, 4, 1500), rng.uniform(-6, 6, 1500)
+        height = -11.0 - np.abs(across) * np.tan(sides)
+        roofs.append(np.column_stack([x + along, y + across, height]))  # ridges side by side
+    angle, distance = rng.uniform(0, 2 * np.pi, 40_000), rng.uniform(21, 45, 40_000)
+    ground = [distance * np.cos(angle), distance * np.sin(angle), np.full(40_000, -20.0)]
+    points = np.concatenate([*roofs, np.column_stack(ground)]).astype(np.float32)
+    R = turn(rng, 8.0)
+    assert angle_deg(estimate(turned(points, R)).up, R @ Z) < 2.0

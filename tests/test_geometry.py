@@ -54,9 +54,10 @@ def test_covariance_in_another_frame_by_finite_differences() -> None:
     np.testing.assert_allclose(rotated, J @ covariance @ J.T, atol=1e-9)
 
 
-def test_poses_are_apart_by_distance_or_by_heading() -> None:
+def test_poses_are_apart_by_distance_by_heading_or_by_storey() -> None:
     separation = geometry.Separation()
     here = geometry.yaw_transform(0.0)
-    assert not separation.apart(here, geometry.yaw_transform(0.2, (2.0, 2.0, 50.0)))
+    assert not separation.apart(here, geometry.yaw_transform(0.2, (2.0, 2.0, 1.9)))
+    assert separation.apart(here, geometry.yaw_transform(0.0, (0.0, 0.0, -2.1)))
     assert separation.apart(here, geometry.yaw_transform(0.0, (2.2, 2.2, 0.0)))
     assert separation.apart(here, geometry.yaw_transform(0.3))

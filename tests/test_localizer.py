@@ -307,7 +307,7 @@ def test_the_best_of_all_attempts_counts(
         ((uncertain, nothing, less), uncertain),
         ((less, uncertain, nothing), uncertain),
         ((uncertain, found), found),
-        ((uncertain, ambiguous), ambiguous),
+        ((uncertain, ambiguous, nothing), ambiguous),
         ((found, uncertain), found),
         ((nothing, less, found), found),
     ):

@@ -13,6 +13,7 @@ from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geom
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import open_sequence
 from segloc.occupancy import OccupancySearch
+from segloc.occupancy.storeys import storeys
 from segloc.types import Pose
 
 CELL, LEVELS, YAWS = 0.5, 4, 24
@@ -110,7 +111,7 @@ def test_the_best_candidate_is_near_the_truth(
 ) -> None:
     T = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7))
     scene = localizer.describe(plaza.scan(T, seed=5)).scene
-    first, again = (localizer.occupancy.candidates(scene) for _ in range(2))
+    first, again = (localizer.fallback.occupancy.candidates(scene) for _ in range(2))
     best = first[0]
     assert near(best.T_map_local, T) and abs(best.T_map_local[2, 3] - 1.7) < 0.5
     assert best.inliers == 0 and best.fit is not None and 0.5 < best.fit <= 1.0
@@ -143,7 +144,7 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
     floor = (rng.uniform(-20, 20, (4000, 3)) * [1, 1, 0] - [0, 0, 1.7]).astype(np.float32)
     for points in (np.empty((0, 3), np.float32), np.zeros((1, 3), np.float32), floor):
         scene = localizer.describe(Scan(points)).scene
-        assert localizer.occupancy.candidates(scene) == []
+        assert localizer.fallback.occupancy.candidates(scene) == []
     empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
     assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
 
@@ -167,5 +168,31 @@ def test_a_corridor_driven_back_is_found_by_what_stands() -> None:
     for i, truth in enumerate(back.poses):
         query = localizer.describe(back.scan(i))
         T = truth @ geometry.inverse(query.cloud.T_local_sensor)
-        found += near(localizer.occupancy.candidates(query.scene)[0].T_map_local, T)
+        found += near(localizer.fallback.occupancy.candidates(query.scene)[0].T_map_local, T)
     assert found >= 20
+
+
+def storey(rng: np.random.Generator, z: float) -> tuple[np.ndarray, np.ndarray]:
+    """The cloud of a floor, its ceiling and a few posts, and the path of a sensor 0.6 m above."""
+    flat = np.mgrid[0:20:0.3, 0:10:0.3].reshape(2, -1).T
+    posts = np.repeat(rng.uniform([0, 0], [20, 10], (12, 2)), 9, axis=0)
+    heights = np.tile(0.3 * np.arange(1, 10), 12)
+    parts = [(flat, np.zeros(len(flat))), (flat, np.full(len(flat), 2.8)), (posts, heights)]
+    cloud = np.concatenate([np.column_stack([xy, z + h]) for xy, h in parts])
+    path = np.column_stack([np.linspace(1, 19, 30), np.full(30, 5.0), np.full(30, z + 0.6)])
+    return cloud.astype(np.float32), path
+
+
+def test_storeys_are_told_apart_and_hills_are_not() -> None:
+    rng = np.random.default_rng(0)
+    floors = [storey(rng, z) for z in (0.0, 3.1, 6.2)]
+    cloud, path = (np.concatenate(parts) for parts in zip(*floors, strict=True))
+    parts = list(storeys(cloud, path))
+    assert len(parts) == 3
+    for (found, way), (expected, line) in zip(parts, floors, strict=True):
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(way, line)
+    hill = path.copy()
+    hill[:, 0] += np.repeat([0.0, 20.0, 40.0], 30)  # as high, but beside each other
+    assert len(list(storeys(cloud, hill))) == 1
+    assert len(list(storeys(cloud, np.empty((0, 3))))) == 1

@@ -178,6 +178,23 @@ def test_two_equal_places_are_both_reported() -> None:
     assert min(error(h, twin, query) for h in found[:2]) < 0.5
 
 
+def test_equal_storeys_are_all_reported() -> None:
+    query, prior_map, matches, T = scene(3)
+    lift = np.array([0.0, 0.0, 3.1])
+    count, storeys = len(prior_map), 3
+    everywhere = np.concatenate([prior_map + k * lift for k in range(storeys)])
+    again = Matches(
+        np.tile(matches.query, storeys),
+        np.concatenate([matches.map + k * count for k in range(storeys)]),
+        np.tile(matches.distance, storeys),
+        np.tile(matches.score, storeys),
+    )
+    found = PoseEstimator().estimate(query, everywhere, again)[:storeys]
+    heights = sorted(c.T_map_local[2, 3] - T[2, 3] for c in found)
+    np.testing.assert_allclose(heights, [0.0, 3.1, 6.2], atol=0.3)
+    assert len({c.inliers for c in found}) == 1
+
+
 def test_close_segments_are_one_object() -> None:
     query, prior_map, matches, T = scene(2, true=10)
     doubled = np.vstack([query, query + np.array([0.2, 0.1, 0.6])])

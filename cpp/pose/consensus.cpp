@@ -31,18 +31,23 @@ double longest_edge(const double* query, std::size_t q) {
 
 double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }
 
+// Poses that differ by more in height have no match in common: they are on other storeys.
+bool same_level(const PoseHypothesis& a, const PoseHypothesis& b, const ConsensusOptions& o) {
+  return std::fabs(a.t[2] - b.t[2]) <= 2.0 * o.height_tolerance;
+}
+
 bool explains(const PoseHypothesis& pose, const MatchTable& f, const PoseStart& start,
-              double tolerance) {
+              const ConsensusOptions& o) {
   const std::size_t k = start.index;
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
   const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
   const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
-  return dx * dx + dy * dy <= tolerance * tolerance &&
-         std::fabs(wrap(pose.yaw - start.pose.yaw)) < kSameStart;
+  return dx * dx + dy * dy <= o.inlier_tolerance * o.inlier_tolerance &&
+         same_level(pose, start.pose, o) && std::fabs(wrap(pose.yaw - start.pose.yaw)) < kSameStart;
 }
 
 bool same_place(const PoseHypothesis& a, const PoseHypothesis& b, const ConsensusOptions& o) {
-  return std::hypot(a.t[0] - b.t[0], a.t[1] - b.t[1]) < o.separation &&
+  return same_level(a, b, o) && std::hypot(a.t[0] - b.t[0], a.t[1] - b.t[1]) < o.separation &&
          std::fabs(wrap(a.yaw - b.yaw)) < o.separation_angle;
 }
 
@@ -64,12 +69,14 @@ std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const 
          votes.cells.back().votes < kShare * votes.cells.front().votes) {
     votes.cells.pop_back();
   }
-  std::vector<PoseStart> starts(votes.cells.size());
-  parallel_for(starts.size(), 4, threads, [&](std::size_t begin, std::size_t end, int) {
+  std::vector<std::vector<PoseStart>> found(votes.cells.size());
+  parallel_for(found.size(), 4, threads, [&](std::size_t begin, std::size_t end, int) {
     for (std::size_t i = begin; i < end; ++i) {
-      starts[i] = best_start(f, votes.cells[i], votes, o, kernel_table);
+      found[i] = best_starts(f, votes.cells[i], votes, o, kernel_table);
     }
   });
+  std::vector<PoseStart> starts;
+  for (const auto& each : found) starts.insert(starts.end(), each.begin(), each.end());
   std::stable_sort(starts.begin(), starts.end(),
                    [](const PoseStart& a, const PoseStart& b) { return a.support > b.support; });
 
@@ -77,7 +84,7 @@ std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const 
   for (const PoseStart& start : starts) {
     if (refined.size() >= o.max_refined || start.support == 0) break;
     const bool known = std::any_of(refined.begin(), refined.end(), [&](const PoseHypothesis& pose) {
-      return explains(pose, f, start, o.inlier_tolerance);
+      return explains(pose, f, start, o);
     });
     if (!known) refined.push_back(refine(f, start, o, kernel_table));
   }

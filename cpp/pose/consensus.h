@@ -31,9 +31,9 @@ struct PoseHypothesis {
 //
 // The first max_votes matches vote for cells of yaw and translation (pose_votes.h, and
 // docs/vote-accumulator.md). The cells with the most votes are divided and voted for again, and the
-// best parts of them are refined on all their inliers. Nothing is drawn at random, and the cost
-// grows with the number of matches, not with its square. Returns distinct hypotheses, best score
-// first.
+// best parts of them are refined on all their inliers, at each height that several objects agree
+// on: storeys of a building are different places. Nothing is drawn at random, and the cost grows
+// with the number of matches, not with its square. Returns distinct hypotheses, best score first.
 std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const double* map,
                                       const std::int64_t* mq, const std::int64_t* mm,
                                       std::size_t matches, const ConsensusOptions& options,

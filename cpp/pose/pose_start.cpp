@@ -11,6 +11,8 @@ namespace {
 constexpr int kFineSteps = 6;     // that a step of yaw is divided into
 constexpr double kTypical = 0.7;  // share of the tolerance that most matches keep
 constexpr std::size_t kBlock = 256;
+constexpr std::size_t kMostLevels = 8;
+constexpr std::size_t kFewestObjects = 2;  // that agree on another height than most do
 
 // The matches that a cell of poses gathers, one object after another.
 std::vector<std::uint32_t> gather(const MatchTable& f, const PoseCell& cell, double width,
@@ -90,25 +92,71 @@ class FineVotes {
   std::vector<Counter> counters_;
 };
 
-double median_height(const MatchTable& f, const std::vector<std::uint32_t>& matches,
-                     const PoseHypothesis& pose, double radius) {
+struct Height {
+  float z;
+  std::uint32_t group;
+};
+
+// How much higher the map is than the query by each match that agrees with a pose, sorted.
+std::vector<Height> heights_of(const MatchTable& f, const std::vector<std::uint32_t>& matches,
+                               const PoseHypothesis& pose, double radius) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
-  std::vector<float> heights;
+  std::vector<Height> heights;
   for (const std::uint32_t k : matches) {
     const double dx = c * f.qx[k] - s * f.qy[k] + pose.t[0] - f.mx[k];
     const double dy = s * f.qx[k] + c * f.qy[k] + pose.t[1] - f.my[k];
-    if (dx * dx + dy * dy <= radius * radius) heights.push_back(f.mz[k] - f.qz[k]);
+    if (dx * dx + dy * dy <= radius * radius) heights.push_back({f.mz[k] - f.qz[k], f.group[k]});
   }
-  if (heights.empty()) return 0.0;
-  const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2);
-  std::nth_element(heights.begin(), middle, heights.end());
-  return *middle;
+  std::stable_sort(heights.begin(), heights.end(),
+                   [](const Height& a, const Height& b) { return a.z < b.z; });
+  return heights;
+}
+
+struct Level {
+  std::size_t objects = 0;
+  double z = 0.0;
+};
+
+// The height that most objects agree on, within the tolerance up and down.
+Level commonest(const std::vector<Height>& heights, double tolerance) {
+  Level best;
+  std::vector<std::uint32_t> groups;
+  for (std::size_t begin = 0, end = 0; begin < heights.size(); ++begin) {
+    const double last = heights[begin].z + 2.0 * tolerance;
+    while (end < heights.size() && heights[end].z <= last) ++end;
+    if (end - begin <= best.objects) continue;
+    groups.clear();
+    for (std::size_t k = begin; k < end; ++k) groups.push_back(heights[k].group);
+    std::sort(groups.begin(), groups.end());
+    const auto objects =
+        static_cast<std::size_t>(std::unique(groups.begin(), groups.end()) - groups.begin());
+    if (objects > best.objects) best = {objects, heights[(begin + end) / 2].z};
+  }
+  return best;
+}
+
+// The levels that matches agree on, the commonest first; each as far from the others as poses must
+// be to have no match in common.
+std::vector<Level> levels_of(std::vector<Height> heights, double tolerance) {
+  std::vector<Level> levels;
+  while (levels.size() < kMostLevels) {
+    const Level level = commonest(heights, tolerance);
+    if (level.objects < (levels.empty() ? 1 : kFewestObjects)) break;
+    levels.push_back(level);
+    heights.erase(std::remove_if(heights.begin(), heights.end(),
+                                 [&](const Height& h) {
+                                   return std::fabs(h.z - level.z) <= 2.0 * tolerance;
+                                 }),
+                  heights.end());
+  }
+  return levels;
 }
 
 }  // namespace
 
-PoseStart best_start(const MatchTable& f, const PoseCell& cell, const PoseVotes& votes,
-                     const ConsensusOptions& o, const Kernels& kernels) {
+std::vector<PoseStart> best_starts(const MatchTable& f, const PoseCell& cell,
+                                   const PoseVotes& votes, const ConsensusOptions& o,
+                                   const Kernels& kernels) {
   const std::vector<std::uint32_t> matches = gather(f, cell, votes.width, kernels);
   const double turn = votes.turn / kFineSteps;
   const double width = 2.0 * (kTypical * o.inlier_tolerance + 0.5 * turn * votes.radius);
@@ -131,8 +179,15 @@ PoseStart best_start(const MatchTable& f, const PoseCell& cell, const PoseVotes&
   const double c = std::cos(start.pose.yaw), s = std::sin(start.pose.yaw);
   start.pose.t[0] -= c * votes.middle[0] - s * votes.middle[1];
   start.pose.t[1] -= s * votes.middle[0] + c * votes.middle[1];
-  start.pose.t[2] = median_height(f, matches, start.pose, width);
-  return start;
+  std::vector<PoseStart> starts;
+  for (const Level& level :
+       levels_of(heights_of(f, matches, start.pose, width), o.height_tolerance)) {
+    starts.push_back(start);
+    starts.back().pose.t[2] = level.z;
+    if (starts.size() > 1) starts.back().support = level.objects;
+  }
+  if (starts.empty()) starts.push_back(start);
+  return starts;
 }
 
 }  // namespace segloc

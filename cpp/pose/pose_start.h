@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <vector>
 
 #include "pose/consensus.h"
 #include "pose/match_table.h"
@@ -16,8 +17,11 @@ struct PoseStart {
   PoseHypothesis pose;
 };
 
-// The pose of a cell that most matches agree on: the cell is divided and voted for again.
-PoseStart best_start(const MatchTable& f, const PoseCell& cell, const PoseVotes& votes,
-                     const ConsensusOptions& options, const Kernels& kernels);
+// The pose of a cell that most matches agree on: the cell is divided and voted for again. Where a
+// map has storeys, matches agree on it at several heights: one start for each, the first at the
+// height of most.
+std::vector<PoseStart> best_starts(const MatchTable& f, const PoseCell& cell,
+                                   const PoseVotes& votes, const ConsensusOptions& options,
+                                   const Kernels& kernels);
 
 }  // namespace segloc

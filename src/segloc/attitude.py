@@ -16,6 +16,9 @@ _Z = np.array([0.0, 0.0, 1.0])
 _STEP_DEG = 4.0
 _START_DEG = 8.0
 _TOLERANCES_DEG = (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0)
+_FAR, _FARTHEST = 1.5, 3.0
+"""From the air what is nearest may all be roofs: so many times the median range is used at least,
+up to so many times what is used otherwise."""
 _BLOCK = 64  # directions that are scored at once: the table stays in the cache
 _TOGETHER = 20.0
 """So many neighbouring normals err together: one plane, one registration of the sensor."""
@@ -35,7 +38,12 @@ class AttitudeConfig(Section):
         description="the vertical is at most so far from the sensor's z axis, or from where its "
         "mounting has it",
     )
-    radius_m: float = Field(30.0, ge=1, le=1000, description="points this near the sensor are used")
+    radius_m: float = Field(
+        30.0,
+        ge=1,
+        le=1000,
+        description="points this near the sensor are used, or farther ones where most are far",
+    )
     voxel_size: float = Field(
         0.25, ge=0.01, le=10, description="edge of the voxel grid that they are thinned to, metres"
     )
@@ -117,7 +125,10 @@ class AttitudeEstimator:
             Sensor frame.
         """
         config = self.config
-        near = np.einsum("ij,ij->i", points, points) < config.radius_m**2
+        squares = np.einsum("ij,ij->i", points, points)
+        typical = float(np.median(squares)) if len(squares) else 0.0
+        wanted = min(_FAR**2 * typical, (_FARTHEST * config.radius_m) ** 2)
+        near = squares < max(config.radius_m**2, wanted)
         thinned = _native.voxel_grid(np.ascontiguousarray(points[near]), config.voxel_size)
         normals = _native.plane_normals(thinned, config.support_m, 10, 0.05, 3000)
         return normals.astype(np.float64)

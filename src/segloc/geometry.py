@@ -139,12 +139,14 @@ class Separation(Section):
 
     metres: float = Field(3.0, gt=0, le=1000, description="horizontal distance")
     degrees: float = Field(15.0, gt=0, le=180, description="difference of the headings")
+    height: float = Field(2.0, gt=0, le=1000, description="vertical distance: another storey")
 
     def apart(self, T_a: Pose, T_b: Pose) -> bool:
         """Whether two (4, 4) poses in one frame are at different places."""
         delta = inverse(T_b) @ T_a
         turned = abs(heading(delta)) > math.radians(self.degrees)
-        return bool(turned or np.linalg.norm(delta[:2, 3]) > self.metres)
+        beside = np.linalg.norm(delta[:2, 3]) > self.metres
+        return bool(turned or beside or abs(delta[2, 3]) > self.height)
 
 
 def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from ..segmentation import Segmentation, SegmentationConfig
 from ..types import Candidate, Float32, Float64, Int64
 from .config import OccupancyConfig
 from .ground import Ground, believed, cells_of, heights_of, nearest_of
+from .storeys import storeys
 
 HEIGHTS_M = (0.4, 0.8, 1.3, 1.9, 2.6, 3.5, 5.0, 8.0)
 """Where each slice begins, over ground; the last one has no end. Set by hand."""
@@ -47,7 +48,8 @@ class OccupancySearch:
     Notes
     -----
     What it needs of the map is made when it is first asked, in 0.1 to 1 s: about 3 MB for a
-    kilometre of street. A map too wide for it has no candidates.
+    kilometre of street. A map too wide for it has no candidates. Each storey of a building is
+    searched by itself.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class OccupancySearch:
         self._cloud, self._origin = cloud, origin
         self._path = trajectory[:, :3, 3] - origin
         self._segmentation = segmentation or SegmentationConfig()
-        self._map: _OccupancyMap | None = None
+        self._maps: list[_OccupancyMap] | None = None
 
     def candidates(self, scene: Segmentation) -> list[Candidate]:
         """Candidate poses T_map_local, best first, each with its ``fit``; none if it shows little.
@@ -72,13 +74,20 @@ class OccupancySearch:
         scene : Segmentation
             Of a local cloud.
         """
-        if self._map is None:  # threads that ask at once make the same
-            self._map = _OccupancyMap(self._cloud, self._path, self.config, self._segmentation)
+        if self._maps is None:  # threads that ask at once make the same
+            self._maps = self._prepared()
         view = _view(scene, self.config, self._segmentation)
+        found = [pose for each in self._maps for pose in each.search(view, self._origin)]
+        found.sort(key=lambda pose: -pose[4])
         return [
-            Candidate(geometry.yaw_transform(yaw, (x, y, z)), 0, fit)
-            for x, y, z, yaw, fit in self._map.search(view, self._origin)
+            Candidate(geometry.yaw_transform(yaw, (x, y, z)), 0, fit) for x, y, z, yaw, fit in found
         ]
+
+    def _prepared(self) -> list[_OccupancyMap]:
+        """A map of each storey; all storeys together are as much work as one would be."""
+        parts = list(storeys(self._cloud, self._path))
+        config = self.config.model_copy(update={"work": self.config.work // len(parts)})
+        return [_OccupancyMap(*part, config, self._segmentation) for part in parts]
 
 
 @dataclass(frozen=True)

@@ -92,10 +92,13 @@ class CandidateScores:
         return next((c for c in self.ranked if apart(c.T_map_local, T_map_local)), None)
 
     def worth_judging(self) -> list[int]:
-        """The best candidates, without those far below the very best."""
+        """The best candidates, without those far below the very best; and where the clouds roughly
+        fit best."""
         least = 0.5 * self.ranked[0].support
         best = self.ranked[: self._config.max_refined]
-        return [k for k, candidate in enumerate(best) if candidate.support >= least]
+        chosen = [k for k, candidate in enumerate(best) if candidate.support >= least]
+        fits = max(range(len(self.ranked)), key=lambda k: self.ranked[k].overlap)
+        return chosen if fits in chosen else [*chosen, fits]
 
     def elsewhere(self, T_map_local: Pose) -> list[int]:
         """Candidates at other places, first those where the clouds roughly fit best."""

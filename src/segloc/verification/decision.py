@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 from ..localization import Reason, ambiguous_with
 from .confidence import ConfidenceModel
 from .config import VerificationConfig
-from .evidence import Evidence, RankedCandidate, Score, Verdict
+from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
 
 RIVAL_STANDING = 0.5
 """A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best
 pose. Set by hand."""
+UNEXPLAINED_TIMES, UNEXPLAINED_MORE = 2.0, 0.02
+"""A direction speaks against a rival that leaves so many times as much of it unexplained, and so
+much more. Set by hand."""
+OUTDONE, AGAINST = 0.5, 0.25
+"""A rival is no equal where this share of all directions speaks against it, and no more than this
+share of those for it. One thing that has moved speaks in one direction. Set by hand."""
 
 
 SUPPORTED_FIT = 0.7
@@ -79,6 +87,28 @@ def equal_rival(
             and rival.overlap > SUPPORTED_FIT * best.overlap
         )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
+        if is_outdone(rival, best):
+            continue
         if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:
             return rival
     return None
+
+
+def is_outdone(rival: Score, best: Score) -> bool:
+    """Whether the clouds fit better at the best pose all around.
+
+    Halls that repeat themselves differ a little everywhere; storeys may differ by one thing, and so
+    does a place from what it was when it was mapped.
+    """
+    if not (isinstance(rival, RefinedScore) and isinstance(best, RefinedScore)):
+        return False
+    pairs = [
+        p for p in zip(best.sectors, rival.sectors, strict=False) if not any(map(math.isnan, p))
+    ]
+    against = sum(_speaks_against(b, a) for a, b in pairs)
+    for_it = sum(_speaks_against(a, b) for a, b in pairs)
+    return bool(pairs) and against >= OUTDONE * len(pairs) and for_it <= AGAINST * against
+
+
+def _speaks_against(overlap: float, other: float) -> bool:
+    return 1.0 - overlap > UNEXPLAINED_TIMES * (1.0 - other) + UNEXPLAINED_MORE

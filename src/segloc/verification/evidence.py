@@ -120,9 +120,12 @@ class RefinedScore(Score):
     ----------
     covariance : (6, 6) float64 or None
         Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
+    sectors : tuple of float
+        The overlap of each direction by itself; NaN where there is too little.
     """
 
     covariance: Float64 | None
+    sectors: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -184,8 +187,11 @@ class Verdict:
 
     @property
     def is_thin(self) -> bool:
-        """Whether the segments say little for or against any pose, so that the clouds must."""
-        if self.undecided or self.evidence is None:
+        """Whether the segments say little for or against any pose, so that the clouds must.
+
+        Where they speak for two, they do: neither need be the right one.
+        """
+        if self.reason is not None or self.evidence is None:
             return True
         return self.evidence.inlier_evidence < DECISIVE_INLIERS
 

@@ -23,6 +23,10 @@ from ..types import Float32, Float64, Pose
 _SLIGHTLY_DEG = (0.0, -8.0, -4.0, 4.0, 8.0)
 _BETTER = 1.05
 """Another start is tried where the clouds fit so many times as well."""
+_RISE_M, _STOREYS_M, _STOREYS_SAMPLE = 0.4, 10.0, 1000
+"""Storeys are looked for in steps of this, up and down to where the map ends so near."""
+_STOREY_FITS = 0.8
+"""Another storey is a rival at which the clouds fit so many times as well."""
 _ABOUT_DEG = (90.0, 180.0, 270.0)
 """Places built by people look alike when one turns by right angles."""
 
@@ -92,6 +96,33 @@ class NearbySearch:
         if share[start] < _BETTER * share[0][distance == 0.0][0]:
             return Surroundings(T, rivals)
         return Surroundings(self._moved(T, start, shifts), rivals)
+
+    def storeys(self, points: Float32, T: Pose, radius: float) -> list[Pose]:
+        """Poses above and below T at which the clouds fit nearly as well as at T.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+        T : (4, 4) float64
+            Takes them to the frame of the map's cloud.
+        radius : float
+            A point fits with a point of the map so near, metres.
+        """
+        x, y, z = (float(v) for v in T[:3, 3])
+        near = self._index.sample(x, y, _STOREYS_M, _STOREYS_SAMPLE)
+        if not len(near) or np.ptp(near[:, 2]) < self._separation.height:
+            return []
+        steps = np.arange(near[:, 2].min() - z, near[:, 2].max() - z, _RISE_M)
+        poses = np.repeat(T[None], len(steps) + 1, axis=0)
+        poses[1:, 2, 3] += steps
+        share, _ = self._index.overlap(points, poses, radius)
+        here, share = share[0], np.where(np.abs(steps) > self._separation.height, share[1:], 0.0)
+        found = []
+        while len(share) and share.max() > 0.0 and share.max() >= _STOREY_FITS * here:
+            best = int(share.argmax())
+            found.append(poses[best + 1])
+            share[np.abs(steps - steps[best]) < self._separation.height] = 0.0
+        return found
 
     def _peaks(self, share: Float64, shifts: Float64) -> Iterator[tuple[int, int, int]]:
         """The largest shares, each at another place than those before it."""

@@ -22,6 +22,10 @@ _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
 _STILL_M, _MOST_AGAIN = 1.0, 2
 """An alignment that moved farther may not have ended where it would: it is begun anew from there,
 at most so often."""
+_STOREY_SAMPLE = 200
+"""Points of the query that other storeys are looked for with."""
+_SECTORS, _FEWEST = 12, 40
+"""Directions that are compared by themselves, and the points that each must have."""
 
 
 class QueryCloud:
@@ -31,6 +35,8 @@ class QueryCloud:
     ----------
     sample : (N, 3) float32
         What overlap is computed from.
+    sectors : list of (M, 3) float32
+        The same by direction about the sensor; nothing where it is too little.
     aligned : dict
         The alignments with the map so far, by where they set out from.
     """
@@ -38,6 +44,7 @@ class QueryCloud:
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
         self.aligned: dict[bytes, Registered | None] = {}
+        self.sectors = _sectors(self.sample)
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
@@ -124,8 +131,13 @@ class MapCloud:
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""
-        found = self._nearby.around(query.sample, self._relative(T_map_local))
-        return Surroundings(self._absolute(found.start), [self._absolute(T) for T in found.rivals])
+        T, config = self._relative(T_map_local), self._config
+        found = self._nearby.around(query.sample, T)
+        few = thinned(query.sample, _STOREY_SAMPLE)
+        others = self._nearby.storeys(few, found.start, config.coarse_radius)
+        return Surroundings(
+            self._absolute(found.start), [self._absolute(T) for T in [*found.rivals, *others]]
+        )
 
     def refined(
         self, candidate: Candidate, query: QueryCloud, start: Pose | None = None
@@ -160,7 +172,11 @@ class MapCloud:
             walls = worst_wall(self._target.surface, query.surface, T, config.wall_offset)
         seen = self._judged(query, T, config.seen_radius, config.visibility_sample)
         T_map_local = self._absolute(T)
-        return RefinedScore(T_map_local, inliers, overlap, *seen, rmse, walls, covariance)
+        sectors = tuple(
+            self._target.overlap(part, T, config.overlap_radius)[0] if len(part) else np.nan
+            for part in query.sectors
+        )
+        return RefinedScore(T_map_local, inliers, overlap, *seen, rmse, walls, covariance, sectors)
 
     def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
         range_m = self._config.visibility_range
@@ -205,3 +221,11 @@ class MapCloud:
 
     def _absolute(self, T: Pose) -> Pose:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
+
+
+def _sectors(points: Float32) -> list[Float32]:
+    """The points in each direction about the sensor; none where there are too few."""
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    which = np.floor((azimuth / (2.0 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
+    parts = [np.ascontiguousarray(points[which == k]) for k in range(_SECTORS)]
+    return [part if len(part) >= _FEWEST else part[:0] for part in parts]
