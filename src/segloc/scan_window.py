@@ -12,6 +12,7 @@ import numpy as np
 from . import _native, geometry
 from .errors import ConfigError, InvalidScan
 from .local_cloud import Accumulator, LocalCloudConfig
+from .stage_times import StageTimes
 from .types import Float64, LocalCloud, Pose, Scan
 
 
@@ -168,7 +169,7 @@ class RecordedWindows:
         self._read = read
         self._window = ScanWindow(config, voxel_size, length_m)
 
-    def cloud(self, scans: range, index: int) -> LocalCloud:
+    def cloud(self, scans: range, index: int, times: StageTimes | None = None) -> LocalCloud:
         """The local cloud of some consecutive scans around one of them.
 
         Parameters
@@ -177,21 +178,28 @@ class RecordedWindows:
             Positions. Work is saved where a window begins and ends no earlier than the last one.
         index : int
             Position of the reference scan, one of them.
+        times : StageTimes, optional
+            Given the time of "gathering", without that of reading.
 
         Raises
         ------
         InvalidScan
             If a scan has no pose.
         """
-        window = self._window
-        held = window.numbers
-        if held and not (held[0] <= scans.start and held[-1] < scans.stop):
+        window, held = self._window, self._window.numbers
+        if held and not (held[0] <= scans.start <= held[-1] < scans.stop):
             window.clear()
-        while len(window) and window.numbers[0] < scans.start:
-            window.drop(0)
-        for i in scans[len(window) :]:
-            scan = self._read(i)
-            if scan.T_odom_sensor is None:
-                raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
-            window.push(i, scan, scan.T_odom_sensor)
-        return window.cloud(index - scans.start)
+            held = ()
+        fresh = [self._posed(i) for i in scans if not held or i > held[-1]]
+        with (times or StageTimes())("gathering"):
+            while len(window) and window.numbers[0] < scans.start:
+                window.drop(0)
+            for i, (scan, T) in zip(scans[len(window) :], fresh, strict=True):
+                window.push(i, scan, T)
+            return window.cloud(index - scans.start)
+
+    def _posed(self, i: int) -> tuple[Scan, Pose]:
+        scan = self._read(i)
+        if scan.T_odom_sensor is None:
+            raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
+        return scan, scan.T_odom_sensor

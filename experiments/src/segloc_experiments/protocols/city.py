@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localization, Localizer, Scan, SegmentMap
-from segloc.batch.run import query_scans
+from segloc.batch.run import query_clouds
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, distances_to_path
 from segloc.stage_times import StageTimes
@@ -45,11 +45,13 @@ def timed(localizer: Localizer, scans: Sequence[Scan]) -> tuple[Localization, fl
 
 def run(name: str, queries: QuerySet, localizers: Sequence[Localizer]) -> None:
     """Localize the queries in every padded map, and print a row for each."""
-    config = localizers[0].config.local_cloud
+    config = localizers[0].config
     answers: list[list[tuple[Localization, float]]] = [[] for _ in localizers]
-    for scans in query_scans(queries.recording, queries.positions, config):
+    clouds = query_clouds(queries.recording, queries.positions, config, processor_clock)
+    for cloud, times in clouds:
         for found, localizer in zip(answers, localizers, strict=True):
-            found.append(timed(localizer, scans))
+            answer, ms = timed(localizer, cloud)
+            found.append((answer, ms + times.ms["gathering"]))
     path, truths = localizers[0].prior_map.trajectory, queries.truths
     assert truths is not None
     nowhere = distances_to_path(truths, path) > NOWHERE_M
