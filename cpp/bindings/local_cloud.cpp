@@ -1,10 +1,9 @@
 // Local clouds: the scans of a window on one lattice.
-#include "local_cloud/voxel_window.h"
-
 #include <mutex>
 
 #include "bindings/bindings.h"
 #include "bindings/rigid.h"
+#include "local_cloud/voxel_window.h"
 
 namespace segloc::bindings {
 namespace {

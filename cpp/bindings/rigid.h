@@ -44,7 +44,8 @@ inline Rigid rigid_of(const In2<double>& T, const char* name) {
 inline std::vector<Rigid> rigids_of(const In3<double>& T, const char* name) {
   require(T.shape(1) == 4 && T.shape(2) == 4, std::string(name) + " must have shape (N, 4, 4)");
   std::vector<Rigid> result(T.shape(0));
-  for (std::size_t i = 0; i < result.size(); ++i) result[i] = checked_rigid(T.data() + 16 * i, name);
+  for (std::size_t i = 0; i < result.size(); ++i)
+    result[i] = checked_rigid(T.data() + 16 * i, name);
   return result;
 }
 

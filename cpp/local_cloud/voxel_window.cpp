@@ -21,7 +21,8 @@ struct Cube {
   std::array<Fixed, 3> low;
   std::array<std::uint64_t, 3> width;
 
-  // The cells within `half` of a centre (all in cells), of those that keys around `near` tell apart.
+  // The cells within `half` of a centre (all in cells), of those that keys around `near` tell
+  // apart.
   Cube(const std::array<double, 3>& centre, double half, const std::array<Fixed, 3>& near) {
     constexpr double kHalf = double(std::uint64_t{1} << (kAxisBits - 1));
     for (std::size_t a = 0; a < 3; ++a) {
@@ -59,8 +60,7 @@ std::vector<float> sorted(const std::vector<float>& points, std::vector<std::uin
 
 }  // namespace
 
-VoxelWindow::VoxelWindow(double voxel_size, double reach)
-    : voxel_size_(voxel_size), reach_(reach) {
+VoxelWindow::VoxelWindow(double voxel_size, double reach) : voxel_size_(voxel_size), reach_(reach) {
   if (!(voxel_size > 0.0) || !(reach > 0.0))
     throw std::invalid_argument("voxel_size and reach must be positive");
   if (!(reach / voxel_size < kReach))
@@ -150,7 +150,7 @@ std::vector<float> VoxelWindow::cloud(const Rigid& T_local_odom, double radius) 
   if (scans_.empty()) return {};
   std::array<double, 3> centre;  // of the cloud, in cells
   const auto& [R, t] = T_local_odom;
-  std::array<Fixed, 3> near;     // the first scan's
+  std::array<Fixed, 3> near;  // the first scan's
   for (std::size_t a = 0; a < 3; ++a) {
     near[a] = fixed(scans_.front().T.t[a] / voxel_size_, 1.0);
     centre[a] = -(R[a] * t[0] + R[3 + a] * t[1] + R[6 + a] * t[2]) / voxel_size_;

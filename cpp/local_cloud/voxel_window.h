@@ -19,9 +19,9 @@ namespace segloc {
 // on what came and went before.
 class VoxelWindow {
  public:
-  static constexpr std::size_t kMostScans = 8192;   // sums of so many do not overflow
-  static constexpr double kReach = 1 << 18;         // cells that scans see, or lie apart, at most
-  static constexpr double kFarthest = 1ll << 38;    // cells from the odometry's origin
+  static constexpr std::size_t kMostScans = 8192;  // sums of so many do not overflow
+  static constexpr double kReach = 1 << 18;        // cells that scans see, or lie apart, at most
+  static constexpr double kFarthest = 1ll << 38;   // cells from the odometry's origin
 
   // Voxels of edge `voxel_size`, metres; points farther from the sensor than `reach` are left out.
   // Throws std::invalid_argument where the lattice is too fine for the reach.

@@ -17,6 +17,8 @@ from .types import Float64, LocalCloud, Pose, Scan
 
 VOXEL_SIZE = 0.2
 """Edge of the lattice, metres: that of the voxel grid in which accumulated clouds are segmented."""
+MOST_SCANS = 4096
+"""Held at once: of a robot that stands, with ``min_step_m`` 0, the oldest leave."""
 
 
 class RollingCloud:
@@ -113,6 +115,8 @@ class RollingCloud:
                 self._window.clear()
             elif len(steps) > 1 and steps[-2] < self.min_step_m:
                 self._window.drop(len(self) - 1)
+            elif len(self) >= MOST_SCANS:
+                self._window.drop(0)
             self._window.push(self._added, scan, T)
             self._added += 1
             self._trim()
