@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 from samples.lattice import gathered
 
 from segloc import ConfigError, InvalidScan, LocalCloud, RollingCloud, Scan, geometry
+from segloc.datasets import open_sequence
 from segloc.local_cloud import Accumulator, LocalCloudConfig
 from segloc.scan_window import RecordedWindows
 from segloc.segmentation import Segmenter
@@ -72,6 +74,24 @@ def test_a_cloud_is_that_of_the_held_scans_gathered_at_once(place: tuple[float, 
             assert np.array_equal(cloud.points, expected)
             assert cloud.stamp == held[reference].stamp
             assert_same(cloud, made_at_once(held, rolling.poses, reference))
+
+
+@pytest.mark.slow
+def test_real_scans_are_gathered_exactly_too(kitti: Path) -> None:
+    """120 000 points a scan, far from the origin of their poses."""
+    drive = open_sequence(kitti / "scans", kitti / "scans.tum")
+    assert drive.poses is not None
+    config, place = LocalCloudConfig(window_m=4.0), np.array([4.5e5, 5.4e6, 100.0])
+    rolling = RollingCloud(config)
+    for i in range(7):
+        T = drive.poses[i].copy()
+        T[:3, 3] += place
+        rolling.add(drive.scan(i), T)
+    assert len(rolling) == 3
+    points = [drive.scan(i).points for i in rolling.numbers]
+    expected = gathered(points, list(rolling.poses), -1, config, 0.2)
+    assert np.array_equal(rolling.cloud().points, expected)
+    assert len(expected) > 30_000
 
 
 def test_it_shows_what_gathering_shows_and_is_not_thinned_again() -> None:

@@ -16,8 +16,7 @@ from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..levelling import frame_lean, levelled
-from ..local_cloud import window
-from ..scan_window import RecordedWindows
+from ..local_cloud import Accumulator, window
 from ..segmentation import Segmentation, Segmenter
 from ..types import Descriptors, Float64, Pose, Recording, stamp_at
 from .segment_map import SegmentMap
@@ -139,16 +138,13 @@ def map_views(
         If there are no poses.
     """
     poses = _poses(sequence)
-    segmenter, plan = Segmenter(config.segmentation), _plan(poses, config, every_m)
-    # Windows of several lengths share their scans: each is read once.
-    read = lru_cache(maxsize=max(len(scans) for *_, scans in plan))(sequence.scan)
-    voxel_size = config.segmentation.accumulated.voxel_size
-    windows = {
-        length: RecordedWindows(read, config.local_cloud, voxel_size, length)
-        for length in {length for _, length, _ in plan}
-    }
-    for done, (index, length, scans) in enumerate(plan):
-        scene = segmenter.segment(windows[length].cloud(scans, index))
+    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
+    plan = _plan(poses, config, every_m)
+    # Neighbouring views share most of their scans: each is read once.
+    read = lru_cache(maxsize=max(len(scans) for _, scans in plan))(sequence.scan)
+    for done, (index, scans) in enumerate(plan):
+        cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
+        scene = segmenter.segment(cloud)
         yield View(geometry.levelled(poses[index]), _stamp(sequence, index), scene)
         if progress:
             progress(done + 1, len(plan))
@@ -167,15 +163,13 @@ def _poses(sequence: Recording) -> Float64:
     return poses
 
 
-def _plan(
-    poses: np.ndarray, config: Config, every_m: float | None
-) -> list[tuple[int, float, range]]:
-    """The views of a map: (index of the reference scan, length, scans), along the path."""
+def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tuple[int, range]]:
+    """The views of a map: (index of the reference scan, scans it gathers), along the path."""
     travelled = geometry.travelled(poses)
-    plan: list[tuple[int, float, range]] = []
+    plan: list[tuple[int, range]] = []
     for view in config.mapping.views:
         for index in geometry.stations(travelled, every_m or view.every_m):
             gap = config.local_cloud.max_gap_m
             scans = window(poses, int(index), view.length_m, centred=True, max_gap_m=gap)
-            plan.append((int(index), view.length_m, scans))
+            plan.append((int(index), scans))
     return sorted(plan, key=lambda item: item[0])
