@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Localization, Localizer, Scan, SegmentMap
+from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap
 from segloc.batch.run import query_clouds
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, distances_to_path
@@ -35,11 +35,11 @@ from ..stages import processor_clock
 NOWHERE_M = 50.0
 
 
-def timed(localizer: Localizer, scans: Sequence[Scan]) -> tuple[Localization, float]:
-    """The answer, and the milliseconds of processor time of the whole query."""
+def timed(localizer: Localizer, cloud: LocalCloud) -> tuple[Localization, float]:
+    """The answer, and the milliseconds of processor time of all but the gathering."""
     watch = StageTimes(processor_clock)
     with watch("query"):
-        answer = localizer.localize(scans)
+        answer = localizer.localize(cloud)
     return answer, watch.ms["query"]
 
 
@@ -50,8 +50,8 @@ def run(name: str, queries: QuerySet, localizers: Sequence[Localizer]) -> None:
     clouds = query_clouds(queries.recording, queries.positions, config, processor_clock)
     for cloud, times in clouds:
         for found, localizer in zip(answers, localizers, strict=True):
-            answer, ms = timed(localizer, cloud)
-            found.append((answer, ms + times.ms["gathering"]))
+            answer, elapsed = timed(localizer, cloud)
+            found.append((answer, elapsed + times.ms["gathering"]))
     path, truths = localizers[0].prior_map.trajectory, queries.truths
     assert truths is not None
     nowhere = distances_to_path(truths, path) > NOWHERE_M
