@@ -44,7 +44,6 @@ void VoxelTable::erase(std::size_t slot) {
     slot = next;
   }
   keys_[slot] = kFree;
-  sums_[slot] = VoxelSum{};
   --used_;
 }
 

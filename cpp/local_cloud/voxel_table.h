@@ -75,6 +75,7 @@ class VoxelTable {
         slot = find(key);
       }
       keys_[slot] = key;
+      sums_[slot] = VoxelSum{};
       ++used_;
     }
     VoxelSum& sum = sums_[slot];
@@ -101,7 +102,10 @@ class VoxelTable {
   std::size_t nbytes() const { return keys_.size() * (sizeof(std::uint64_t) + sizeof(VoxelSum)); }
 
   // Forgets all voxels, and keeps the memory.
-  void clear() { reset(keys_.size()); }
+  void clear() {
+    keys_.assign(keys_.size(), kFree);
+    used_ = 0;
+  }
 
   // Calls visit(key, sum) for every voxel, in no order that means anything.
   template <typename Visit>
@@ -128,7 +132,7 @@ class VoxelTable {
   void erase(std::size_t slot);
 
   std::vector<std::uint64_t> keys_;
-  std::vector<VoxelSum> sums_;
+  std::vector<VoxelSum> sums_;  // of a free slot: anything
   std::size_t used_ = 0, mask_ = 0;
 };
 
