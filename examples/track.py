@@ -1,5 +1,8 @@
 """A robot that drives on until it is sure: views that agree through odometry are believed.
 
+Every scan is given to the tracker, which gathers those of the last 40 m and asks where they are
+every few metres.
+
 python examples/track.py
 """
 
@@ -7,7 +10,7 @@ from __future__ import annotations
 
 from segloc import Config, Localizer, build_map
 from segloc.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
-from segloc.tracker import Tracker
+from segloc.tracker import Tracker, TrackerConfig
 
 LENGTH_M = 80.0
 
@@ -20,10 +23,10 @@ def main() -> None:
     drive = simulate_sessions(world, vlp16(600), sessions, length_m=LENGTH_M)[1].with_odometry()
 
     config = Config.preset("profile")
-    tracker = Tracker(Localizer(build_map(first, config), config))
-    for i in range(0, len(drive), 3):
-        scan = drive.scan(i)
-        track = tracker.update(scan, drive.poses[i])
+    localizer = Localizer(build_map(first, config), config)
+    tracker = Tracker(localizer, TrackerConfig(accumulate=True, every_m=6.0))
+    for i in range(len(drive)):
+        track = tracker.update(drive.scan(i), drive.poses[i])
         where = "not sure yet" if track.T_map_odom is None else f"sure, by {track.views} views"
         print(f"after {drive.indices[i]} scans: {where}")
 

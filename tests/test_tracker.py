@@ -70,6 +70,27 @@ def test_standing_still_is_no_second_view(prior_map: SegmentMap, plaza: Plaza) -
     assert not any(track.localized for track in walk(tracker, plaza, step=0.0))
 
 
+def test_scans_are_accumulated_and_every_few_metres_localized(
+    prior_map: SegmentMap, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    localizer, queries = Localizer(prior_map), []
+    describe = localizer.describe
+    monkeypatch.setattr(
+        localizer, "describe", lambda cloud: queries.append(cloud) or describe(cloud)
+    )
+    tracker = Tracker(localizer, TrackerConfig(accumulate=True, every_m=5.5))
+    tracks = walk(tracker, plaza, count=9, step=2.0)
+    # The first scan alone, then the clouds of all so far, in the pose of the last.
+    assert [cloud.num_scans for cloud in queries] == [1, 4, 7]
+    assert [cloud.stamp for cloud in queries] == [0.0, 3.0, 6.0]
+    assert all(cloud.voxel_size == 0.2 for cloud in queries[1:])
+    assert all(track.localized and offset(track.T_map_odom) < 0.3 for track in tracks)
+    assert tracks[-1].views == 3
+    assert tracker.rolling is not None and len(tracker.rolling) == 9
+    with pytest.raises(InvalidScan, match="one scan at a time"):
+        tracker.update([plaza.scan(np.eye(4))], np.eye(4))
+
+
 def test_views_of_two_places_that_look_alike_are_not_believed(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:

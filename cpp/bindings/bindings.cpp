@@ -13,6 +13,7 @@ std::string instruction_set(const std::string& isa) {
 
 }  // namespace
 
+void bind_local_cloud(nb::module_& m);
 void bind_segmentation(nb::module_& m);
 void bind_descriptors(nb::module_& m);
 void bind_network(nb::module_& m);
@@ -32,6 +33,7 @@ NB_MODULE(_native, m) {
   m.attr("__version__") = SEGLOC_VERSION;
   m.def("resolve_threads", &segloc::resolve_threads, nb::arg("threads"));
   m.def("instruction_set", &instruction_set, nb::arg("isa") = "auto");
+  bind_local_cloud(m);
   bind_segmentation(m);
   bind_descriptors(m);
   bind_network(m);

@@ -1,36 +1,13 @@
 // Registration: surfaces and generalised ICP.
 #include <algorithm>
-#include <array>
 
 #include "bindings/bindings.h"
+#include "bindings/rigid.h"
 #include "registration/gicp.h"
 #include "registration/surface.h"
 
 namespace segloc::bindings {
 namespace {
-
-// Up to a rounding that no one writes down.
-bool is_rotation(const std::array<double, 9>& R) {
-  double off = 0.0;
-  for (int a = 0; a < 3; ++a) {
-    for (int b = 0; b < 3; ++b) {
-      const double dot = R[a] * R[b] + R[3 + a] * R[3 + b] + R[6 + a] * R[6 + b];
-      off = std::max(off, std::fabs(dot - (a == b ? 1.0 : 0.0)));
-    }
-  }
-  return off < 0.01;
-}
-
-Rigid rigid_of(const In2<double>& T) {
-  require_transform(T, "T_target_source");
-  Rigid result;
-  for (std::size_t r = 0; r < 3; ++r) {
-    for (std::size_t c = 0; c < 3; ++c) result.R[3 * r + c] = T.data()[4 * r + c];
-    result.t[r] = T.data()[4 * r + 3];
-  }
-  require(is_rotation(result.R), "T_target_source does not turn as a rotation does");
-  return result;
-}
 
 Out<double> matrix_of(const Rigid& T) {
   std::vector<double> values;
@@ -40,7 +17,7 @@ Out<double> matrix_of(const Rigid& T) {
 
 auto align_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
             int max_iterations, int threads, int max_final) {
-  const Rigid start = rigid_of(T_target_source);
+  const Rigid start = rigid_of(T_target_source, "T_target_source");
   require_between(max_iterations, 0, 10'000, "max_iterations");
   require_between(max_final, 0, 10'000, "max_final");
   GicpOptions options;
@@ -68,7 +45,7 @@ auto normals_(const Surface& surface) {
 // Of every source point: how far it lies off the plane of its nearest target point, and its own
 // normal in the target's frame; NaN where there is no point or no normal.
 auto offsets_(const Surface& target, const Surface& source, const In2<double>& T_target_source) {
-  const Rigid T = rigid_of(T_target_source);
+  const Rigid T = rigid_of(T_target_source, "T_target_source");
   const std::size_t n = source.size();
   std::vector<double> offsets(n), normals(3 * n);
   {

@@ -5,6 +5,7 @@ void callers_tests();
 void common_tests();
 void descriptors_tests();
 void io_tests();
+void local_cloud_tests();
 void matching_tests();
 void network_tests();
 void pose_tests();
@@ -17,6 +18,7 @@ int main() {
   common_tests();
   descriptors_tests();
   io_tests();
+  local_cloud_tests();
   matching_tests();
   network_tests();
   pose_tests();
@@ -25,6 +27,6 @@ int main() {
   training_tests();
   verification_tests();
   callers_tests();
-  std::puts("kernel tests: 11 passed, 0 failed");
+  std::puts("kernel tests: 12 passed, 0 failed");
   return 0;
 }

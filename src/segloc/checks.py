@@ -53,6 +53,51 @@ def checked_points(points: ArrayLike, name: str = "points") -> Float32:
         return np.ascontiguousarray(array[:, :3], dtype=np.float32)
 
 
+def checked_local_points(points: ArrayLike) -> Float32:
+    """As :func:`checked_points`, of a local cloud: finite, and not beyond ``MOST_LOCAL_METRES``.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape or dtype is wrong; names the first row with such a value.
+    """
+    array = checked_points(points)
+    check_finite(array, "points", MOST_LOCAL_METRES)
+    return array
+
+
+def checked_count(count: int, name: str) -> int:
+    """A positive whole number.
+
+    Raises
+    ------
+    InvalidScan
+        If it is none.
+    """
+    if not isinstance(count, int) or count < 1:
+        raise InvalidScan(f"{name} must be a positive whole number, not {count!r}")
+    return count
+
+
+def edge_if_given(edge: float | None, name: str) -> float | None:
+    """The edge of a voxel as a positive number of metres, or None.
+
+    Raises
+    ------
+    InvalidScan
+        If it is no positive finite number.
+    """
+    if edge is None:
+        return None
+    try:
+        value = float(edge)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"{name} must be a number of metres, not {edge!r:.60}") from error
+    if not 0 < value < np.inf:
+        raise InvalidScan(f"{name} must be positive, not {value}")
+    return value
+
+
 def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
     """``values`` in a dtype and shape (-1: any), C-contiguous; copied only where needed.
 

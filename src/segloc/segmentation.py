@@ -124,7 +124,9 @@ class Segmenter:
         """
         config = self.config
         cluster = config.single if cloud.num_scans == 1 else config.accumulated
-        points = _native.voxel_grid(cloud.points, cluster.voxel_size)
+        points = cloud.points
+        if cloud.voxel_size != cluster.voxel_size:
+            points = _native.voxel_grid(points, cluster.voxel_size)
         heights = _native.heights_above_ground(
             points, config.ground_cell, config.ground_slope, config.ground_step
         )

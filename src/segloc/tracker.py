@@ -11,11 +11,13 @@ from pydantic import Field
 
 from . import geometry
 from .checks import checked_pose
+from .errors import InvalidScan
 from .local_cloud import Scans
 from .localization import Reason
 from .localizer import Localizer
+from .rolling_cloud import RollingCloud
 from .section import Section
-from .types import LocalCloud, Pose
+from .types import LocalCloud, Pose, Scan
 
 
 class TrackerConfig(Section):
@@ -33,6 +35,12 @@ class TrackerConfig(Section):
     agreeing: int = Field(2, ge=2, description="views that must agree on a hypothesis")
     memory_m: float = Field(150.0, gt=0, description="unsupported hypotheses are kept this long")
     max_kept: int = Field(16, ge=1, description="hypotheses kept between queries")
+    accumulate: bool = Field(
+        False, description="queries are clouds of the scans over the last stretch of the path"
+    )
+    every_m: float = Field(
+        0.0, ge=0, description="scans nearer to the last query are accumulated and not localized"
+    )
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,12 @@ class Tracker:
     ----------
     localizer : Localizer
     config : TrackerConfig, optional
+        With ``accumulate``, give every scan to :meth:`update`, at the rate at which they come.
+
+    Attributes
+    ----------
+    rolling : RollingCloud or None
+        The scans that queries are made of, where they accumulate: to correct their poses, say.
     """
 
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
@@ -91,14 +105,19 @@ class Tracker:
         self._kept: list[_Kept] = []
         self._travelled = 0.0
         self._last: Pose | None = None
+        self._queried = -math.inf  # travelled distance of the last query
+        self.rolling: RollingCloud | None = None
+        if self.config.accumulate:
+            voxel_size = localizer.config.segmentation.accumulated.voxel_size
+            self.rolling = RollingCloud(localizer.config.local_cloud, voxel_size)
 
     def update(self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
-        """Take the next query.
+        """Take the next query, or the next scan of one.
 
         Parameters
         ----------
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
-            As for :meth:`Localizer.localize`.
+            As for :meth:`Localizer.localize`; one scan where they are accumulated here.
         T_odom_sensor : (4, 4) array
             Pose of the (last) scan's sensor in the odometry's frame, whose z axis points up.
 
@@ -108,14 +127,29 @@ class Tracker:
             If the pose is not a rigid transform, or the scans cannot be accumulated.
         """
         T = checked_pose(T_odom_sensor, "T_odom_sensor")
+        self._add(scans, T)
         if self._last is not None:
             self._travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
         self._last = T
-        view = self._view(scans, T)
+        view = self._view(scans, T) if self._is_due() else None
         if view is not None:
             self._merge(view)
         self._forget()
         return self._answer(view)
+
+    def _add(self, scans: Scans | LocalCloud, T_odom_sensor: Pose) -> None:
+        if self.rolling is None:
+            return
+        if not isinstance(scans, (Scan, np.ndarray)):
+            raise InvalidScan("a tracker that accumulates takes one scan at a time")
+        self.rolling.add(scans, T_odom_sensor)
+
+    def _is_due(self) -> bool:
+        """Whether it is time for a query."""
+        if self._travelled - self._queried < self.config.every_m:
+            return False
+        self._queried = self._travelled
+        return True
 
     def _view(self, scans: Scans | LocalCloud, T_odom_sensor: Pose) -> _Kept | None:
         """What one query says, if that is worth keeping.
@@ -124,7 +158,7 @@ class Tracker:
         places, too, all along a street.
         """
         config = self.config
-        query = self.localizer.describe(scans)
+        query = self.localizer.describe(scans if self.rolling is None else self.rolling.cloud())
         T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
         verdict = self.localizer.search(query).verdict
         best, believed = verdict.best, verdict.reason is None

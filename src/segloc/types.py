@@ -8,21 +8,22 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import Float32 as Float32
+from .checks import Float64 as Float64
+from .checks import Pose as Pose
 from .checks import (
-    MOST_LOCAL_METRES,
-    check_finite,
     checked_angle,
+    checked_count,
     checked_direction,
+    checked_local_points,
     checked_points,
     checked_pose,
     checked_rows,
     checked_stamp,
     checked_times,
+    edge_if_given,
     pose_if_given,
 )
-from .checks import Float32 as Float32
-from .checks import Float64 as Float64
-from .checks import Pose as Pose
 from .errors import InvalidScan
 
 Int64 = NDArray[np.int64]
@@ -155,6 +156,8 @@ class LocalCloud:
         Stamp of the reference scan.
     attitude : "given", "estimated" or "assumed"
         Where the roll and pitch in ``T_local_sensor`` come from.
+    voxel_size : float or None
+        Edge of the voxels of which each has one point, in their order, metres; None if not known.
 
     Raises
     ------
@@ -168,16 +171,18 @@ class LocalCloud:
     num_scans: int = 1
     stamp: float | None = None
     attitude: AttitudeSource = "given"
+    voxel_size: float | None = None
 
     def __post_init__(self) -> None:
-        points = checked_points(self.points)
-        check_finite(points, "points", MOST_LOCAL_METRES)
-        object.__setattr__(self, "points", points)
-        T = checked_pose(self.T_local_sensor, "T_local_sensor")
-        object.__setattr__(self, "T_local_sensor", T)
-        object.__setattr__(self, "stamp", checked_stamp(self.stamp))
-        if not isinstance(self.num_scans, int) or self.num_scans < 1:
-            raise InvalidScan(f"num_scans must be a positive whole number, not {self.num_scans!r}")
+        checked = {
+            "points": checked_local_points(self.points),
+            "T_local_sensor": checked_pose(self.T_local_sensor, "T_local_sensor"),
+            "num_scans": checked_count(self.num_scans, "num_scans"),
+            "stamp": checked_stamp(self.stamp),
+            "voxel_size": edge_if_given(self.voxel_size, "voxel_size"),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)
@@ -210,20 +215,13 @@ class Segments:
         points = checked_rows(self.points, "points", (-1, 3), np.float32)
         offsets = checked_rows(self.offsets, "offsets", (-1,), np.int64)
         count = len(offsets) - 1
-        if (
-            count < 0
-            or offsets[0] != 0
-            or offsets[-1] != len(points)
-            or (np.diff(offsets) < 0).any()
-        ):
+        wrong = count < 0 or offsets[0] != 0 or offsets[-1] != len(points)
+        if wrong or (np.diff(offsets) < 0).any():
             raise InvalidScan(f"offsets must rise from 0 to the number of points, {len(points)}")
         centroids = checked_rows(self.centroids, "centroids", (count, 3), np.float64)
         heights = checked_rows(self.heights, "heights", (count,), np.float32)
-        for name, rows in zip(
-            ("points", "offsets", "centroids", "heights"),
-            (points, offsets, centroids, heights),
-            strict=True,
-        ):
+        checked = {"points": points, "offsets": offsets, "centroids": centroids, "heights": heights}
+        for name, rows in checked.items():
             object.__setattr__(self, name, rows)
 
     def __len__(self) -> int:

@@ -80,6 +80,29 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "point_spacing", Call(_native.point_spacing, spacing)
 
 
+def _local_clouds() -> Iterator[tuple[str, Call]]:
+    points, T = _points(600), np.eye(4)
+    build = {"voxel_size": 0.5, "reach": 30.0}
+    yield "VoxelWindow", Call(_native.VoxelWindow, build)
+
+    def called(name: str) -> Callable[..., Any]:
+        """That method of a window of two scans, and then what the window shows."""
+
+        def call(**arguments: Any) -> Any:
+            window = _native.VoxelWindow(**build)
+            window.push(points, T)
+            window.push(points, T)
+            answer = getattr(window, name)(**arguments)
+            return answer, window.cloud(T, 20.0), len(window)
+
+        return call
+
+    yield "VoxelWindow.push", Call(called("push"), {"points": points, "T_odom_sensor": T})
+    yield "VoxelWindow.drop", Call(called("drop"), {"position": 1})
+    yield "VoxelWindow.move", Call(called("move"), {"T_odom_sensor": np.stack([T, T])})
+    yield "VoxelWindow.cloud", Call(called("cloud"), {"T_local_odom": T, "radius": 20.0})
+
+
 def _poses() -> Iterator[tuple[str, Call]]:
     consensus = _matches() | {
         "inlier_tolerance": 0.6,
@@ -265,6 +288,10 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
     _segmentation: (
         *("voxel_grid", "heights_above_ground", "euclidean_clusters", "plane_normals"),
         "point_spacing",
+    ),
+    _local_clouds: (
+        *("VoxelWindow", "VoxelWindow.push", "VoxelWindow.drop", "VoxelWindow.move"),
+        "VoxelWindow.cloud",
     ),
     _poses: ("consensus", "pose_votes", "prosac"),
     _clouds: (

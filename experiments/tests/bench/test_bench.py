@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_experiments.bench import fps, geometric, harness, inputs, network, query, suite
+from segloc_experiments.bench import fps, geometric, harness, inputs, network, query, stream, suite
 from segloc_experiments.padding import padded_with_copies
 from typer.testing import CliRunner
 
@@ -79,6 +79,13 @@ def plaza_scene():
     return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
 
 
+@pytest.fixture(scope="module")
+def plaza_stream():
+    walk = inputs.PlazaWalk(inputs.Plaza(), steps=22)
+    scans = [walk.scan(i) for i in range(len(walk))]
+    return stream.Stream(build_map(walk, Config(threads=1)), scans, walk.poses, 2)
+
+
 @pytest.mark.slow
 def test_a_padded_map_has_the_size_that_was_wanted_and_still_localizes(plaza_scene):
     size = 3 * len(plaza_scene.prior_map) + 7
@@ -114,16 +121,21 @@ SMALLEST = {
     "pose": (),
     "icp": (),
     "query": ((query, "MAP_SEGMENTS", 3000), (query, "simulated_scene", None)),
+    **dict.fromkeys(
+        ("stream", "stream_os1_128", "stream_vlp16"),
+        ((stream, "MAP_SEGMENTS", 3000), (stream, "simulated_stream", None)),
+    ),
 }
 """What makes each benchmark small."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", suite.BENCHMARKS)
-def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, monkeypatch):
+def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, monkeypatch):
     """With PyTorch, ONNX Runtime and the other rivals where they are installed."""
     for module, constant, value in SMALLEST[name]:
-        small = (lambda threads: plaza_scene) if value is None else value
+        made = plaza_stream if module is stream else plaza_scene
+        small = (lambda *_, made=made: made) if value is None else value
         monkeypatch.setattr(module, constant, small)
     monkeypatch.setattr(harness, "_SGEMM_SIZE", 64)
     row = suite.BENCHMARKS[name](1, 1)

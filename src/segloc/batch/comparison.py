@@ -12,7 +12,6 @@ import numpy as np
 from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
-from ..local_cloud import Accumulator
 from ..localization import Localization, Localized, NotLocalized, Reason
 from ..localizer import Localizer
 from ..map.build import add_view, empty_map, map_views
@@ -22,7 +21,7 @@ from ..search import Query
 from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
 from ..verification.verifier import Verifier
-from .run import query_scans
+from .run import query_clouds
 from .scenario import OpenedScenario, QuerySet, Scenario
 from .score import Evaluation
 
@@ -193,9 +192,8 @@ def localized(
     A cloud is gathered and segmented once for all, and described once by each method.
     """
     config = Config()
-    accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
-    for scans in query_scans(query_set.recording, query_set.positions, config.local_cloud):
-        cloud = accumulator.gather(scans)
+    segmenter = Segmenter(config.segmentation)
+    for cloud, _ in query_clouds(query_set.recording, query_set.positions, config):
         scene = segmenter.segment(cloud)
         yield {
             (method, place, estimator): mapped.localizers[method][estimator].locate(

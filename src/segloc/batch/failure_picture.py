@@ -10,7 +10,7 @@ from .. import geometry
 from ..pictures import blank, png
 from ..types import Float64
 from .failures import Case
-from .run import query_scans
+from .run import query_clouds
 
 if TYPE_CHECKING:
     from ..localizer import Localizer
@@ -39,9 +39,8 @@ def draw_case(
     MissingDependency
         If matplotlib is not installed.
     """
-    config = localizer.config.local_cloud
-    (scans,) = query_scans(sequence, np.array([position]), config)
-    scene = localizer.segmenter.segment(localizer.accumulator.gather(scans))
+    ((cloud, _),) = query_clouds(sequence, np.array([position]), localizer.config)
+    scene = localizer.segmenter.segment(cloud)
     T = np.array(case.T_map_local)
     middle = T[:2, 3]
     figure = blank((8.0, 8.4), 110)

@@ -14,7 +14,7 @@ from .. import geometry
 from ..errors import DatasetError
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from ..verification import Verdict
-from .run import query_scans
+from .run import query_clouds
 from .score import COVERAGE_RADIUS_M, Tolerance, distances_to_path
 
 if TYPE_CHECKING:
@@ -143,12 +143,11 @@ def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
         raise DatasetError(f"{sequence.name}: no true poses")
     near = distances_to_path(truths, localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
     positions = query_set.positions[near]
-    queries = query_scans(sequence, positions, localizer.config.local_cloud)
+    queries = query_clouds(sequence, positions, localizer.config)
     tree = cKDTree(localizer.prior_map.centroids)
     cases = []
     indices = sequence.indices[positions].tolist()
-    for scans, truth, index in zip(queries, truths[near], indices, strict=True):
-        cloud = localizer.accumulator.gather(scans)
+    for (cloud, _), truth, index in zip(queries, truths[near], indices, strict=True):
         cases.append(_examine(localizer, tree, cloud, truth, index))
     return Funnel(len(near), tuple(cases))
 

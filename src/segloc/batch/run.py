@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import geometry
-from ..local_cloud import LocalCloudConfig, window
+from ..config import Config
+from ..local_cloud import Accumulator, window
 from ..localization import Localization
-from ..types import Float64, Int64, Recording, Scan
+from ..scan_window import RecordedWindows
+from ..stage_times import Clock, StageTimes
+from ..types import Float64, Int64, LocalCloud, Recording
 
 if TYPE_CHECKING:
     from ..localizer import Localizer
-
-_SCANS_IN_MEMORY = 64
 
 
 def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
@@ -58,22 +59,32 @@ def localize_sequence(
         If a scan cannot be read. A scan that is empty or shows nothing is "not localized".
     """
     results = []
-    for scans in query_scans(sequence, positions, localizer.config.local_cloud):
-        results.append(localizer.localize(scans))
+    for cloud, times in query_clouds(sequence, positions, localizer.config):
+        results.append(localizer.locate(localizer.describe(cloud, times), times))
         if progress:
             progress(len(results), len(positions))
     return results
 
 
-def query_scans(
-    sequence: Recording, positions: Int64, config: LocalCloudConfig
-) -> Iterator[list[Scan]]:
-    """The scans that each query gathers; see :func:`localize_sequence`."""
-    read = lru_cache(_SCANS_IN_MEMORY)(sequence.scan)  # windows overlap
-    poses = sequence.poses
+def query_clouds(
+    sequence: Recording, positions: Int64, config: Config, clock: Clock = time.perf_counter
+) -> Iterator[tuple[LocalCloud, StageTimes]]:
+    """The local cloud of each query, and how long it took to gather; see :func:`localize_sequence`.
+
+    Windows that follow one another share their work.
+    """
+    local, poses = config.local_cloud, sequence.poses
+    accumulator = Accumulator(local)
+    voxel_size = config.segmentation.accumulated.voxel_size
+    windows = RecordedWindows(sequence.scan, local, voxel_size, local.window_m)
     for position in map(int, positions):
-        scans = range(position, position + 1)
-        if poses is not None:
-            length, gap = config.window_m, config.max_gap_m
+        times = StageTimes(clock)
+        if poses is None:
+            scan = sequence.scan(position)
+            with times("gathering"):
+                cloud = accumulator.gather(scan)
+        else:
+            length, gap = local.window_m, local.max_gap_m
             scans = window(poses, position, length, centred=False, max_gap_m=gap)
-        yield [read(i) for i in scans]
+            cloud = windows.cloud(scans, position, times)
+        yield cloud, times

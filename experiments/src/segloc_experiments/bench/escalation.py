@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.batch.run import query_scans
+from segloc.batch.run import query_clouds
 from segloc.batch.score import distances_to_path
 from segloc.segmentation import Segmentation
 from segloc.stage_times import StageTimes
@@ -35,9 +35,8 @@ def described(
     queries = query_set(data, protocol, step)
     assert queries.truths is not None
     far = distances_to_path(queries.truths, localizer.prior_map.trajectory) > FAR_M
-    config = localizer.config.local_cloud
-    for scans in query_scans(queries.recording, queries.positions[far], config):
-        scene = localizer.segmenter.segment(localizer.accumulator.gather(scans))
+    for cloud, _ in query_clouds(queries.recording, queries.positions[far], localizer.config):
+        scene = localizer.segmenter.segment(cloud)
         yield scene, localizer.descriptor.describe(scene.segments)
 
 

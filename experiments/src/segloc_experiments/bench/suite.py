@@ -12,6 +12,7 @@ from .harness import Row, in_process
 from .network import dsm_vs_esm, network
 from .query import query
 from .registration import icp
+from .stream import stream, stream_os1_128, stream_vlp16
 
 Benchmark = Callable[[int, int], Row]
 
@@ -24,6 +25,9 @@ BENCHMARKS: dict[str, Benchmark] = {
     "pose": pose,
     "icp": icp,
     "query": query,
+    "stream": stream,
+    "stream_os1_128": stream_os1_128,
+    "stream_vlp16": stream_vlp16,
 }
 """Functions of (threads, repeats)."""
 

@@ -15,11 +15,10 @@ import numpy as np
 from segloc.batch.comparison import MappedPlace, build_maps, place_of
 from segloc.batch.methods import ready
 from segloc.batch.report.study import Cell, Study, Table
-from segloc.batch.run import query_scans
+from segloc.batch.run import query_clouds
 from segloc.config import Config
 from segloc.datasets import Recording
 from segloc.descriptors import Descriptor, create
-from segloc.local_cloud import Accumulator
 from segloc.localizer import Localizer
 from segloc.map.segment_map import SegmentMap
 from segloc.segmentation import Segmenter
@@ -119,11 +118,8 @@ def _clouds(scenario: SuiteScenario | KittiScenario) -> tuple[Recording, list[Lo
     query_set = next(iter(opened.query_sets.values()))
     count = min(_QUERIES, len(query_set.positions))
     chosen = query_set.positions[np.linspace(0, len(query_set.positions) - 1, count).astype(int)]
-    config = Config().local_cloud
-    accumulator = Accumulator(config)
-    return opened.map, [
-        accumulator.gather(scans) for scans in query_scans(query_set.recording, chosen, config)
-    ]
+    clouds = query_clouds(query_set.recording, chosen, Config())
+    return opened.map, [cloud for cloud, _ in clouds]
 
 
 def _measured(

@@ -17,7 +17,7 @@ import numpy as np
 import small_gicp
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch.run import query_scans
+from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.types import Float64, LocalCloud, Pose
 
@@ -67,10 +67,8 @@ def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[
     assert queries.truths is not None
     path = localizer.prior_map.trajectory
     inside = distances_to_path(queries.truths, path) <= COVERAGE_RADIUS_M
-    config, positions = localizer.config.local_cloud, queries.positions[inside]
-    scans_of = query_scans(queries.recording, positions, config)
-    for scans, truth in zip(scans_of, queries.truths[inside], strict=True):
-        cloud = localizer.accumulator.gather(scans)
+    clouds = query_clouds(queries.recording, queries.positions[inside], localizer.config)
+    for (cloud, _), truth in zip(clouds, queries.truths[inside], strict=True):
         answer = localizer.localize(cloud)
         if answer.T_map_sensor is None:
             lost += 1

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Localization, Localizer, Scan, SegmentMap
-from segloc.batch.run import query_scans
+from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap
+from segloc.batch.run import query_clouds
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, distances_to_path
 from segloc.stage_times import StageTimes
@@ -35,21 +35,23 @@ from ..stages import processor_clock
 NOWHERE_M = 50.0
 
 
-def timed(localizer: Localizer, scans: Sequence[Scan]) -> tuple[Localization, float]:
-    """The answer, and the milliseconds of processor time of the whole query."""
+def timed(localizer: Localizer, cloud: LocalCloud) -> tuple[Localization, float]:
+    """The answer, and the milliseconds of processor time of all but the gathering."""
     watch = StageTimes(processor_clock)
     with watch("query"):
-        answer = localizer.localize(scans)
+        answer = localizer.localize(cloud)
     return answer, watch.ms["query"]
 
 
 def run(name: str, queries: QuerySet, localizers: Sequence[Localizer]) -> None:
     """Localize the queries in every padded map, and print a row for each."""
-    config = localizers[0].config.local_cloud
+    config = localizers[0].config
     answers: list[list[tuple[Localization, float]]] = [[] for _ in localizers]
-    for scans in query_scans(queries.recording, queries.positions, config):
+    clouds = query_clouds(queries.recording, queries.positions, config, processor_clock)
+    for cloud, times in clouds:
         for found, localizer in zip(answers, localizers, strict=True):
-            found.append(timed(localizer, scans))
+            answer, elapsed = timed(localizer, cloud)
+            found.append((answer, elapsed + times.ms["gathering"]))
     path, truths = localizers[0].prior_map.trajectory, queries.truths
     assert truths is not None
     nowhere = distances_to_path(truths, path) > NOWHERE_M

@@ -21,7 +21,7 @@ import numpy as np
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap, build_map
 from segloc.batch.negative_maps import mirrored
-from segloc.batch.run import query_scans
+from segloc.batch.run import query_clouds
 from segloc.batch.score import distances_to_path, pose_errors
 from segloc.landmarks import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 from segloc.local_cloud import Accumulator
@@ -144,10 +144,10 @@ class Forests:
         sensor = sensor_of(self.sensor, self.columns, self.beams)
         for drive in drives(world, seed, sensor, LATER).values():
             queries = query_sets(kept(drive, self.scans), 1, every_m)[f"{drive.name}, accumulated"]
-            scans = query_scans(queries.recording, queries.positions, config.local_cloud)
+            clouds = query_clouds(queries.recording, queries.positions, config)
             assert queries.truths is not None
-            for each, truth in zip(scans, queries.truths, strict=True):
-                yield Accumulator(config.local_cloud).gather(each), truth
+            for (cloud, _), truth in zip(clouds, queries.truths, strict=True):
+                yield cloud, truth
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.batch.negative_maps import mirrored
-from segloc.batch.run import query_scans
+from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
 from segloc.datasets import NO_POSES, open_sequence
 from segloc.types import Float64, Int64, Pose, Recording
@@ -155,16 +155,16 @@ class Judge:
         self.records: list[dict[str, Any]] = []
 
     def run(self, chosen: Queries) -> None:
-        config = self._first.config.local_cloud
-        for k, scans in enumerate(query_scans(chosen.recording, chosen.positions, config)):
-            start = time.process_time()
-            query = self._first.describe(scans)
-            common = time.process_time() - start
+        config, clock = self._first.config, time.process_time
+        clouds = query_clouds(chosen.recording, chosen.positions, config, clock)
+        for k, (cloud, times) in enumerate(clouds):
+            query = self._first.describe(cloud, times)
+            common = times.with_total()["total"]
             truth = None if chosen.truths is None else chosen.truths[k]
             for name, localizer in self._places(chosen):
                 start = time.process_time()
                 answer = localizer.locate(query)
-                spent = 1e3 * (common + time.process_time() - start)
+                spent = common + 1e3 * (time.process_time() - start)
                 own = name in chosen.maps
                 near = own and truth is not None and self._covered(localizer, truth)
                 self.records.append(
