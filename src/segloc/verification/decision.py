@@ -87,8 +87,7 @@ def equal_rival(
             and rival.overlap > SUPPORTED_FIT * best.overlap
         )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
-        if is_outdone(rival, best):
-            continue
+        fits = fits and not is_outdone(rival, best)
         if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:
             return rival
     return None
