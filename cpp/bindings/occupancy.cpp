@@ -81,9 +81,8 @@ void bind_occupancy(nb::module_& m) {
       .def("search", &search, nb::arg("columns").noconvert(), nb::arg("slices").noconvert(),
            nb::arg("yaws"), nb::arg("leaf_level"), nb::arg("width"), nb::arg("count"),
            nb::arg("separation"), nb::arg("separation_deg"))
-      .def_prop_ro("nbytes", [](const PoseSearch& self) {
-        return self.map().bytes() + self.area().bytes();
-      });
+      .def_prop_ro("nbytes",
+                   [](const PoseSearch& self) { return self.map().bytes() + self.area().bytes(); });
 }
 
 }  // namespace segloc::bindings

@@ -77,9 +77,9 @@ void OccupancyPyramid::widen(std::size_t level) {
     for (std::int32_t dy = 0; dy < kSide; ++dy) {
       for (std::int32_t dx = 0; dx < kSide; ++dx, ++slot) {
         const std::int32_t x = tx * kSide + dx, y = ty * kSide + dy;
-        levels_[level][slot] = static_cast<std::uint8_t>(
-            at(below, x, y) | at(below, x + half, y) | at(below, x, y + half) |
-            at(below, x + half, y + half));
+        levels_[level][slot] =
+            static_cast<std::uint8_t>(at(below, x, y) | at(below, x + half, y) |
+                                      at(below, x, y + half) | at(below, x + half, y + half));
       }
     }
   }

@@ -63,7 +63,7 @@ std::vector<Branch> best_windows(const SearchArea& area, const std::vector<std::
   std::vector<std::vector<std::uint16_t>> scores(limits.yaws);
   std::vector<std::size_t> histogram(8 * m + 1, 0);
   for (std::size_t k = 0; k < limits.yaws; ++k) {
-    area.score(&offsets[2 * m * k], slices, m, scores[k]);
+    area.score(offsets.data() + 2 * m * k, slices, m, scores[k]);
     area.visit([&](std::size_t i, std::int32_t, std::int32_t) { ++histogram[scores[k][i]]; });
   }
   std::size_t least = 8 * m, better = 0;
@@ -237,7 +237,7 @@ std::vector<PlanarPose> SearchArea::search(const float* columns, const std::uint
     std::vector<Branch> parts = divided(branches, level);
     const auto add = [&](std::size_t begin, std::size_t end) {
       for (Branch& part : parts) {
-        const std::int32_t* at = &offsets[2 * m * part.yaw];
+        const std::int32_t* at = offsets.data() + 2 * m * part.yaw;
         part.score += bound(map_, level, part, at, of_ordered.data(), begin, end);
       }
     };

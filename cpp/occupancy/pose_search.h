@@ -11,11 +11,11 @@
 namespace segloc {
 
 struct SearchLimits {
-  std::size_t yaws = 120;      // headings, evenly over the circle
-  int leaf_level = 1;          // windows of so many doublings are not divided
-  std::size_t width = 4000;    // branches that are kept at each level
-  std::size_t count = 64;      // poses wanted
-  double separation = 2.0;     // metres between those of like heading
+  std::size_t yaws = 120;    // headings, evenly over the circle
+  int leaf_level = 1;        // windows of so many doublings are not divided
+  std::size_t width = 4000;  // branches that are kept at each level
+  std::size_t count = 64;    // poses wanted
+  double separation = 2.0;   // metres between those of like heading
   double separation_deg = 9.0;
 };
 

@@ -54,7 +54,8 @@ class FineVotes {
     const double u = (x - x_) * per_metre_ + 1.0, v = (y - y_) * per_metre_ + 1.0;
     if (!(u >= 0.0 && v >= 0.0 && u <= side_ && v <= side_)) return;
     // A margin of one cell on each side, so that all four corners exist.
-    const auto first = static_cast<std::size_t>(static_cast<int>(v) * stride_ + static_cast<int>(u));
+    const auto first =
+        static_cast<std::size_t>(static_cast<int>(v) * stride_ + static_cast<int>(u));
     const auto stride = static_cast<std::size_t>(stride_);
     for (const std::size_t at : {first, first + 1, first + stride, first + stride + 1}) {
       Counter& counter = counters_[at];
@@ -143,10 +144,9 @@ std::vector<Level> levels_of(std::vector<Height> heights, double tolerance) {
     const Level level = commonest(heights, tolerance);
     if (level.objects < (levels.empty() ? 1 : kFewestObjects)) break;
     levels.push_back(level);
-    heights.erase(std::remove_if(heights.begin(), heights.end(),
-                                 [&](const Height& h) {
-                                   return std::fabs(h.z - level.z) <= 2.0 * tolerance;
-                                 }),
+    heights.erase(std::remove_if(
+                      heights.begin(), heights.end(),
+                      [&](const Height& h) { return std::fabs(h.z - level.z) <= 2.0 * tolerance; }),
                   heights.end());
   }
   return levels;

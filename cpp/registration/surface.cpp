@@ -90,9 +90,8 @@ void plane_offsets(const Surface& target, const Surface& source, const Rigid& T,
     const PointGrid::Point& s = source.grid()[i];
     const double p[3] = {s[0], s[1], s[2]};
     const auto moved = T.apply(p);
-    const Surface::Nearest nearest = target.nearest({static_cast<float>(moved[0]),
-                                                     static_cast<float>(moved[1]),
-                                                     static_cast<float>(moved[2])});
+    const Surface::Nearest nearest = target.nearest(
+        {static_cast<float>(moved[0]), static_cast<float>(moved[1]), static_cast<float>(moved[2])});
     const Surface::Normal own = source.normal(i);
     for (std::size_t a = 0; a < 3; ++a) {
       normals[3 * i + a] = T.R[3 * a] * own[0] + T.R[3 * a + 1] * own[1] + T.R[3 * a + 2] * own[2];

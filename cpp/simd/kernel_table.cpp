@@ -15,8 +15,8 @@ namespace segloc {
 namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
-const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,    kBlock,      kPanel,       &fps,
-                        &neighbors,      &xconv,    &dense,      &conv,        &knn_scan,
+const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,    kBlock,      kPanel,        &fps,
+                        &neighbors,      &xconv,    &dense,      &conv,         &knn_scan,
                         &near_pose,      kTraining, &vote_cells, &full_windows, &add_slices};
 
 }  // namespace SEGLOC_ISA

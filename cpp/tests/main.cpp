@@ -8,6 +8,7 @@ void io_tests();
 void local_cloud_tests();
 void matching_tests();
 void network_tests();
+void occupancy_tests();
 void pose_tests();
 void registration_tests();
 void segmentation_tests();
@@ -21,12 +22,13 @@ int main() {
   local_cloud_tests();
   matching_tests();
   network_tests();
+  occupancy_tests();
   pose_tests();
   registration_tests();
   segmentation_tests();
   training_tests();
   verification_tests();
   callers_tests();
-  std::puts("kernel tests: 12 passed, 0 failed");
+  std::puts("kernel tests: 13 passed, 0 failed");
   return 0;
 }

@@ -2,6 +2,7 @@
 #include <cstdint>
 
 #include "tests/check.h"
+#include "verification/correlation.h"
 #include "verification/point_index.h"
 #include "verification/visibility.h"
 
@@ -36,10 +37,34 @@ void visibility() {
   }
 }
 
+void correlation() {
+  const double here[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+  const double shifted[16] = {1, 0, 0, 2, 0, 1, 0, -1, 0, 0, 1, 0, 0, 0, 0, 1};
+  for (const std::size_t n : kSizes) {
+    const auto points = random_floats(3 * n, -20.0f, 4.0f, 3);
+    const PointIndex index(points.data(), n, 0.5);
+    for (const double half_width : {0.0, 1.0, 3.0, 40.0}) {
+      CorrelationOptions options;
+      options.half_width = half_width;
+      const Correlation found = correlate(index, points.data(), n, here, {0.0, 1.0}, options);
+      CHECK(found.counts.size() == 2 * found.width * found.width && found.used.size() == 2);
+      const std::size_t middle = found.width / 2 * (found.width + 1);
+      CHECK(found.counts[middle] == 4 * found.used[0]);  // every cell lies on itself
+      for (const std::uint16_t count : found.counts) CHECK(count <= 4 * found.used[0]);
+    }
+    if (n < 200) continue;
+    const Correlation off = correlate(index, points.data(), n, shifted, {0.0}, {});
+    const auto best = std::max_element(off.counts.begin(), off.counts.end()) - off.counts.begin();
+    const auto width = static_cast<std::ptrdiff_t>(off.width);
+    CHECK(best % width == width / 2 - 4 && best / width == width / 2 + 2);
+  }
+}
+
 }  // namespace
 }  // namespace segloc
 
 void verification_tests() {
   segloc::point_index();
   segloc::visibility();
+  segloc::correlation();
 }
