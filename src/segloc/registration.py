@@ -11,6 +11,7 @@ from . import _native, geometry
 from .types import Float32, Float64, Pose
 
 MIN_POINTS = 20
+_ROUGHLY = {"max_iterations": 10, "max_final": 0}
 COVARIANCE_SCALE = 20.0
 """Neighbouring correspondences err together, so the curvature of the cost alone claims far too
 much. With this factor the normalised squared error is about 1 on simulated towns."""
@@ -133,7 +134,7 @@ class Aligner:
             source,
             np.ascontiguousarray(T_target_source),
             threads=self._threads,
-            **({"max_final": 0} if roughly else {}),
+            **(_ROUGHLY if roughly else {}),
         )
         degrees = 3 * inliers - 6
         if min(inliers, len(target)) < MIN_POINTS or not np.isfinite(np.append(T, H)).all():

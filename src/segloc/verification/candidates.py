@@ -101,10 +101,11 @@ class CandidateScores:
         return chosen if fits in chosen else [*chosen, fits]
 
     def elsewhere(self, T_map_local: Pose) -> list[int]:
-        """Candidates at other places, first those where the clouds roughly fit best."""
+        """Candidates at other places: that of most segments, then those where clouds fit best."""
         apart = self._separation.apart
         others = [j for j, c in enumerate(self.ranked) if apart(c.T_map_local, T_map_local)]
-        return sorted(others, key=lambda j: -self.ranked[j].overlap)
+        most = max(others, key=lambda j: self.ranked[j].inliers, default=None)
+        return sorted(others, key=lambda j: (j != most, -self.ranked[j].overlap))
 
     def evidence(self, score: Score, rivals: Sequence[Score], chance_inliers: int) -> Evidence:
         """A score compared with those at other places; all candidates there count as rivals, too.
