@@ -372,7 +372,7 @@ def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
         "import signal, sys; from segloc import cli, localizer\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def stop(*_): signal.raise_signal(signal.SIGINT)\n"
-        "localizer.Localizer.localize = stop\n"
+        "localizer.Localizer.locate = stop\n"
         "cli.main()"
     )
     done = subprocess.run(
