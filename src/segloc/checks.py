@@ -34,6 +34,13 @@ def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> ND
         raise InvalidScan(f"{name} must be an array of numbers") from error
 
 
+def _number(value: float, name: str, unit: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"{name} must be a number of {unit}, not {value!r:.60}") from error
+
+
 def checked_points(points: ArrayLike, name: str = "points") -> Float32:
     """The x, y, z of ``points`` as (N, 3) float32, C-contiguous; values may be infinite or NaN.
 
@@ -89,10 +96,7 @@ def edge_if_given(edge: float | None, name: str) -> float | None:
     """
     if edge is None:
         return None
-    try:
-        value = float(edge)
-    except (TypeError, ValueError) as error:
-        raise InvalidScan(f"{name} must be a number of metres, not {edge!r:.60}") from error
+    value = _number(edge, name, "metres")
     if not 0 < value < np.inf:
         raise InvalidScan(f"{name} must be positive, not {value}")
     return value
@@ -177,10 +181,7 @@ def checked_angle(degrees: float, name: str) -> float:
     InvalidScan
         If it is none.
     """
-    try:
-        value = float(degrees)
-    except (TypeError, ValueError) as error:
-        raise InvalidScan(f"{name} must be a number of degrees, not {degrees!r:.60}") from error
+    value = _number(degrees, name, "degrees")
     if not 0 <= value <= 180:
         raise InvalidScan(f"{name} must be from 0 to 180, not {value}")
     return value
@@ -196,10 +197,7 @@ def checked_stamp(stamp: float | None) -> float | None:
     """
     if stamp is None:
         return None
-    try:
-        value = float(stamp)
-    except (TypeError, ValueError) as error:
-        raise InvalidScan(f"stamp must be a number of seconds, not {stamp!r}") from error
+    value = _number(stamp, "stamp", "seconds")
     if not np.isfinite(value):
         raise InvalidScan(f"stamp must be finite, not {value}")
     return value

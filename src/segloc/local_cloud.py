@@ -103,12 +103,12 @@ class Accumulator:
         anchor = scans[reference]
         if len(scans) == 1 and anchor.T_odom_sensor is None:
             return self._alone(anchor)
-        T_local_odom = geometry.inverse(geometry.levelled(_pose(anchor)))
+        T_local_odom = geometry.inverse(geometry.levelled(odometry_pose(anchor)))
         clouds = [
-            self._crop(geometry.transform(T_local_odom @ _pose(scan), scan.points))
+            self._crop(geometry.transform(T_local_odom @ odometry_pose(scan), scan.points))
             for scan in scans
         ]
-        T_local_sensor = T_local_odom @ _pose(anchor)
+        T_local_sensor = T_local_odom @ odometry_pose(anchor)
         return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
 
     def _alone(self, scan: Scan) -> LocalCloud:
@@ -163,7 +163,14 @@ def _listed(scans: Scans) -> Sequence[Scan]:
     return scans
 
 
-def _pose(scan: Scan) -> Pose:
+def odometry_pose(scan: Scan) -> Pose:
+    """The pose by which a scan is accumulated.
+
+    Raises
+    ------
+    InvalidScan
+        If it has none.
+    """
     if scan.T_odom_sensor is None:
         raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
     return scan.T_odom_sensor

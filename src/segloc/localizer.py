@@ -38,6 +38,8 @@ class Localizer:
     notes : tuple of str
         In what the configuration differs from the one that the map was built with, and from the
         one that the confidence was fitted under.
+    clock : callable
+        As given.
 
     Raises
     ------
@@ -67,7 +69,7 @@ class Localizer:
             )
         config, self.notes = query_config(prior_map, config)
         threads = config.threads
-        self.prior_map, self.config, self._clock = prior_map, config, clock
+        self.prior_map, self.config, self.clock = prior_map, config, clock
         self.accumulator = Accumulator(config.local_cloud)
         self.segmenter = Segmenter(config.segmentation)
         self.descriptor = create(prior_map.descriptor, threads, config.weights)
@@ -95,7 +97,7 @@ class Localizer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
-        return _restored, (self.prior_map, self.config, self._clock)
+        return _restored, (self.prior_map, self.config, self.clock)
 
     def localize(
         self, scans: Scans | LocalCloud, *, deadline_ms: float | None = None
@@ -117,12 +119,12 @@ class Localizer:
             If several scans are given without poses, or something else. Never raised for "not
             found".
         """
-        times = StageTimes(self._clock)
+        times = StageTimes(self.clock)
         return self.locate(self.describe(scans, times), times, deadline_ms)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Scans -> local cloud -> segments -> descriptors."""
-        times = times or StageTimes(self._clock)
+        times = times or StageTimes(self.clock)
         with times("gathering"):
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
         with times("segmentation"):
@@ -137,7 +139,7 @@ class Localizer:
         self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
     ) -> Localization:
         """The second half of :meth:`localize`."""
-        times = times or StageTimes(self._clock)
+        times = times or StageTimes(self.clock)
         found = self.search(query, times, deadline_ms)
         counts = {
             "scans": query.cloud.num_scans,
@@ -158,7 +160,7 @@ class Localizer:
         of the verdicts counts. Where segments still say little, for or against one, stems do, if
         there are any; and where those do not settle it, the clouds are compared all over the map.
         """
-        times = times or StageTimes(self._clock)
+        times = times or StageTimes(self.clock)
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
         neighbours = self.matcher.neighbours(query.descriptors)
         cloud = self.verifier.query(query.scene)

@@ -11,7 +11,7 @@ import numpy as np
 
 from . import _native, geometry
 from .errors import ConfigError, InvalidScan
-from .local_cloud import Accumulator, LocalCloudConfig
+from .local_cloud import Accumulator, LocalCloudConfig, odometry_pose
 from .stage_times import StageTimes
 from .types import Float64, LocalCloud, Pose, Scan
 
@@ -200,6 +200,4 @@ class RecordedWindows:
 
     def _posed(self, i: int) -> tuple[Scan, Pose]:
         scan = self._read(i)
-        if scan.T_odom_sensor is None:
-            raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
-        return scan, scan.T_odom_sensor
+        return scan, odometry_pose(scan)

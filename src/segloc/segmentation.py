@@ -87,6 +87,13 @@ class SegmentationConfig(Section):
     )
 
 
+def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32:
+    """The height of each of (N, 3) points above the ground below it, (N,), metres."""
+    return _native.heights_above_ground(
+        points, config.ground_cell, config.ground_slope, config.ground_step
+    )
+
+
 @dataclass(frozen=True)
 class Segmentation:
     """What one local cloud was divided into.
@@ -127,9 +134,7 @@ class Segmenter:
         points = cloud.points
         if cloud.voxel_size != cluster.voxel_size:
             points = _native.voxel_grid(points, cluster.voxel_size)
-        heights = _native.heights_above_ground(
-            points, config.ground_cell, config.ground_slope, config.ground_step
-        )
+        heights = heights_above_ground(points, config)
         structure = heights > config.structure_height
         cluster = cluster.widened(points[structure])
         parts = [self._clusters(points, heights, cut, cluster) for cut in cluster.height_cuts]

@@ -59,7 +59,7 @@ def localize_sequence(
         If a scan cannot be read. A scan that is empty or shows nothing is "not localized".
     """
     results = []
-    for cloud, times in query_clouds(sequence, positions, localizer.config):
+    for cloud, times in query_clouds(sequence, positions, localizer.config, localizer.clock):
         results.append(localizer.locate(localizer.describe(cloud, times), times))
         if progress:
             progress(len(results), len(positions))

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import _native, geometry
 from ..local_cloud import Accumulator, LocalCloudConfig, Scans
-from ..segmentation import SegmentationConfig
+from ..segmentation import SegmentationConfig, heights_above_ground
 from ..types import Float32, Float64, Int64, LocalCloud
 from .config import StemConfig
 from .landmarks import Landmarks
@@ -69,10 +69,7 @@ class StemFinder:
         spacing : float
             Of the voxels that the cloud was thinned to, metres.
         """
-        ground = self._segmentation
-        heights = _native.heights_above_ground(
-            points, ground.ground_cell, ground.ground_slope, ground.ground_step
-        )
+        heights = heights_above_ground(points, self._segmentation)
         # Neighbours in a grid are up to half as far again apart as its voxels are wide.
         tolerance = max(self._config.tolerance, 1.4 * spacing)
         things = upright(points, heights, tolerance, self._config)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .. import _native
-from ..segmentation import SegmentationConfig
+from ..segmentation import SegmentationConfig, heights_above_ground
 from ..types import Float32, Float64, Int64
 
 _GROUND_M = 4.0  # edge of the cells in which the map's ground is kept
@@ -33,7 +32,7 @@ class Ground:
     """
 
     def __init__(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
-        ground = cloud[:, 2] - heights_of(cloud, segmentation)
+        ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
         cells = cells_of(cloud[:, :2], _GROUND_M)
         keys = cells[:, 0] * (1 << 32) + cells[:, 1]
         _, first, which = np.unique(keys, return_index=True, return_inverse=True)
@@ -70,13 +69,6 @@ def believed(
     """The ground where it is near the floor, and the floor elsewhere."""
     near = np.abs(ground - floor) < _FLOOR_M + _FLOOR_SLOPE * distance
     return np.where(near, ground, floor)
-
-
-def heights_of(points: Float32, config: SegmentationConfig) -> Float32:
-    """Heights above ground of (N, 3) points, as segmentation sees it."""
-    return _native.heights_above_ground(
-        points, config.ground_cell, config.ground_slope, config.ground_step
-    )
 
 
 def nearest_of(

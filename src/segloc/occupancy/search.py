@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native, geometry
-from ..segmentation import Segmentation, SegmentationConfig
+from ..segmentation import Segmentation, SegmentationConfig, heights_above_ground
 from ..types import Candidate, Float32, Float64, Int64
 from .config import OccupancyConfig
-from .ground import Ground, believed, cells_of, heights_of, nearest_of
+from .ground import Ground, believed, cells_of, nearest_of
 from .storeys import storeys
 
 HEIGHTS_M = (0.4, 0.8, 1.3, 1.9, 2.6, 3.5, 5.0, 8.0)
@@ -169,7 +169,7 @@ def _view(scene: Segmentation, config: OccupancyConfig, segmentation: Segmentati
     around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
     floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
     below = float(np.median(floor)) if len(floor) else 0.0
-    ground = surface[:, 2] - heights_of(surface, segmentation)
+    ground = surface[:, 2] - heights_above_ground(surface, segmentation)
     if len(floor):
         ground = believed(ground, np.full(len(surface), below), distance)
     heights = surface[:, 2] - ground

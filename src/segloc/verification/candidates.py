@@ -64,13 +64,14 @@ class CandidateScores:
         """The overlap at a refined pose as it is measured of candidates that are not."""
         return self._map.ranked([Candidate(score.T_map_local, 0)], self._query)[0].overlap
 
-    def narrowing(self, best: RefinedScore) -> Callable[[Score], Score]:
-        """What makes coarse scores comparable with a refined one.
+    @staticmethod
+    def narrowing(best: RefinedScore, rough: float) -> Callable[[Score], Score]:
+        """What makes coarse scores comparable with a refined one, whose rough overlap is given.
 
         Within the narrower neighbourhood of refined ones less overlaps: at the best pose, and so
         at its rivals.
         """
-        share = min(1.0, best.overlap / max(self.rough_overlap(best), 1e-9))
+        share = min(1.0, best.overlap / max(rough, 1e-9))
 
         def narrowed(score: Score) -> Score:
             coarse = isinstance(score, CoarseScore)

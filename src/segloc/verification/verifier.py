@@ -115,13 +115,14 @@ class Verifier:
             return evidence
         start, nearby = scores.around(k)
         score, near = self._best_around(scores, scores.refined(k, start), nearby)
-        narrowed = scores.narrowing(score)
+        rough = scores.rough_overlap(score)
+        narrowed = scores.narrowing(score, rough)
         rivals = [narrowed(rival) for rival in (*near, *rivals)]
         evidence = scores.evidence(score, rivals, chance)
         if self._is_below(UNLIKELY, evidence):
             return evidence
         if not self._is_certain(evidence):
-            least = config.refined_from * scores.rough_overlap(score)
+            least = config.refined_from * rough
             strong = [j for j in others if scores.ranked[j].overlap >= least]
             weak = [scores.coarse(j) for j in others if j not in strong]
             rivals = [narrowed(rival) for rival in (*near, *map(scores.refined, strong), *weak)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from segloc import _native
 from segloc.local_cloud import Accumulator
-from segloc.segmentation import SegmentationConfig
+from segloc.segmentation import SegmentationConfig, heights_above_ground
 from segloc.types import Float32
 
 from ..kitti00 import keyframes
@@ -29,9 +29,7 @@ def real_cloud(folder: Path) -> Float32:
     cloud = Accumulator().gather([sequence.scan(i) for i in range(len(sequence))])
     config = SegmentationConfig()
     points = _native.voxel_grid(cloud.points, config.accumulated.voxel_size)
-    heights = _native.heights_above_ground(
-        points, config.ground_cell, config.ground_slope, config.ground_step
-    )
+    heights = heights_above_ground(points, config)
     return np.ascontiguousarray(points[heights > config.structure_height])
 
 

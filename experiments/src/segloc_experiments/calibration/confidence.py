@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_positions
 from segloc.datasets import Selection, Sequence
-from segloc.local_cloud import window
+from segloc.local_cloud import LocalCloudConfig, window
 from segloc.search import Query
 from segloc.simulation import (
     SCENES,
@@ -57,6 +57,7 @@ LENGTH_M = 110.0
 OPEN = {"min_inliers": 0, "min_confidence": 0.0}
 LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
+SCANS_IN_MEMORY = 64
 Row = tuple[float, ...]
 
 
@@ -126,6 +127,17 @@ Place = tuple[Localizer, bool, float]
 """Where queries are localized, whether they were taken there, and metres between them."""
 
 
+def views(
+    drive: Sequence, every_m: float, local: LocalCloudConfig
+) -> Iterator[tuple[int, list[Scan], Scan]]:
+    """Queries along a drive: the scan's position, those behind it and itself, and it alone."""
+    poses, scan = drive.poses, lru_cache(SCANS_IN_MEMORY)(drive.scan)  # windows overlap
+    assert poses is not None
+    for i in query_positions(poses, every_m, local.max_gap_m):
+        behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
+        yield int(i), [scan(k) for k in behind], scan(i)
+
+
 def candidates(places: list[Place], drive: Sequence) -> list[Row]:
     """Rows (features, inliers, equal, right) of queries along a drive, in several maps."""
     local = places[0][0].config.local_cloud
@@ -133,11 +145,9 @@ def candidates(places: list[Place], drive: Sequence) -> list[Row]:
     assert poses is not None
     spacing = min(every_m for _, _, every_m in places)
     rows: list[Row] = []
-    for n, i in enumerate(query_positions(poses, spacing, local.max_gap_m)):
-        behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
-        scan = drive.scan(i)
+    for n, (i, accumulated, scan) in enumerate(views(drive, spacing, local)):
         single = thinned(scan, n) if n % 2 else Scan(scan.points)
-        for scans in ([drive.scan(k) for k in behind], single):
+        for scans in (accumulated, single):
             query = places[0][0].describe(scans)
             for localizer, known, every_m in places:
                 if n % round(every_m / spacing) == 0:

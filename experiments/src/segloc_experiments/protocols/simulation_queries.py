@@ -29,7 +29,7 @@ from ..intervals import wilson
 from ..recordings import kept
 from ..script import head, parser, row
 from ..stages import processor_clock
-from .simulation_scenarios import Scenario, query_clouds, scenarios, tilt_deg
+from .simulation_scenarios import Scenario, scenarios, tilt_deg, within_a_second
 
 METRES, DEGREES, HEIGHT_M = 3.0, 5.0, 1.5
 ATTITUDE_DEG = 3.0
@@ -55,7 +55,7 @@ def cloud_of(drive: SimulatedSequence, work: Path) -> list[Scan]:
     scans = [cast.scan(i) for i in range(len(drive))]
     if len(scans) == 1:
         return [Scan(scans[0].points)]
-    poses = query_clouds(drive).poses
+    poses = within_a_second(drive).poses
     return [Scan(s.points, T_odom_sensor=T) for s, T in zip(scans, poses, strict=True)]
 
 

@@ -147,7 +147,7 @@ def storey_of(world: World, T_world_sensor: np.ndarray) -> int:
     return int(np.searchsorted(floors, T_world_sensor[2, 3], side="right")) - 1
 
 
-def query_clouds(drive: SimulatedSequence, noisy: bool = True) -> SimulatedSequence:
+def within_a_second(drive: SimulatedSequence, noisy: bool = True) -> SimulatedSequence:
     """The scans with poses as odometry has them within a second."""
     return drive.with_odometry() if noisy and len(drive) > 1 else drive
 

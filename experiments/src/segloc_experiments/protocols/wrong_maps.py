@@ -24,12 +24,10 @@ from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap, build_map
 from segloc.batch.negative_maps import mirrored
-from segloc.batch.run import query_positions
 from segloc.datasets import Sequence
-from segloc.local_cloud import window
 from segloc.search import Query
 
-from ..calibration.confidence import KINDS, SimulatedWorld, thinned, worlds
+from ..calibration.confidence import KINDS, SimulatedWorld, thinned, views, worlds
 from ..intervals import wilson
 from ..script import head, parser, row
 
@@ -38,15 +36,12 @@ Kinds = dict[str, list[Query]]
 
 def queries(localizer: Localizer, drive: Sequence, every_m: float) -> Kinds:
     """The queries along a drive, by what they are made of."""
-    local, poses = localizer.config.local_cloud, drive.poses
-    assert poses is not None
     found: Kinds = {"accumulated": [], "single": [], "thinned": []}
-    for n, i in enumerate(query_positions(poses, every_m, local.max_gap_m)):
-        behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
-        scan = thinned(drive.scan(i), n)  # without its pose, too
-        found["accumulated"].append(localizer.describe([drive.scan(k) for k in behind]))
-        found["single"].append(localizer.describe(drive.scan(i).points))
-        found["thinned"].append(localizer.describe(scan))
+    along = views(drive, every_m, localizer.config.local_cloud)
+    for n, (_, accumulated, scan) in enumerate(along):
+        found["accumulated"].append(localizer.describe(accumulated))
+        found["single"].append(localizer.describe(scan.points))
+        found["thinned"].append(localizer.describe(thinned(scan, n)))  # without its pose, too
     return found
 
 
