@@ -15,8 +15,6 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kSameStart = 0.75 * kPi / 180.0;
-constexpr double kShare = 0.4;  // of the most votes: cells with fewer votes are not searched,
-constexpr std::size_t kFewestCells = 64;  // except for the best so many
 
 double longest_edge(const double* query, std::size_t q) {
   double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
@@ -64,11 +62,8 @@ std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const 
       make_match_table({query, q, map, mq, mm, matches}, origin, o.distinct_radius, cell);
 
   const Kernels& kernel_table = kernels(parse_isa("auto"));
-  PoseVotes votes = vote_for_poses(f, {o.inlier_tolerance, o.max_votes, o.max_cells}, threads);
-  while (votes.cells.size() > kFewestCells &&
-         votes.cells.back().votes < kShare * votes.cells.front().votes) {
-    votes.cells.pop_back();
-  }
+  const PoseVotes votes =
+      vote_for_poses(f, {o.inlier_tolerance, o.max_votes, o.max_cells, 0.4, 64}, threads);
   std::vector<std::vector<PoseStart>> found(votes.cells.size());
   parallel_for(found.size(), 4, threads, [&](std::size_t begin, std::size_t end, int) {
     for (std::size_t i = begin; i < end; ++i) {

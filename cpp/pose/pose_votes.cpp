@@ -88,18 +88,21 @@ Lattice make_lattice(const Voters& v, double width) {
   return lattice;
 }
 
-// How many votes a peak needs to be among the highest of all steps, as far as is known. Counts only
+// How many votes a peak needs to be among those that are returned, as far as is known. Counts only
 // what is surely returned or surpassed. So any thread may read it at any time, and what it keeps
 // out could never have been returned.
 class VoteThreshold {
  public:
-  explicit VoteThreshold(std::size_t most) : most_(most) {}
+  explicit VoteThreshold(const VoteOptions& o) : o_(o) {}
 
   std::uint32_t value() const {
     std::size_t higher = 0;
+    double best = 0.0;
     for (std::uint32_t votes = kMostCountedVotes; votes > kFewestVotes; --votes) {
       higher += tally_[votes].load(std::memory_order_relaxed);
-      if (higher >= most_) return votes;
+      if (higher > 0) best = std::max(best, double(votes));
+      if (higher >= o_.max_cells) return votes;
+      if (higher >= o_.fewest_cells && votes < o_.least_share * best) return votes;
     }
     return kFewestVotes;
   }
@@ -108,7 +111,7 @@ class VoteThreshold {
   }
 
  private:
-  std::size_t most_;
+  VoteOptions o_;
   std::array<std::atomic<std::size_t>, kMostCountedVotes + 1> tally_{};
 };
 
@@ -129,7 +132,7 @@ PoseVotes vote_for_poses(const MatchTable& f, const VoteOptions& o, int threads)
   const Lattice lattice = make_lattice(v, result.width);
 
   const Kernels& kernel_table = kernels(parse_isa("auto"));
-  VoteThreshold threshold(o.max_cells);
+  VoteThreshold threshold(o);
   std::vector<HoughAccumulator> accumulators(static_cast<std::size_t>(resolve_threads(threads)));
   std::vector<std::vector<PoseCell>> found(static_cast<std::size_t>(steps));
   parallel_for(found.size(), 1, threads, [&](std::size_t begin, std::size_t end, int worker) {
@@ -153,6 +156,10 @@ PoseVotes vote_for_poses(const MatchTable& f, const VoteOptions& o, int threads)
   std::stable_sort(result.cells.begin(), result.cells.end(),
                    [](const PoseCell& a, const PoseCell& b) { return a.votes > b.votes; });
   if (result.cells.size() > o.max_cells) result.cells.resize(o.max_cells);
+  while (result.cells.size() > o.fewest_cells &&
+         result.cells.back().votes < o.least_share * result.cells.front().votes) {
+    result.cells.pop_back();
+  }
   return result;
 }
 

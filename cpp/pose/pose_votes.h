@@ -18,7 +18,9 @@ struct PoseCell {
 struct VoteOptions {
   double tolerance = 0.6;         // how far a match may be from where its pose puts it, metres
   std::size_t max_votes = 32768;  // the best matches vote
-  std::size_t max_cells = 512;    // those with the most votes are returned
+  std::size_t max_cells = 512;    // those with the most votes are returned,
+  double least_share = 0.0;       // and of these only those with so many of the most votes,
+  std::size_t fewest_cells = 0;   // except for the best so many
 };
 
 struct PoseVotes {

@@ -84,15 +84,15 @@ Surface::Normal Surface::found(std::size_t i) const {
   return principal_axes(around.covariance()).least_axis;
 }
 
-void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, double* offsets,
-                   double* normals) {
-  for (std::size_t i = 0; i < source.size(); ++i) {
-    const PointGrid::Point& s = source.grid()[i];
+void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
+                   double* offsets, double* normals) {
+  for (std::size_t i = 0; i * step < source.size(); ++i) {
+    const PointGrid::Point& s = source.grid()[i * step];
     const double p[3] = {s[0], s[1], s[2]};
     const auto moved = T.apply(p);
     const Surface::Nearest nearest = target.nearest(
         {static_cast<float>(moved[0]), static_cast<float>(moved[1]), static_cast<float>(moved[2])});
-    const Surface::Normal own = source.normal(i);
+    const Surface::Normal own = source.normal(i * step);
     for (std::size_t a = 0; a < 3; ++a) {
       normals[3 * i + a] = T.R[3 * a] * own[0] + T.R[3 * a + 1] * own[1] + T.R[3 * a + 2] * own[2];
     }

@@ -46,10 +46,10 @@ class Surface {
   std::unique_ptr<std::atomic<std::uint64_t>[]> normals_;  // packed; 0: not yet found
 };
 
-// How far each of the n points of a source, taken through a transform, lies off the plane of the
-// target's nearest point: infinite where there is none, NaN where that has no normal. And the
-// source's own normals, (n, 3), turned into the target's frame; zero where there is none.
-void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, double* offsets,
-                   double* normals);
+// How far every `step`-th of the points of a source, taken through a transform, lies off the plane
+// of the target's nearest point: infinite where there is none, NaN where that has no normal. And
+// the source's own normals there, (n, 3), turned into the target's frame; zero where there is none.
+void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
+                   double* offsets, double* normals);
 
 }  // namespace segloc

@@ -36,14 +36,14 @@ void offsets_across_a_plane() {
     Rigid raised;
     raised.t = {0.0, 0.0, 0.25};
     std::vector<double> offsets(n), normals(3 * n);
-    plane_offsets(plane, plane, raised, offsets.data(), normals.data());
+    plane_offsets(plane, plane, raised, 1, offsets.data(), normals.data());
     for (std::size_t i = 0; i < n; ++i) {
       const double up = std::fabs(normals[3 * i + 2]);
       CHECK(up == 0.0 || std::fabs(up - 1.0) < 1e-4);
       CHECK(n < 4000 || std::fabs(offsets[i] - 0.25) < 1e-4);
     }
     raised.t = {0.0, 0.0, 50.0};
-    plane_offsets(plane, plane, raised, offsets.data(), normals.data());
+    plane_offsets(plane, plane, raised, 1, offsets.data(), normals.data());
     for (const double offset : offsets) CHECK(std::isinf(offset));
   }
 }

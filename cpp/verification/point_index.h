@@ -45,6 +45,7 @@ class PointIndex {
   struct Tile {
     std::int64_t y, x;
     std::vector<std::uint32_t> points;
+    std::vector<float> x_of, y_of;  // of those, to be read one after another
   };
 
   void fill_tiles();

@@ -14,6 +14,9 @@ from .stage_times import StageTimes
 from .types import Candidate
 from .verification import QueryCloud, Verifier
 
+THOROUGH_SEGMENTS = 100_000
+"""About 3 km: in larger maps the search of what stands where leaves more and more out."""
+
 
 class Fallback:
     """Compares the clouds all over the map, and judges what it finds among what was tried.
@@ -40,6 +43,11 @@ class Fallback:
             cloud, origin, prior_map.trajectory, config.occupancy, config.segmentation
         )
 
+    @property
+    def is_thorough(self) -> bool:
+        """Whether the clouds are compared all over the map, so that more matches hardly help."""
+        return self._config.occupancy.enabled and len(self._centroids) <= THOROUGH_SEGMENTS
+
     def search(
         self,
         query: Query,
@@ -48,41 +56,40 @@ class Fallback:
         times: StageTimes,
         deadline_ms: float | None = None,
     ) -> Search:
-        """Stems, where there are any; where those do not settle it, what stands where."""
-        settled = times.beyond(deadline_ms)
-        if self._config.stems.enabled and not settled:
-            tried, settled = self._by_stems(query, tried, cloud, times)
-        if not self._config.occupancy.enabled or settled or times.beyond(deadline_ms):
+        """Stems, where there are any; where those do not settle it, what stands where, too."""
+        if times.beyond(deadline_ms):
             return tried
-        return _better(tried, self.by_occupancy(query, tried, cloud, times))
+        found, proposed = self._by_stems(query, tried, cloud, times)
+        if found is not None or times.beyond(deadline_ms):
+            return found or tried
+        if self._config.occupancy.enabled:
+            with times("pose"):
+                proposed = [*proposed, *self.occupancy.candidates(query.scene)]
+        if not proposed:
+            return tried
+        return _better(tried, self.judged(query, proposed, tried, cloud, times))
 
     def _by_stems(
         self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
-    ) -> tuple[Search, bool]:
-        """The verdict by stems, and whether stems and clouds both settle on it."""
+    ) -> tuple[Search | None, list[Candidate]]:
+        """What stems and clouds both settle on, if they do; and where the stems may stand."""
+        if not self._config.stems.enabled:
+            return None, []
         with times("pose"):
             alone = query.cloud.num_scans == 1
             stems = self.stems.search(query.scene, seen_from_origin=alone)
-        if not stems.candidates:
-            return tried, False
-        found = self._judged(query, stems.candidates, tried, cloud, times)
+        if not stems.decided:
+            return None, stems.candidates
+        found = self.judged(query, stems.candidates, tried, cloud, times)
         best = found.verdict.best
-        settled = stems.decided and found.verdict.reason is None and best is not None
-        if settled and best is not None:
-            apart = self._config.pose.separation.apart
-            settled = not apart(best.T_map_local, stems.candidates[0].T_map_local)
-        # What comes next compares its own candidates with these.
-        return replace(_better(tried, found), candidates=found.candidates), settled
+        apart = self._config.pose.separation.apart
+        if found.verdict.reason is not None or best is None:
+            return None, stems.candidates
+        if apart(best.T_map_local, stems.candidates[0].T_map_local):
+            return None, stems.candidates
+        return _better(tried, found), stems.candidates
 
-    def by_occupancy(
-        self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
-    ) -> Search:
-        """The verdict by what stands where."""
-        with times("pose"):
-            candidates = self.occupancy.candidates(query.scene)
-        return self._judged(query, candidates, tried, cloud, times)
-
-    def _judged(
+    def judged(
         self,
         query: Query,
         proposed: list[Candidate],

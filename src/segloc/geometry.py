@@ -143,10 +143,15 @@ class Separation(Section):
 
     def apart(self, T_a: Pose, T_b: Pose) -> bool:
         """Whether two (4, 4) poses in one frame are at different places."""
-        delta = inverse(T_b) @ T_a
-        turned = abs(heading(delta)) > math.radians(self.degrees)
-        beside = np.linalg.norm(delta[:2, 3]) > self.metres
-        return bool(turned or beside or abs(delta[2, 3]) > self.height)
+        # T_a in frame b, without an array: many thousands of pairs are asked for in large maps.
+        (xx, yx, zx, _), _, _, (x, y, z, _) = T_a.T.tolist()
+        ax, ay, az, (bx, by, bz, _) = T_b.T.tolist()
+        forward = ax[0] * xx + ax[1] * yx + ax[2] * zx
+        left = ay[0] * xx + ay[1] * yx + ay[2] * zx
+        dx, dy, dz = x - bx, y - by, z - bz
+        along, across, up = (a[0] * dx + a[1] * dy + a[2] * dz for a in (ax, ay, az))
+        turned = abs(math.atan2(left, forward)) > math.radians(self.degrees)
+        return turned or math.hypot(along, across) > self.metres or abs(up) > self.height
 
 
 def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArray[np.float64]:

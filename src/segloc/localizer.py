@@ -94,6 +94,8 @@ class Localizer:
             threads=threads,
         )
         self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
+        schedule = self.matcher.schedule
+        self._efforts = schedule[:1] if self.fallback.is_thorough else schedule
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
@@ -156,16 +158,17 @@ class Localizer:
     ) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where too little speaks for any pose, it is tried again with more neighbours; the better
-        of the verdicts counts. Where segments still say little, for or against one, stems do, if
-        there are any; and where those do not settle it, the clouds are compared all over the map.
+        Where segments say little, for or against a pose, stems do, if there are any; and where
+        those do not settle it, the clouds are compared all over the map. In a map too large for
+        that, segments are first tried again with more neighbours; the better of the verdicts
+        counts.
         """
         times = times or StageTimes(self.clock)
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
         neighbours = self.matcher.neighbours(query.descriptors)
         cloud = self.verifier.query(query.scene)
         best: Search | None = None
-        for count in self.matcher.schedule:
+        for count in self._efforts:
             with times("matching"):
                 proposed = neighbours.matches(count)
             with times("pruning"):

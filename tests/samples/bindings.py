@@ -153,7 +153,7 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     yield "Surface", Call(lambda **a: _native.Surface(**a).normals(), surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
-    offsets = {"source": known, "T_target_source": eye}
+    offsets = {"source": known, "T_target_source": eye, "most": 100}
     # Infinite where nothing is near, by contract.
     yield "Surface.offsets", Call(lambda **a: known.offsets(**a)[1], offsets, frozenset({"source"}))
     yield "Surface.align", Call(known.align, align, frozenset({"source"}))

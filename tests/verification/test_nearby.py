@@ -15,7 +15,7 @@ from segloc.segmentation import Segmentation, Segmenter
 from segloc.types import Candidate, Float32, LocalCloud, Pose
 from segloc.verification import Verifier
 from segloc.verification.nearby import NearbyConfig, NearbySearch
-from segloc.verification.walls import worst_wall
+from segloc.verification.walls import SurfaceFit, surface_fit
 
 LAYERS, BELOW, BETWEEN = 8, 3.0, 0.3
 
@@ -86,7 +86,7 @@ def test_offsets_are_those_across_the_nearest_surface() -> None:
     source_points = np.float32(rng.uniform([-4, -4, -0.4], [4, 4, 0.4], (300, 3)))
     source = _native.Surface(source_points, 1.0, 0.8)
     T = geometry.yaw_transform(0.4, (0.3, 0.1, 0.05))
-    offsets, normals = target.offsets(source, T)
+    offsets, normals = target.offsets(source, T, 300)
     moved = geometry.transform(T, source_points)
     distance = cKDTree(np.concatenate([flat, wall])).query(moved)[0]
     far = np.isinf(offsets)
@@ -98,6 +98,8 @@ def test_offsets_are_those_across_the_nearest_surface() -> None:
     assert all(np.abs(found - value).min() < 0.02 for value in expected)
     length = np.linalg.norm(normals, axis=1)
     assert ((np.abs(length - 1.0) < 1e-5) | (length == 0.0)).all()
+    some, their_normals = target.offsets(source, T, 150)  # every other one
+    assert (some == offsets[::2]).all() and (their_normals == normals[::2]).all()
 
 
 def hall(first: int = -6, last: int = 6, marked: bool = True) -> Float32:
@@ -163,7 +165,22 @@ def test_a_wall_that_is_off_counts_in_its_own_direction() -> None:
     across = rng.uniform([-8, -3, 0], [-7.98, 3, 4], (1500, 3))
     room = np.concatenate([long, across]).astype(np.float32)
     surface = _native.Surface(room, 1.5, 0.8)
-    fits = worst_wall(surface, surface, np.eye(4), 0.15)
-    along = worst_wall(surface, surface, geometry.yaw_transform(0.0, (0.6, 0.0, 0.0)), 0.15)
+    fits = surface_fit(surface, surface, np.eye(4), 0.15).walls
+    shifted = geometry.yaw_transform(0.0, (0.6, 0.0, 0.0))
+    along = surface_fit(surface, surface, shifted, 0.15).walls
     assert fits is not None and fits > 0.95 and along is not None and along < 0.2
-    assert worst_wall(surface, _native.Surface(room[:20], 1.5, 0.8), np.eye(4), 0.15) is None
+    few = _native.Surface(room[:20], 1.5, 0.8)
+    assert surface_fit(surface, few, np.eye(4), 0.15) == SurfaceFit()
+
+
+def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
+    x, y = np.random.default_rng(5).uniform(-20, 20, (2, 20_000))
+    waves = np.column_stack([x, y, 0.4 * np.sin(x / 3) + 0.4 * np.cos(y / 4)]).astype(np.float32)
+    hills = _native.Surface(waves, 1.5, 0.8)
+    half = _native.Surface(waves[x < 0], 1.5, 0.8)  # the rest lies beyond the map's end
+    shifted = geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))
+    for target, T, low, high in ((hills, np.eye(4), 0.99, 1), (half, np.eye(4), 0.95, 1)):
+        ground = surface_fit(target, hills, T, 0.15).ground
+        assert ground is not None and low <= ground <= high
+    wrong = surface_fit(hills, hills, shifted, 0.15).ground
+    assert wrong is not None and wrong < 0.4

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise, product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,10 +23,13 @@ from segloc.config import differences
 from segloc.errors import WeightsError
 from segloc.localization import Reason
 from segloc.matching import MatchingConfig
+from segloc.occupancy import OccupancyConfig
 from segloc.types import Descriptors, Float32, Float64, Int64, Pose
 from segloc.verification import Evidence, Score, VerificationConfig, shipped_confidence
 from segloc.verification.confidence import load_confidence
 from segloc.verification.decision import decide
+from segloc.verification.evidence import RefinedScore
+from segloc.verification.walls import SurfaceFit
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -146,7 +150,7 @@ MODEL = shipped_confidence()
 def score(inliers: int, overlap: float, seen: float | None) -> Score:
     judged = 0 if seen is None else 2000
     confirmed = round(judged * (seen or 0.0))
-    return Score(np.eye(4), inliers, overlap, confirmed, judged, rmse=0.1, walls=None)
+    return Score(np.eye(4), inliers, overlap, confirmed, judged, rmse=0.1)
 
 
 def evidence(
@@ -182,7 +186,11 @@ def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
     # Overlap stands in for what is seen, and for walls that are not there.
     unseen, same = evidence(15, 0.85, None, 3.0), evidence(15, 0.85, 0.85, 3.0)
     assert MODEL.probability(unseen) == pytest.approx(MODEL.probability(same))
-    walled = replace(unseen, score=replace(unseen.score, walls=0.85))
+    values = {field.name: getattr(unseen.score, field.name) for field in fields(unseen.score)}
+    walls = RefinedScore(
+        **values, covariance=None, details=SimpleNamespace(fit=SurfaceFit(0.85), sectors=())
+    )
+    walled = replace(unseen, score=walls)
     assert MODEL.probability(walled) == pytest.approx(MODEL.probability(unseen))
 
 
@@ -299,8 +307,9 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
     for escalation in (1, 80):
         matching = MatchingConfig(neighbours=1, escalation=escalation)
         gates = VerificationConfig(min_inliers=3)
+        clouds = OccupancyConfig(enabled=False)
         config = Config.preset("geo").model_copy(
-            update={"matching": matching, "verification": gates}
+            update={"matching": matching, "verification": gates, "occupancy": clouds}
         )
         answers.append(Localizer(prior_map, config).localize(scan))
     lost, found = answers

@@ -20,8 +20,9 @@ EFFORTS = (
     Effort(),
     Effort(neighbours=7, alike=4, most_landmarks=48, most_matches=1500, most_candidates=16),
 )
-RANGE_M = 40.0
-"""Stems of a query that are farther away are left out: few points show them."""
+RANGE_M, MOST_STEMS = 40.0, 96
+"""Stems of a query that are farther away are left out, since few points show them; and so are the
+farthest where there are more."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,11 @@ class StemSearch:
         seen_from_origin : bool
             Whether it is of a single scan.
         """
-        stems = self._finder.find(scene.surface, seen_from_origin=seen_from_origin)
+        near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < RANGE_M
+        stems = self._finder.find(scene.surface[near], seen_from_origin=seen_from_origin)
         columns = stems.moved(np.eye(4))
-        columns = columns[np.hypot(columns[:, 0], columns[:, 1]) < RANGE_M]
+        nearest = np.argsort(np.hypot(columns[:, 0], columns[:, 1]), kind="stable")
+        columns = columns[np.sort(nearest[:MOST_STEMS])]
         if len(columns) < self.config.fewest:
             return StemPoses([])
         if self._localizer is None:  # threads that ask at once make the same

@@ -164,7 +164,8 @@ class _OccupancyMap:
 
 
 def _view(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> _View:
-    surface = _native.voxel_grid(scene.surface, config.cell)
+    near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < config.range_m
+    surface = _native.voxel_grid(scene.surface[near], config.cell)
     distance = np.hypot(surface[:, 0], surface[:, 1])
     around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
     floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]

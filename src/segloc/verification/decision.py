@@ -23,6 +23,9 @@ share of those for it. One thing that has moved speaks in one direction. Set by 
 SUPPORTED_FIT = 0.7
 """However many segments agree with a rival, it is no equal where the clouds fit so much worse. Set
 by hand."""
+GROUND_FITS = 0.4
+"""With less of the ground on that of the map a pose is wrong; at right ones of real recordings at
+least half of it is. Set by hand."""
 
 
 def decide(
@@ -39,6 +42,9 @@ def decide(
     best, p = evidence.score, model.probability(evidence)
     if rival := equal_rival(evidence, model, config):
         reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
+    elif (share := ground_fit(best)) < GROUND_FITS:
+        reason = Reason.TOO_UNCERTAIN
+        message = f"the ground rises and falls otherwise there: {share:.0%} of it fits"
     elif p < config.min_confidence:
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, config.min_confidence)}: {compared(evidence)}"
@@ -102,11 +108,19 @@ def is_outdone(rival: Score, best: Score) -> bool:
     if not (isinstance(rival, RefinedScore) and isinstance(best, RefinedScore)):
         return False
     pairs = [
-        p for p in zip(best.sectors, rival.sectors, strict=False) if not any(map(math.isnan, p))
+        p
+        for p in zip(best.details.sectors, rival.details.sectors, strict=True)
+        if not any(map(math.isnan, p))
     ]
     against = sum(_speaks_against(b, a) for a, b in pairs)
     for_it = sum(_speaks_against(a, b) for a, b in pairs)
     return bool(pairs) and against >= OUTDONE * len(pairs) and for_it <= AGAINST * against
+
+
+def ground_fit(score: Score) -> float:
+    """The share of the ground that fits, where it is known."""
+    ground = score.details.fit.ground if isinstance(score, RefinedScore) else None
+    return 1.0 if ground is None else ground
 
 
 def _speaks_against(overlap: float, other: float) -> bool:

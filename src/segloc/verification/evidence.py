@@ -9,10 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from ..localization import Reason
 from ..types import Candidate, Float64, Pose
+from .walls import SurfaceFit
 
+SETTLED_INLIERS, SETTLED_EVIDENCE = 15, 15.0
+"""So many inliers, which say so much against those of the best different place, are no chance, and
+no part of a place that repeats itself: there, its other parts would have as many. Set by hand,
+beyond all wrong poses of the calibration."""
 DECISIVE_INLIERS = 3.0
 """Inliers that say less than this against those of the best different place may be chance: six
 against four are about as much. Set by hand."""
@@ -31,7 +37,8 @@ class RankedCandidate:
     rmse : float
         Root mean square distance of those pairs, metres.
     seen : float
-        Of a candidate of the clouds alone: the share of the map in view that the query sees, too.
+        Of a candidate of the clouds alone: the share of the map in view that the query sees, too;
+        1 where it cannot be among the first, and was not measured.
     """
 
     candidate: Candidate
@@ -73,9 +80,6 @@ class Score:
         judged; the others are free-space violations.
     rmse : float
         Root mean square distance of the pairs that overlap counts, metres.
-    walls : float or None
-        Share of the query's walls that lie on walls of the map, in [0, 1], among those that face
-        the direction in which it is least. None where no walls were compared.
     """
 
     T_map_local: Pose
@@ -84,7 +88,12 @@ class Score:
     confirmed: int
     judged: int
     rmse: float
-    walls: float | None
+
+    @property
+    def walls(self) -> float | None:
+        """Share of the query's walls that lie on walls of the map, in [0, 1], among those that face
+        the direction in which it is least; None where no walls were compared."""
+        return None
 
     @property
     def support(self) -> float:
@@ -112,6 +121,18 @@ class CoarseScore(Score):
     """A candidate where it stands, measured within the coarse radius."""
 
 
+class Details(Protocol):
+    """What is measured at a pose only if the verdict asks for it."""
+
+    @property
+    def fit(self) -> SurfaceFit:
+        """How well walls and ground fit."""
+
+    @property
+    def sectors(self) -> tuple[float, ...]:
+        """The overlap of each direction by itself; NaN where there is too little."""
+
+
 @dataclass(frozen=True)
 class RefinedScore(Score):
     """A candidate after ICP.
@@ -120,12 +141,15 @@ class RefinedScore(Score):
     ----------
     covariance : (6, 6) float64 or None
         Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
-    sectors : tuple of float
-        The overlap of each direction by itself; NaN where there is too little.
+    details : Details
     """
 
     covariance: Float64 | None
-    sectors: tuple[float, ...] = ()
+    details: Details
+
+    @property
+    def walls(self) -> float | None:
+        return self.details.fit.walls
 
 
 @dataclass(frozen=True)
@@ -151,6 +175,12 @@ class Evidence:
         """The logarithm of how much likelier so many inliers are where the best different place has
         as many as it has (Poisson, without the constant)."""
         return self.score.inliers * math.log(max(self.inlier_ratio, 0.1))
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the segments leave no doubt, so that the clouds only have to agree."""
+        many = self.score.inliers >= SETTLED_INLIERS
+        return many and self.inlier_evidence >= SETTLED_EVIDENCE
 
 
 @dataclass(frozen=True)

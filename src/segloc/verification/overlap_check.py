@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,20 +14,20 @@ from ..registration import Aligner, Registered, Target, thinned
 from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
+from .details import MeasuredDetails, by_sector
 from .evidence import CoarseScore, RankedCandidate, RefinedScore
 from .free_space_check import QueryView, judged
 from .nearby import NearbySearch, Surroundings
-from .walls import worst_wall
 
 _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
 """Map points that are judged while candidates are ranked; the overlap counts as so many of them."""
+_RANKED_FIRST = 4
+"""So many of the candidates are put in their exact order."""
 _STILL_M, _MOST_AGAIN = 1.0, 2
 """An alignment that moved farther may not have ended where it would: it is begun anew from there,
 at most so often."""
 _STOREY_SAMPLE = 200
 """Points of the query that other storeys are looked for with."""
-_SECTORS, _FEWEST = 12, 40
-"""Directions that are compared by themselves, and the points that each must have."""
 
 
 class QueryCloud:
@@ -35,8 +37,6 @@ class QueryCloud:
     ----------
     sample : (N, 3) float32
         What overlap is computed from.
-    sectors : list of (M, 3) float32
-        The same by direction about the sensor; nothing where it is too little.
     aligned : dict
         The alignments with the map so far, by where they set out from.
     """
@@ -44,10 +44,17 @@ class QueryCloud:
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
         self.aligned: dict[bytes, Registered | None] = {}
-        self.sectors = _sectors(self.sample)
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
+        self._sectors: list[Float32] | None = None
+
+    @property
+    def sectors(self) -> list[Float32]:
+        """The sample by direction about the sensor, (M, 3) each; nothing where it is too little."""
+        if self._sectors is None:
+            self._sectors = by_sector(self.sample)
+        return self._sectors
 
     @property
     def view(self) -> QueryView:
@@ -108,26 +115,37 @@ class MapCloud:
             few, poses, self._config.coarse_radius, self._config.unmapped_overlap
         )
         ranked = [
-            RankedCandidate(c, float(o), float(r), self._seen(c, float(o), query))
+            RankedCandidate(c, float(o), float(r))
             for c, o, r in zip(candidates, overlap, rmse, strict=True)
         ]
-        return sorted(ranked, key=lambda each: each.support, reverse=True)
+        return self._ordered(ranked, query)
 
-    def _seen(self, candidate: Candidate, overlap: float, query: QueryCloud) -> float:
+    def _ordered(self, ranked: list[RankedCandidate], query: QueryCloud) -> list[RankedCandidate]:
+        """The best supported first. What is seen takes time, and lowers the support: it is measured
+        only of those that may be among the first."""
+        heap = [(-c.support, k, c.candidate.fit is None, c) for k, c in enumerate(ranked)]
+        heapq.heapify(heap)
+        first: list[RankedCandidate] = []
+        while heap and len(first) < _RANKED_FIRST:
+            _, k, known, best = heapq.heappop(heap)
+            if known:
+                first.append(best)
+            else:
+                best = replace(best, seen=self._seen(best, query))
+                heapq.heappush(heap, (-best.support, k, True, best))
+        return first + [rest for *_, rest in sorted(heap)]
+
+    def _seen(self, ranked: RankedCandidate, query: QueryCloud) -> float:
         """What ranks candidates of the clouds alone, of which many overlap where little stands."""
-        if candidate.fit is None:
-            return 1.0
-        config, T = self._config, self._relative(candidate.T_map_local)
+        config, T = self._config, self._relative(ranked.T_map_local)
         confirmed, all_judged = self._judged(query, T, config.coarse_radius, _RANKING_SAMPLE)
-        return (confirmed + _RANKING_PRIOR * overlap) / (all_judged + _RANKING_PRIOR)
+        return (confirmed + _RANKING_PRIOR * ranked.overlap) / (all_judged + _RANKING_PRIOR)
 
     def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
         """A candidate where it stands, with the share of the map that is roughly seen there."""
         config, T = self._config, self._relative(ranked.T_map_local)
         seen = self._judged(query, T, config.coarse_radius, config.coarse_visibility_sample)
-        return CoarseScore(
-            ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse, None
-        )
+        return CoarseScore(ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse)
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""
@@ -163,20 +181,14 @@ class MapCloud:
         """What is measured at T, or where it was aligned to."""
         config = self._config
         covariance: Float64 | None = None
-        walls: float | None = None
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
             T, covariance = found.T_target_source, found.covariance
             overlap, rmse = found.overlap, found.rmse
-            walls = worst_wall(self._target.surface, query.surface, T, config.wall_offset)
         seen = self._judged(query, T, config.seen_radius, config.visibility_sample)
-        T_map_local = self._absolute(T)
-        sectors = tuple(
-            self._target.overlap(part, T, config.overlap_radius)[0] if len(part) else np.nan
-            for part in query.sectors
-        )
-        return RefinedScore(T_map_local, inliers, overlap, *seen, rmse, walls, covariance, sectors)
+        details = MeasuredDetails(self._target, query, T, config, fits=found is not None)
+        return RefinedScore(self._absolute(T), inliers, overlap, *seen, rmse, covariance, details)
 
     def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
         range_m = self._config.visibility_range
@@ -221,11 +233,3 @@ class MapCloud:
 
     def _absolute(self, T: Pose) -> Pose:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
-
-
-def _sectors(points: Float32) -> list[Float32]:
-    """The points in each direction about the sensor; none where there are too few."""
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
-    which = np.floor((azimuth / (2.0 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
-    parts = [np.ascontiguousarray(points[which == k]) for k in range(_SECTORS)]
-    return [part if len(part) >= _FEWEST else part[:0] for part in parts]

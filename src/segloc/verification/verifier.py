@@ -104,8 +104,9 @@ class Verifier:
         Refining costs most. A hopeless candidate is not refined: ICP moves a pose by a metre or
         two and does not make a wrong place right. The rivals of an unlikely one are not refined,
         nor those of a certain one, unless one of them might become its equal: their coarse overlap
-        stands in for the refined one, with a slack for what ICP may add. Only what may be believed
-        is aligned with all of its points.
+        stands in for the refined one, with a slack for what ICP may add. Where segments settle it,
+        no rivals are looked for nearby. Only what may be believed is aligned with all of its
+        points.
         """
         config, chance = self.config, self.model.chance.inliers
         others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_rivals]
@@ -113,7 +114,7 @@ class Verifier:
         evidence = scores.evidence(scores.coarse(k), rivals, chance)
         if self._is_below(HOPELESS, evidence):
             return evidence
-        start, nearby = scores.around(k)
+        start, nearby = (None, []) if evidence.is_settled else scores.around(k)
         score, near = self._best_around(scores, scores.refined(k, start), nearby)
         rough = scores.rough_overlap(score)
         narrowed = scores.narrowing(score, rough)

@@ -161,7 +161,8 @@ def _judged(localizer: Localizer, query: Query, truth: Pose | None) -> list[Row]
     verdicts = [found.verdict]
     if found.by_segments:
         cloud, times = localizer.verifier.query(query.scene), StageTimes()
-        last = localizer.fallback.by_occupancy(query, found, cloud, times)
+        proposed = localizer.fallback.occupancy.candidates(query.scene)
+        last = localizer.fallback.judged(query, proposed, found, cloud, times)
         verdicts.append(last.verdict)
     return [_row(v.evidence, query, truth) for v in verdicts if v.evidence is not None]
 
