@@ -36,15 +36,11 @@ class MeasuredDetails:
     T : (4, 4) float64
         Takes the query to the frame of the map's cloud.
     config : VerificationConfig
-    fits : bool
-        Whether ICP held; surfaces are not compared where it did not.
     """
 
-    def __init__(
-        self, target: Target, query: Query, T: Pose, config: VerificationConfig, *, fits: bool
-    ) -> None:
+    def __init__(self, target: Target, query: Query, T: Pose, config: VerificationConfig) -> None:
         self._target, self._query, self._T, self._config = target, query, T, config
-        self._fit = None if fits else SurfaceFit()
+        self._fit: SurfaceFit | None = None
         self._sectors: tuple[float, ...] | None = None
 
     @property

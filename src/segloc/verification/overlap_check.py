@@ -187,7 +187,7 @@ class MapCloud:
             T, covariance = found.T_target_source, found.covariance
             overlap, rmse = found.overlap, found.rmse
         seen = self._judged(query, T, config.seen_radius, config.visibility_sample)
-        details = MeasuredDetails(self._target, query, T, config, fits=found is not None)
+        details = MeasuredDetails(self._target, query, T, config)
         return RefinedScore(self._absolute(T), inliers, overlap, *seen, rmse, covariance, details)
 
     def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
