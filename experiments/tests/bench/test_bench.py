@@ -7,11 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_experiments.bench import fps, geometric, harness, inputs, network, query, stream, suite
+from segloc_experiments.bench import (
+    comparing,
+    fps,
+    geometric,
+    harness,
+    inputs,
+    network,
+    query,
+    stream,
+    suite,
+)
 from segloc_experiments.padding import padded_with_copies
 from typer.testing import CliRunner
 
-from segloc import Config, ConfigError, _native, build_map
+from segloc import Config, ConfigError, SeglocError, _native, build_map
 from segloc.cli import app
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS
 
@@ -157,6 +167,28 @@ def test_pytorch_runs_in_its_own_forms():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("verbs")
+def test_what_became_slower_is_said_by_the_clock_and_by_rivals() -> None:
+    def day(ours: float, rival: float) -> list[harness.Row]:
+        return [harness.Row("knn", 1, ours, {"faiss": rival}), harness.Row("pose", 1, ours)]
+
+    for now, slower in (
+        (day(2.0, 4.0), [False, False]),  # as before
+        (day(4.0, 8.0), [False, True]),  # a slower machine, and nothing that tells
+        (day(4.0, 4.0), [True, True]),
+        (day(2.0, 1.0), [False, False]),  # faster rivals
+    ):
+        assert [c.is_slower for c in comparing.compared(day(2.0, 4.0), now)] == slower
+    assert comparing.compared([], day(1.0, 1.0)) == []
+
+
+@pytest.mark.parametrize("text", ["", "{}", '[{"name": "knn"}]', "\x00"])
+def test_other_files_are_not_compared(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "old.json"
+    file.write_text(text)
+    with pytest.raises(SeglocError, match="--json writes"):
+        comparing.read_json(file)
+
+
 def test_the_command_line_writes_every_figure(tmp_path: Path):
     file = tmp_path / "bench.json"
     options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]
@@ -171,3 +203,6 @@ def test_the_command_line_writes_every_figure(tmp_path: Path):
     assert rows[0]["bound_ms"] is None
     assert rows[1]["bound_ms"] > 0
     assert "SciPy" in result.stdout
+    options = ["--only", "knn", "--threads", "1", "--repeats", "1", "--compare", str(file)]
+    result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)
+    assert result.exit_code == 0 and "slower" in result.stdout and "against rivals" in result.stdout

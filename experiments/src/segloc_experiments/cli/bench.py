@@ -10,6 +10,7 @@ import typer
 from segloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from ..bench.comparing import Change
     from ..bench.harness import Row
 
 
@@ -24,6 +25,10 @@ def bench(
         str, typer.Option(metavar="N,...", help="Each benchmark runs once with each number.")
     ] = "1,2",
     repeats: Annotated[int, typer.Option(min=1, help="Runs of which the median is taken.")] = 9,
+    compare: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Print what became slower since it was written."),
+    ] = None,
 ) -> None:
     """Time the engine against other software, in turns, and against the processor's own limits.
 
@@ -34,9 +39,11 @@ def bench(
     from segloc.cli.console import busy, note
     from segloc.system import processor
 
+    from ..bench.comparing import compared, read_json
     from ..bench.rows import write_json
     from ..bench.suite import BENCHMARKS, run
 
+    before = None if compare is None else read_json(compare)
     rows: list[Row] = []
     measurements = run(_names(only, list(BENCHMARKS)), _numbers(threads), repeats)
     while True:
@@ -51,6 +58,8 @@ def bench(
         note(f"not installed, so not measured: {', '.join(skipped)}")
     if json is not None:
         write_json(json, rows)
+    if before is not None:
+        _show_changes(compared(before, rows))
 
 
 def _isa() -> str:
@@ -68,6 +77,17 @@ def _numbers(text: str) -> list[int]:
         return [int(part) for part in text.split(",")]
     except ValueError as error:
         raise ConfigError(f"--threads must be numbers joined by commas, not {text!r}") from error
+
+
+def _show_changes(changes: list[Change]) -> None:
+    from segloc.cli.console import table
+
+    from ..bench.comparing import change_rows
+
+    head = ("", "before, ms", "now, ms", "times", "against rivals")
+    table("Since then", head, change_rows(changes))
+    slower = [f"{c.name} ({c.threads})" for c in changes if c.is_slower]
+    print(f"slower: {', '.join(slower)}" if slower else "nothing became slower")
 
 
 def _show(rows: list[Row], title: str) -> None:
