@@ -17,7 +17,6 @@ from . import geometry
 from .section import Section
 from .types import Float64, Pose
 
-
 OFF_THE_MAP = "little of what is seen is in the map"
 
 
@@ -114,7 +113,9 @@ class Hypothesis:
     ----------
     T_map_odom : (4, 4) float64
     covariance : (6, 6) float64 or None
-        Of the sensor's pose at ``at``.
+        Of the sensor's pose where it was at the last view.
+    T_odom_sensor : (4, 4) float64
+        Where that was.
     confidence : float
         Of the views that agree, taken as independent.
     views : int
@@ -127,6 +128,7 @@ class Hypothesis:
 
     T_map_odom: Pose
     covariance: Float64 | None
+    T_odom_sensor: Pose
     confidence: float
     views: int
     believed: bool
@@ -135,8 +137,16 @@ class Hypothesis:
 
     @classmethod
     def of(cls, view: View, T_map_odom: Pose) -> Hypothesis:
-        at = view.at
-        return cls(T_map_odom, view.covariance, view.confidence, 1, view.believed, at, at)
+        return cls(
+            T_map_odom,
+            view.covariance,
+            view.T_odom_sensor,
+            view.confidence,
+            1,
+            view.believed,
+            view.at,
+            view.at,
+        )
 
 
 class Hypotheses:
@@ -187,7 +197,8 @@ class Hypotheses:
         self._candidates = []
         if self.track is not None:
             T = self.track.T_map_odom @ geometry.inverse(T_new_old)
-            self.track = replace(self.track, T_map_odom=T)
+            where = T_new_old @ self.track.T_odom_sensor
+            self.track = replace(self.track, T_map_odom=T, T_odom_sensor=where)
             self.doubt, self._doubts = doubt, max(self._doubts, self.config.doubts - 1)
             self._ends_at = travelled + self.config.confirm_m
 
@@ -235,15 +246,16 @@ class Hypotheses:
             return Status.DEGRADED, f"nothing supports the track since {unsupported:.0f} m"
         return Status.LOCALIZED, ""
 
-    def covariance(self, travelled: float) -> Float64 | None:
+    def covariance(self, travelled: float, T_odom_sensor: Pose) -> Float64 | None:
         """Of the sensor's pose in the map, grown by what odometry errs since the last support."""
         track = self.track
         if track is None or track.covariance is None:
             return None
-        way = max(0.0, travelled - track.since)
-        turn, shift = math.radians(self.config.drift_deg) * way, self.config.drift * way
-        grown: Float64 = track.covariance + np.diag(np.repeat([turn**2, shift**2], 3))
-        return grown
+        T_now_then = geometry.inverse(T_odom_sensor) @ track.T_odom_sensor
+        carried = geometry.carried_covariance(track.covariance, T_now_then)
+        path = max(0.0, travelled - track.since)
+        turn, shift = math.radians(self.config.drift_deg) * path, self.config.drift * path
+        return carried + np.diag(np.repeat([turn**2, shift**2], 3))
 
     # --- inside --------------------------------------------------------------------------------
 
@@ -280,10 +292,17 @@ class Hypotheses:
             if rival.views >= self.track.views:
                 self._doubt(view, "another place fits as well")
                 return
-        track, doubts = self.track, self._candidates
-        track = replace(track, T_map_odom=T_map_odom, covariance=view.checked_covariance)
-        self._begin(replace(track, since=view.at))
-        self._candidates = doubts
+        track, candidates = self.track, self._candidates
+        self._begin(
+            replace(
+                track,
+                T_map_odom=T_map_odom,
+                covariance=view.checked_covariance,
+                T_odom_sensor=view.T_odom_sensor,
+                since=view.at,
+            )
+        )
+        self._candidates = candidates
 
     def _doubt(self, view: View, why: str) -> None:
         """Speak against the track; the last doubt ends it, and another place may take over."""
@@ -323,7 +342,8 @@ def _joined(old: Hypothesis, view: View, T_map_odom: Pose, apart_m: float) -> Hy
     both = 1.0 - (1.0 - old.confidence) * (1.0 - view.confidence)
     return Hypothesis(
         T_map_odom,
-        view.covariance if view.covariance is not None else old.covariance,
+        view.covariance,
+        view.T_odom_sensor,
         both if independent else max(old.confidence, view.confidence),
         old.views + independent,
         old.believed or view.believed,

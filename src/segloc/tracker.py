@@ -162,8 +162,8 @@ class Tracker:
         """Where the tracker stands."""
         hypotheses = self._hypotheses
         status, reason = hypotheses.status(self.travelled)
-        if (best := hypotheses.track) is not None:
-            covariance = hypotheses.covariance(self.travelled)
+        if (best := hypotheses.track) is not None and self._last is not None:
+            covariance = hypotheses.covariance(self.travelled, self._last)
             return Track(status, best.T_map_odom, best.confidence, best.views, reason, covariance)
         views = max((k.views for k in hypotheses.candidates), default=0)
         return Track(status, None, 0.0, views, reason)
@@ -244,23 +244,23 @@ class Tracker:
             self._begin_anew()  # the scans before show another place, perhaps
         self._foreign = view.check in (Check.CONTRADICTS, Check.UNMAPPED)
 
-    def carry(self, T_odom_sensor: ArrayLike, doubt: str) -> None:
+    def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
         """Follow a jump of the odometry: the robot is taken to stand where it stood before.
 
         The track is degraded until the map confirms it. Nothing is travelled by the jump.
 
         Parameters
         ----------
-        T_odom_sensor : (4, 4) array
-            Where the sensor is now, by the odometry.
+        T_new_old : (4, 4) array
+            From the odometry's frame before the jump to that after it.
         doubt : str
             What happened.
         """
-        T = checked_pose(T_odom_sensor, "T_odom_sensor")
+        T = checked_pose(T_new_old, "T_new_old")
+        self._hypotheses.carry(T, self.travelled, doubt)
         if self._last is not None:
-            jump = T @ geometry.inverse(self._last)
-            self._hypotheses.carry(jump, self.travelled, doubt)
-        self._last, self._queried = T, -math.inf
+            self._last = T @ self._last
+        self._queried = -math.inf
         self._begin_anew()
 
     def clear(self) -> None:
