@@ -27,7 +27,7 @@ LAYERS = (
     Layer("batch alignment training live export"),
     Layer("simulation pictures"),
     Layer("datasets"),
-    Layer("tracker scan_check hypotheses", together=True),
+    Layer("tracker scan_check hypotheses views", together=True),
     Layer("localizer answer fallback search", together=True),
     Layer("map.build map.update", together=True),
     Layer("config"),

@@ -16,6 +16,7 @@ from .errors import (
     ConfigError,
     DatasetError,
     InvalidScan,
+    LiveError,
     MapFormatError,
     MapMismatch,
     MissingDependency,
@@ -34,6 +35,7 @@ from .types import LocalCloud, Scan
 if TYPE_CHECKING:
     from .alignment import align_sessions
     from .datasets import open_sequence
+    from .live import LiveLocalizer
     from .map.update import update_map
 
 __all__ = [
@@ -41,6 +43,8 @@ __all__ = [
     "ConfigError",
     "DatasetError",
     "InvalidScan",
+    "LiveError",
+    "LiveLocalizer",
     "LocalCloud",
     "Localization",
     "Localized",
@@ -64,8 +68,13 @@ __all__ = [
     "update_map",
 ]
 
-_LATER = {"align_sessions": "alignment", "open_sequence": "datasets", "update_map": "map.update"}
-"""What robots seldom need is imported when it is first used."""
+_LATER = {
+    "LiveLocalizer": "live",
+    "align_sessions": "alignment",
+    "open_sequence": "datasets",
+    "update_map": "map.update",
+}
+"""Imported when it is first used."""
 
 
 def __getattr__(name: str) -> object:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+
+import numpy as np
 from pydantic import Field
 
 from . import geometry
-from .hypotheses import Check
+from .local_cloud import Scans
 from .localizer import Localizer
 from .section import Section
 from .segmentation import Segmentation
 from .types import Candidate, Float64, LocalCloud, Pose, Scan
 from .verification import RefinedScore
+from .views import Check
 
 
 class ScanCheckConfig(Section):
@@ -82,3 +87,16 @@ class ScanCheck:
         if looked_through and found.judged >= config.least_judged:
             return Check.CONTRADICTS
         return Check.UNMAPPED
+
+
+def newest_alone(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
+    """What shows no other place than that of the last scan, if anything is known to."""
+    if isinstance(scans, LocalCloud):
+        return scans
+    if isinstance(scans, Sequence):
+        return scans[-1] if scans and isinstance(scans[-1], Scan) else None
+    if not isinstance(scans, (Scan, np.ndarray)):
+        return None
+    newest = Scan(scans) if isinstance(scans, np.ndarray) else copy.copy(scans)
+    newest.T_odom_sensor = T_odom_sensor
+    return newest

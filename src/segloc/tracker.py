@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,16 +12,17 @@ from pydantic import Field
 from . import geometry
 from .checks import checked_pose
 from .errors import InvalidScan
-from .hypotheses import Check, Hypotheses, HypothesesConfig, Status, View
+from .hypotheses import Hypotheses
 from .local_cloud import Scans
 from .localization import Reason
 from .localizer import Localizer
 from .rolling_cloud import RollingCloud
-from .scan_check import ScanCheck, ScanCheckConfig
+from .scan_check import ScanCheck, ScanCheckConfig, newest_alone
 from .search import Query
 from .stage_times import StageTimes
 from .types import Float64, LocalCloud, Pose, Scan
 from .verification import RefinedScore
+from .views import Check, HypothesesConfig, Status, View
 
 
 class TrackerConfig(HypothesesConfig):
@@ -192,7 +191,7 @@ class Tracker:
         cloud = scans if self.rolling is None else self.rolling.cloud()
         track = self._hypotheses.track
         expected = None if track is None else track.T_map_odom
-        return Question(cloud, _newest(scans, T), T, expected, self.travelled, self._epoch)
+        return Question(cloud, newest_alone(scans, T), T, expected, self.travelled, self._epoch)
 
     def ask(self, question: Question, deadline_ms: float | None = None) -> View:
         """The second third, and nearly all of the work; it changes nothing in the tracker.
@@ -285,19 +284,6 @@ class Tracker:
     def _is_due(self) -> bool:
         """Whether it is time for a query."""
         every = self.config.every_m
-        if self._hypotheses.track is not None and self._hypotheses.doubt:
+        if self._hypotheses.contradicted:
             every = min(every, self.config.doubtful_m)
         return self.travelled - self._queried >= every
-
-
-def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
-    """What shows no other place than that of the last scan, if anything is known to."""
-    if isinstance(scans, LocalCloud):
-        return scans
-    if isinstance(scans, Sequence):
-        return scans[-1] if scans and isinstance(scans[-1], Scan) else None
-    if not isinstance(scans, (Scan, np.ndarray)):
-        return None
-    newest = Scan(scans) if isinstance(scans, np.ndarray) else copy.copy(scans)
-    newest.T_odom_sensor = T_odom_sensor
-    return newest

@@ -17,6 +17,7 @@ from . import (
     demo,
     evaluate,
     info,
+    live,
     localize,
     map_build,
     map_info,
@@ -45,6 +46,7 @@ app.add_typer(evaluate.app, name="evaluate", context_settings=_CONTEXT)
 app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
+app.command("live")(live.live)
 app.command("info")(info.info)
 app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..checks import checked_pose, checked_stamp
-from ..datasets.recorded import corrected, times_fit
-from ..errors import InvalidScan, SeglocError
-from ..hypotheses import Status, View
+from ..checks import checked_pose
+from ..datasets.recorded import corrected
+from ..errors import SeglocError
 from ..localizer import Localizer
 from ..motion import Motion
 from ..tracker import Question, Tracker
 from ..types import Float64, Pose, Scan
+from ..views import Status, View
 from .config import LiveConfig
-from .odometry import Cover, Jump, Odometry
+from .odometry import Cover, Jump, Odometry, known_stamp, span
 from .state import State
 
 NO_ODOMETRY = "no odometry at the time of the scan"
@@ -110,7 +110,7 @@ class LiveCore:
         InvalidScan
             If it is no pose, or the stamp is no finite number.
         """
-        time, T = _stamp(stamp), checked_pose(T_odom_base, "T_odom_base")
+        time, T = known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")
         jump = self._odometry.add(time, T)
         said = self._release(time) if jump is None else self._jumped(jump)
         if self._is_silent(time):
@@ -137,7 +137,7 @@ class LiveCore:
         InvalidScan
             If there is no stamp.
         """
-        time = _stamp(scan.stamp if stamp is None else stamp)
+        time = known_stamp(scan.stamp if stamp is None else stamp)
         if time <= self._newest:
             if self._newest - time <= self.config.clock_jump_s:
                 self.dropped += 1
@@ -186,7 +186,7 @@ class LiveCore:
         said = []
         while self._waiting:
             stamp, scan = self._waiting[0]
-            first, last = _span(scan, stamp)
+            first, last = span(scan, stamp)
             cover = self._odometry.cover(first, last, max(now, self._newest))
             if cover is Cover.LATER:
                 break
@@ -287,17 +287,3 @@ class LiveCore:
         least = np.repeat([math.radians(self.config.least_deg), self.config.least_m], 3) ** 2
         grown = geometry.carried_covariance(covariance, self.T_base_sensor) + np.diag(least)
         return np.asarray((grown + grown.T) / 2.0, dtype=np.float64)
-
-
-def _stamp(stamp: float | None) -> float:
-    time = checked_stamp(stamp)
-    if time is None:
-        raise InvalidScan("a scan needs a stamp: the time at which it was taken, seconds")
-    return time
-
-
-def _span(scan: Scan, stamp: float) -> tuple[float, float]:
-    """When the first and the last point of a scan were measured."""
-    if scan.times is None or not times_fit(scan):
-        return stamp, stamp
-    return stamp + min(0.0, float(scan.times.min())), stamp + max(0.0, float(scan.times.max()))

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import checked_pose, checked_stamp
-from ..errors import InvalidScan, LiveError, SeglocError
-from ..hypotheses import View
+from ..checks import checked_pose
+from ..errors import LiveError, SeglocError
 from ..localizer import Localizer
 from ..types import Pose, Scan
+from ..views import View
 from .config import LiveConfig
 from .core import Asked, LiveCore
+from .odometry import known_stamp
 from .state import State
 
 _MOST_POSES, _MOST_SCANS = 4096, 2
@@ -116,10 +117,7 @@ class LiveLocalizer:
             If it is no scan, or has no stamp.
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
-        known = checked_stamp(scan.stamp if stamp is None else stamp)
-        if known is None:
-            raise InvalidScan("a scan needs a stamp: the time at which it was taken, seconds")
-        self._put(_Taken(known, scan))
+        self._put(_Taken(known_stamp(scan.stamp if stamp is None else stamp), scan))
 
     def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> None:
         """Hand over a pose of the odometry, and do not wait.
@@ -136,10 +134,7 @@ class LiveLocalizer:
         InvalidScan
             If it is no pose, or the stamp is no finite number.
         """
-        known = checked_stamp(stamp)
-        if known is None:
-            raise InvalidScan("odometry needs a stamp, seconds")
-        self._put(_Pose(known, checked_pose(T_odom_base, "T_odom_base")))
+        self._put(_Pose(known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")))
 
     @property
     def state(self) -> State:

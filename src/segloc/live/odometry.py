@@ -10,8 +10,11 @@ from enum import Enum
 import numpy as np
 
 from .. import geometry
+from ..checks import checked_stamp
+from ..datasets.recorded import times_fit
+from ..errors import InvalidScan
 from ..motion import Motion
-from ..types import Float64, Pose
+from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 
 _MOST_POSES = 4096
@@ -131,3 +134,24 @@ class Odometry:
     def clear(self) -> None:
         """Forget all."""
         self._kept.clear()
+
+
+def known_stamp(stamp: float | None) -> float:
+    """A stamp that must be there.
+
+    Raises
+    ------
+    InvalidScan
+        If it is not, or no finite number.
+    """
+    time = checked_stamp(stamp)
+    if time is None:
+        raise InvalidScan("a stamp is needed: the time of a scan or of a pose, seconds")
+    return time
+
+
+def span(scan: Scan, stamp: float) -> tuple[float, float]:
+    """When the first and the last point of a scan were measured."""
+    if scan.times is None or not times_fit(scan):
+        return stamp, stamp
+    return stamp + min(0.0, float(scan.times.min())), stamp + max(0.0, float(scan.times.max()))
