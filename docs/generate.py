@@ -24,6 +24,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "cli": (1, "the command line, one module a verb"),
     "batch": (2, "many queries at once: run, score, negative maps, reports"),
     "alignment": (2, "sessions with drifting poses brought into one frame"),
+    "export": (2, "maps and results in the formats of others"),
     "live": (2, "a robot followed in threads of its own"),
     "training": (2, "networks and forests trained and exported; the only room with PyTorch"),
     "simulation": (3, "worlds, objects, sensors, motion"),

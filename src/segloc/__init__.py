@@ -33,7 +33,7 @@ from .tracker import Tracker
 from .types import LocalCloud, Scan
 
 if TYPE_CHECKING:
-    from .alignment import align_sessions
+    from .alignment import LoopDetector, align_sessions
     from .datasets import open_sequence
     from .live import LiveLocalizer
     from .map.update import update_map
@@ -49,6 +49,7 @@ __all__ = [
     "Localization",
     "Localized",
     "Localizer",
+    "LoopDetector",
     "MapFormatError",
     "MapMismatch",
     "MissingDependency",
@@ -70,6 +71,7 @@ __all__ = [
 
 _LATER = {
     "LiveLocalizer": "live",
+    "LoopDetector": "alignment",
     "align_sessions": "alignment",
     "open_sequence": "datasets",
     "update_map": "map.update",

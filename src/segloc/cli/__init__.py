@@ -16,6 +16,7 @@ from . import (
     config,
     demo,
     evaluate,
+    export,
     info,
     live,
     localize,
@@ -47,6 +48,7 @@ app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("live")(live.live)
+app.command("export")(export.export)
 app.command("info")(info.info)
 app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
