@@ -34,8 +34,11 @@ class TrackerConfig(HypothesesConfig):
     every_m: float = Field(
         0.0, ge=0, description="scans nearer to the last query are accumulated and not localized"
     )
-    doubtful_m: float = Field(
-        2.0, ge=0, description="the same while the track is contradicted, metres"
+    searching_m: float = Field(
+        4.0, ge=0, description="the same while there is no track, or it is contradicted, metres"
+    )
+    check_m: float = Field(
+        3.0, ge=0, description="between queries the track is checked by single scans, so far apart"
     )
     check: ScanCheckConfig = ScanCheckConfig()
 
@@ -79,7 +82,8 @@ class Question:
 
     Attributes
     ----------
-    scans : Scans or LocalCloud
+    scans : Scans, LocalCloud or None
+        None where nothing is searched for: the track is only checked.
     newest : Scan, LocalCloud or None
         What the track is checked by.
     T_odom_sensor : (4, 4) float64
@@ -91,7 +95,7 @@ class Question:
         Grows where the frame of the odometry changes: older answers are not taken.
     """
 
-    scans: Scans | LocalCloud
+    scans: Scans | LocalCloud | None
     newest: Scan | LocalCloud | None
     T_odom_sensor: Pose
     T_map_odom: Pose | None
@@ -118,7 +122,7 @@ class Tracker:
     rolling : RollingCloud or None
         The scans that queries are made of, where they accumulate: to correct their poses, say.
     travelled : float
-        Metres, by the odometry.
+        Metres.
     """
 
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
@@ -130,7 +134,7 @@ class Tracker:
         self._check = ScanCheck(localizer, self.config.check)
         self._last: Pose | None = None
         self._foreign = False  # whether the newest scan showed the track's place
-        self._queried = -math.inf  # travelled distance of the last query
+        self._queried = self._checked = -math.inf  # metres travelled at the last query and check
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = localizer.config.segmentation.accumulated.voxel_size
@@ -185,11 +189,15 @@ class Tracker:
             self.travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
         self._last = T
         self._hypotheses.forget(self.travelled)
-        if not (due or self._is_due()):
-            return None
-        self._queried = self.travelled
-        cloud = scans if self.rolling is None else self.rolling.cloud()
         track = self._hypotheses.track
+        search = due or self._is_due()
+        if not search and (track is None or self.travelled - self._checked < self.config.check_m):
+            return None
+        self._checked = self.travelled
+        cloud: Scans | LocalCloud | None = None
+        if search:
+            self._queried = self.travelled
+            cloud = scans if self.rolling is None else self.rolling.cloud()
         expected = None if track is None else track.T_map_odom
         return Question(cloud, newest_alone(scans, T), T, expected, self.travelled, self._epoch)
 
@@ -199,10 +207,12 @@ class Tracker:
         Where several places look alike, the query says nothing: such views agree with one another
         at wrong places, too, all along a street.
         """
+        if question.scans is None:
+            return self._checked_by(question, None)
         times = StageTimes(self.localizer.clock)
         query = self.localizer.describe(question.scans, times)
         with times("check"):
-            view = self._checked(question, query)
+            view = self._checked_by(question, query)
         T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
         verdict = self.localizer.search(query, times, deadline_ms).verdict
         best, believed = verdict.best, verdict.reason is None
@@ -220,14 +230,16 @@ class Tracker:
             covariance=geometry.rotated_covariance(covariance, T_local_sensor),
         )
 
-    def _checked(self, question: Question, query: Query) -> View:
+    def _checked_by(self, question: Question, query: Query | None) -> View:
         """A view that says no more than what the newest scan says of the track."""
         T_odom_sensor, newest = question.T_odom_sensor, question.newest
         view = View(question.at, T_odom_sensor)
         if question.T_map_odom is None or newest is None:
             return view
-        alone = query.cloud.num_scans == 1
-        cloud, scene = (query.cloud, query.scene) if alone else self._check.scene(newest)
+        if query is not None and query.cloud.num_scans == 1:
+            cloud, scene = query.cloud, query.scene
+        else:
+            cloud, scene = self._check.scene(newest)
         check, T_map_sensor, covariance = self._check.at(
             cloud, scene, question.T_map_odom @ T_odom_sensor
         )
@@ -244,9 +256,9 @@ class Tracker:
         self._foreign = view.check in (Check.CONTRADICTS, Check.UNMAPPED)
 
     def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
-        """Follow a jump of the odometry: the robot is taken to stand where it stood before.
+        """Follow a jump of the odometry: the robot is taken to stand where it stood before it.
 
-        The track is degraded until the map confirms it. Nothing is travelled by the jump.
+        The track is degraded until the map confirms it.
 
         Parameters
         ----------
@@ -282,8 +294,7 @@ class Tracker:
         self.rolling.add(scans, T_odom_sensor)
 
     def _is_due(self) -> bool:
-        """Whether it is time for a query."""
         every = self.config.every_m
-        if self._hypotheses.contradicted:
-            every = min(every, self.config.doubtful_m)
+        if self._hypotheses.track is None or self._hypotheses.contradicted:
+            every = min(every, self.config.searching_m)
         return self.travelled - self._queried >= every
