@@ -24,10 +24,10 @@ class Layer(NamedTuple):
 LAYERS = (
     Layer("cli"),
     Layer(ROOT),
-    Layer("batch alignment training"),
+    Layer("batch alignment training live export"),
     Layer("simulation pictures"),
     Layer("datasets"),
-    Layer("tracker"),
+    Layer("tracker scan_check hypotheses views", together=True),
     Layer("localizer answer fallback search", together=True),
     Layer("map.build map.update", together=True),
     Layer("config"),

@@ -76,7 +76,7 @@ def test_scans_are_accumulated_and_every_few_metres_localized(
     localizer, queries = Localizer(prior_map), []
     describe = localizer.describe
     monkeypatch.setattr(
-        localizer, "describe", lambda cloud: queries.append(cloud) or describe(cloud)
+        localizer, "describe", lambda cloud, times: queries.append(cloud) or describe(cloud, times)
     )
     tracker = Tracker(localizer, TrackerConfig(accumulate=True, every_m=5.5))
     tracks = walk(tracker, plaza, count=9, step=2.0)

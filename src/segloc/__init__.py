@@ -16,6 +16,7 @@ from .errors import (
     ConfigError,
     DatasetError,
     InvalidScan,
+    LiveError,
     MapFormatError,
     MapMismatch,
     MissingDependency,
@@ -32,8 +33,9 @@ from .tracker import Tracker
 from .types import LocalCloud, Scan
 
 if TYPE_CHECKING:
-    from .alignment import align_sessions
+    from .alignment import LoopDetector, align_sessions
     from .datasets import open_sequence
+    from .live import LiveLocalizer
     from .map.update import update_map
 
 __all__ = [
@@ -41,10 +43,13 @@ __all__ = [
     "ConfigError",
     "DatasetError",
     "InvalidScan",
+    "LiveError",
+    "LiveLocalizer",
     "LocalCloud",
     "Localization",
     "Localized",
     "Localizer",
+    "LoopDetector",
     "MapFormatError",
     "MapMismatch",
     "MissingDependency",
@@ -64,8 +69,14 @@ __all__ = [
     "update_map",
 ]
 
-_LATER = {"align_sessions": "alignment", "open_sequence": "datasets", "update_map": "map.update"}
-"""What robots seldom need is imported when it is first used."""
+_LATER = {
+    "LiveLocalizer": "live",
+    "LoopDetector": "alignment",
+    "align_sessions": "alignment",
+    "open_sequence": "datasets",
+    "update_map": "map.update",
+}
+"""Imported when it is first used."""
 
 
 def __getattr__(name: str) -> object:

@@ -54,3 +54,7 @@ class MissingDependency(SeglocError, ImportError):
 
     def __reduce__(self) -> tuple[type[MissingDependency], tuple[str, str, str]]:
         return type(self), self._needed  # else it could not come back from another process
+
+
+class LiveError(SeglocError):
+    """A live localizer has stopped; what made it stop is its cause."""

@@ -134,6 +134,26 @@ def rotated_covariance(
     return rotated
 
 
+def adjoint(T_a_b: Pose) -> NDArray[np.float64]:
+    """(6, 6) that takes small motions (rotation, translation) in frame b to the same in frame a."""
+    R, (x, y, z) = T_a_b[:3, :3], T_a_b[:3, 3]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    moved = np.zeros((6, 6))
+    moved[:3, :3] = moved[3:, 3:] = R
+    moved[3:, :3] = cross @ R
+    return moved
+
+
+def carried_covariance(covariance: NDArray[np.float64], T_a_b: Pose) -> NDArray[np.float64]:
+    """A (6, 6) covariance of the pose of frame b, as one of frame a that is fixed to it.
+
+    Of a small rotation, then a translation, each in its own frame.
+    """
+    moved = adjoint(T_a_b)
+    carried: NDArray[np.float64] = moved @ covariance @ moved.T
+    return carried
+
+
 class Separation(Section):
     """Poses closer than this are one place."""
 

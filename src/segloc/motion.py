@@ -140,3 +140,28 @@ def deskew(scan: Scan, motion: Motion, start: float) -> Scan:
     points = np.einsum("nij,nj->ni", relative[which, :3, :3], scan.points)
     points += relative[which, :3, 3]
     return Scan(points, times=scan.times, stamp=scan.stamp, T_odom_sensor=scan.T_odom_sensor)
+
+
+def odometry_covariance(
+    length: Float64, odometry_m: float, odometry_deg: float, odometry_scale: float
+) -> Float64:
+    """What odometry errs over (N,) metres of travel: of rotation (rad), then translation (m).
+
+    Parameters
+    ----------
+    length : (N,) float64
+        Metres; the shortest counts as 5 cm.
+    odometry_m, odometry_deg : float
+        Error after a metre, which grows with the root of the distance.
+    odometry_scale : float
+        Error that grows with the distance.
+
+    Returns
+    -------
+    (N, 6, 6) float64
+    """
+    path = np.maximum(length, 0.05)
+    shift = odometry_m**2 * path + (odometry_scale * path) ** 2
+    turn = np.radians(odometry_deg) ** 2 * path
+    variances = np.repeat(np.stack([turn, shift], axis=1), 3, axis=1)
+    return np.asarray(variances[:, :, None] * np.eye(6), dtype=np.float64)

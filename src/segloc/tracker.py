@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,35 +12,35 @@ from pydantic import Field
 from . import geometry
 from .checks import checked_pose
 from .errors import InvalidScan
+from .hypotheses import Hypotheses
 from .local_cloud import Scans
 from .localization import Reason
 from .localizer import Localizer
 from .rolling_cloud import RollingCloud
-from .section import Section
-from .types import LocalCloud, Pose, Scan
+from .scan_check import ScanCheck, ScanCheckConfig, newest_alone
+from .search import Query
+from .stage_times import StageTimes
+from .types import Float64, LocalCloud, Pose, Scan
+from .verification import RefinedScore
+from .views import Check, HypothesesConfig, Status, View
 
 
-class TrackerConfig(Section):
-    """When hypotheses of different queries support each other."""
+class TrackerConfig(HypothesesConfig):
+    """When queries are made, of what, and what is believed of them."""
 
-    min_confidence: float = Field(0.3, ge=0, le=1, description="less likely ones are not kept")
-    tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
-    tolerance_deg: float = Field(3.0, gt=0, description="the same for their headings, degrees")
-    drift: float = Field(
-        0.02, ge=0, description="odometry errs by this share of the distance travelled"
-    )
-    apart_m: float = Field(
-        4.0, ge=0, description="travel between two views that witness independently, metres"
-    )
-    agreeing: int = Field(2, ge=2, description="views that must agree on a hypothesis")
-    memory_m: float = Field(150.0, gt=0, description="unsupported hypotheses are kept this long")
-    max_kept: int = Field(16, ge=1, description="hypotheses kept between queries")
     accumulate: bool = Field(
         False, description="queries are clouds of the scans over the last stretch of the path"
     )
     every_m: float = Field(
         0.0, ge=0, description="scans nearer to the last query are accumulated and not localized"
     )
+    searching_m: float = Field(
+        4.0, ge=0, description="the same while there is no track, or it is contradicted, metres"
+    )
+    check_m: float = Field(
+        3.0, ge=0, description="between queries the track is checked by single scans, so far apart"
+    )
+    check: ScanCheckConfig = ScanCheckConfig()
 
 
 @dataclass(frozen=True)
@@ -49,43 +49,67 @@ class Track:
 
     Attributes
     ----------
-    localized : bool
+    status : Status
     T_map_odom : (4, 4) float64 or None
-        Takes poses of the odometry to the map.
+        Takes poses of the odometry to the map; None while lost or candidate.
     confidence : float
         In [0, 1]: that of the views that agree, taken as independent. Unlike that of a single
         query it is not calibrated.
     views : int
         Independent views that agree with the track.
     reason : str
-        "" when localized.
+        Why it is no better than that; "" when localized.
+    covariance : (6, 6) float64 or None
+        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
     """
 
-    localized: bool
+    status: Status
     T_map_odom: Pose | None
     confidence: float
     views: int
     reason: str = ""
+    covariance: Float64 | None = None
+
+    @property
+    def localized(self) -> bool:
+        """Whether a pose is believed: localized or degraded."""
+        return self.T_map_odom is not None
 
 
 @dataclass(frozen=True)
-class _Kept:
-    """A hypothesis with the last view that supported it."""
+class Question:
+    """A query that is due, with all that it takes to ask it, elsewhere and later.
 
-    T_map_odom: Pose
-    confidence: float
-    views: int
-    believed: bool  # by a single view that passed all gates
-    at: float  # travelled distance of the last supporting view
+    Attributes
+    ----------
+    scans : Scans, LocalCloud or None
+        None where nothing is searched for: the track is only checked.
+    newest : Scan, LocalCloud or None
+        What the track is checked by.
+    T_odom_sensor : (4, 4) float64
+    T_map_odom : (4, 4) float64 or None
+        Of the track.
+    at : float
+        Metres travelled.
+    epoch : int
+        Grows where the frame of the odometry changes: older answers are not taken.
+    """
+
+    scans: Scans | LocalCloud | None
+    newest: Scan | LocalCloud | None
+    T_odom_sensor: Pose
+    T_map_odom: Pose | None
+    at: float
+    epoch: int
 
 
 class Tracker:
     """Localizes a robot over successive queries.
 
     A single query that passes all gates of verification is believed at once. A pose that is only
-    likely is kept: those on which views from different positions agree are believed, and those that
-    a believed one contradicts are dropped. A believed track survives queries that find nothing, for
-    ``memory_m`` of travel.
+    likely is kept: those on which views from different positions agree are believed. The newest
+    scan is compared with the map at the pose of the track, too. A track survives queries that find
+    nothing, for ``memory_m`` of travel, and ends once the map contradicts it twice in a row.
 
     Parameters
     ----------
@@ -97,15 +121,20 @@ class Tracker:
     ----------
     rolling : RollingCloud or None
         The scans that queries are made of, where they accumulate: to correct their poses, say.
+    travelled : float
+        Metres.
     """
 
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
         self.localizer = localizer
         self.config = config or TrackerConfig()
-        self._kept: list[_Kept] = []
-        self._travelled = 0.0
+        self.travelled = 0.0
+        self._hypotheses = Hypotheses(self.config)
+        self._epoch = 0
+        self._check = ScanCheck(localizer, self.config.check)
         self._last: Pose | None = None
-        self._queried = -math.inf  # travelled distance of the last query
+        self._foreign = False  # whether the newest scan showed the track's place
+        self._queried = self._checked = -math.inf  # metres travelled at the last query and check
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = localizer.config.segmentation.accumulated.voxel_size
@@ -126,16 +155,136 @@ class Tracker:
         InvalidScan
             If the pose is not a rigid transform, or the scans cannot be accumulated.
         """
+        question = self.add(scans, T_odom_sensor)
+        if question is not None:
+            self.take(question, self.ask(question))
+        return self.track
+
+    @property
+    def track(self) -> Track:
+        """Where the tracker stands."""
+        hypotheses = self._hypotheses
+        status, reason = hypotheses.status(self.travelled)
+        if (best := hypotheses.track) is not None and self._last is not None:
+            covariance = hypotheses.covariance(self.travelled, self._last)
+            return Track(status, best.T_map_odom, best.confidence, best.views, reason, covariance)
+        views = max((k.views for k in hypotheses.candidates), default=0)
+        return Track(status, None, 0.0, views, reason)
+
+    def add(
+        self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike, *, due: bool = False
+    ) -> Question | None:
+        """The first third of :meth:`update`: take scans, and say what is to be asked, if anything.
+
+        Parameters
+        ----------
+        scans, T_odom_sensor
+            As for :meth:`update`.
+        due : bool
+            Whether to ask however little was travelled since the last query.
+        """
         T = checked_pose(T_odom_sensor, "T_odom_sensor")
         self._add(scans, T)
         if self._last is not None:
-            self._travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
+            self.travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
         self._last = T
-        view = self._view(scans, T) if self._is_due() else None
-        if view is not None:
-            self._merge(view)
-        self._forget()
-        return self._answer(view)
+        self._hypotheses.forget(self.travelled)
+        track = self._hypotheses.track
+        search = due or self._is_due()
+        if not search and (track is None or self.travelled - self._checked < self.config.check_m):
+            return None
+        self._checked = self.travelled
+        cloud: Scans | LocalCloud | None = None
+        if search:
+            self._queried = self.travelled
+            cloud = scans if self.rolling is None else self.rolling.cloud()
+        expected = None if track is None else track.T_map_odom
+        return Question(cloud, newest_alone(scans, T), T, expected, self.travelled, self._epoch)
+
+    def ask(self, question: Question, deadline_ms: float | None = None) -> View:
+        """The second third, and nearly all of the work; it changes nothing in the tracker.
+
+        Where several places look alike, the query says nothing: such views agree with one another
+        at wrong places, too, all along a street.
+        """
+        if question.scans is None:
+            return self._checked_by(question, None)
+        times = StageTimes(self.localizer.clock)
+        query = self.localizer.describe(question.scans, times)
+        with times("check"):
+            view = self._checked_by(question, query)
+        T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
+        verdict = self.localizer.search(query, times, deadline_ms).verdict
+        best, believed = verdict.best, verdict.reason is None
+        if best is None or verdict.reason is Reason.AMBIGUOUS:
+            return view
+        if not believed and verdict.confidence < self.config.min_confidence:
+            return view
+        T_map_sensor = best.T_map_local @ T_local_sensor
+        covariance = best.covariance if isinstance(best, RefinedScore) else None
+        return replace(
+            view,
+            T_map_odom=T_map_sensor @ geometry.inverse(question.T_odom_sensor),
+            confidence=verdict.confidence,
+            believed=believed,
+            covariance=geometry.rotated_covariance(covariance, T_local_sensor),
+        )
+
+    def _checked_by(self, question: Question, query: Query | None) -> View:
+        """A view that says no more than what the newest scan says of the track."""
+        T_odom_sensor, newest = question.T_odom_sensor, question.newest
+        view = View(question.at, T_odom_sensor)
+        if question.T_map_odom is None or newest is None:
+            return view
+        if query is not None and query.cloud.num_scans == 1:
+            cloud, scene = query.cloud, query.scene
+        else:
+            cloud, scene = self._check.scene(newest)
+        check, T_map_sensor, covariance = self._check.at(
+            cloud, scene, question.T_map_odom @ T_odom_sensor
+        )
+        T_checked = T_map_sensor @ geometry.inverse(T_odom_sensor)
+        return replace(view, check=check, T_checked=T_checked, checked_covariance=covariance)
+
+    def take(self, question: Question, view: View) -> None:
+        """The last third: let what was found support the track, or speak against it."""
+        if question.epoch != self._epoch:
+            return
+        self._hypotheses.take(view)
+        if view.check in (Check.CONTRADICTS, Check.UNMAPPED) and not self._foreign:
+            self._begin_anew()  # the scans before show another place, perhaps
+        self._foreign = view.check in (Check.CONTRADICTS, Check.UNMAPPED)
+
+    def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
+        """Follow a jump of the odometry: the robot is taken to stand where it stood before it.
+
+        The track is degraded until the map confirms it.
+
+        Parameters
+        ----------
+        T_new_old : (4, 4) array
+            From the odometry's frame before the jump to that after it.
+        doubt : str
+            What happened.
+        """
+        T = checked_pose(T_new_old, "T_new_old")
+        self._hypotheses.carry(T, self.travelled, doubt)
+        if self._last is not None:
+            self._last = T @ self._last
+        self._queried = -math.inf
+        self._begin_anew()
+
+    def clear(self) -> None:
+        """Forget the track and all scans."""
+        self._hypotheses.clear()
+        self._last, self._queried = None, -math.inf
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Let queries be made of what comes from now on."""
+        self._epoch += 1
+        if self.rolling is not None:
+            self.rolling.clear()
 
     def _add(self, scans: Scans | LocalCloud, T_odom_sensor: Pose) -> None:
         if self.rolling is None:
@@ -145,77 +294,7 @@ class Tracker:
         self.rolling.add(scans, T_odom_sensor)
 
     def _is_due(self) -> bool:
-        """Whether it is time for a query."""
-        if self._travelled - self._queried < self.config.every_m:
-            return False
-        self._queried = self._travelled
-        return True
-
-    def _view(self, scans: Scans | LocalCloud, T_odom_sensor: Pose) -> _Kept | None:
-        """What one query says, if that is worth keeping.
-
-        Where several places look alike, it says nothing: such views agree with one another at wrong
-        places, too, all along a street.
-        """
-        config = self.config
-        query = self.localizer.describe(scans if self.rolling is None else self.rolling.cloud())
-        T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
-        verdict = self.localizer.search(query).verdict
-        best, believed = verdict.best, verdict.reason is None
-        if best is None or verdict.reason is Reason.AMBIGUOUS:
-            return None
-        if not believed and verdict.confidence < config.min_confidence:
-            return None
-        T_map_odom = best.T_map_local @ T_local_sensor @ geometry.inverse(T_odom_sensor)
-        return _Kept(T_map_odom, verdict.confidence, 1, believed, self._travelled)
-
-    def _merge(self, view: _Kept) -> None:
-        """Let a view support the hypothesis that it agrees with, or stand for itself."""
-        for i, old in enumerate(self._kept):
-            if not self._agree(old, view):
-                continue
-            independent = view.at - old.at >= self.config.apart_m
-            self._kept[i] = _Kept(
-                view.T_map_odom,
-                1.0 - (1.0 - old.confidence) * (1.0 - view.confidence)
-                if independent
-                else max(old.confidence, view.confidence),
-                old.views + independent,
-                old.believed or view.believed,
-                view.at if independent else old.at,
-            )
-            return
-        self._kept.append(view)
-
-    def _agree(self, old: _Kept, view: _Kept) -> bool:
-        config = self.config
-        assert self._last is not None
-        here = geometry.inverse(old.T_map_odom @ self._last) @ view.T_map_odom @ self._last
-        slack = config.tolerance_m + config.drift * (view.at - old.at)
-        turned = math.degrees(geometry.rotation_angle(here))
-        return bool(np.linalg.norm(here[:3, 3]) <= slack and turned <= config.tolerance_deg)
-
-    def _forget(self) -> None:
-        """Drop what is old, what a believed hypothesis contradicts, and the weakest."""
-        config = self.config
-        fresh = [k for k in self._kept if self._travelled - k.at <= config.memory_m]
-        fresh.sort(key=lambda k: (-k.views, -k.believed, -k.confidence))
-        believed = [k for k in fresh if self._stands(k)]
-        if believed and (len(believed) == 1 or believed[0].views > believed[1].views):
-            fresh = [k for k in fresh if k is believed[0] or k.at > believed[0].at]
-        self._kept = fresh[: config.max_kept]
-
-    def _stands(self, kept: _Kept) -> bool:
-        return kept.believed or kept.views >= self.config.agreeing
-
-    def _answer(self, view: _Kept | None) -> Track:
-        standing = [k for k in self._kept if self._stands(k)]
-        if not standing:
-            reason = "no agreement yet" if self._kept else "nothing found"
-            return Track(False, None, 0.0, max((k.views for k in self._kept), default=0), reason)
-        best = standing[0]
-        if len(standing) > 1 and standing[1].views >= best.views:
-            return Track(False, None, 0.0, best.views, "contradiction")
-        if view is not None and view.believed and not self._agree(best, view):
-            return Track(False, None, 0.0, best.views, "contradiction")
-        return Track(True, best.T_map_odom, best.confidence, best.views)
+        every = self.config.every_m
+        if self._hypotheses.track is None or self._hypotheses.contradicted:
+            every = min(every, self.config.searching_m)
+        return self.travelled - self._queried >= every

@@ -4,4 +4,7 @@ from ..reposed import Reposed as Reposed
 from .align import Alignment as Alignment
 from .align import align_sessions as align_sessions
 from .config import AlignConfig as AlignConfig
+from .detector import LoopClosure as LoopClosure
+from .detector import LoopConfig as LoopConfig
+from .detector import LoopDetector as LoopDetector
 from .loops import Loop as Loop

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from .. import geometry
 from ..config import Config
 from ..errors import ConfigError, DatasetError
+from ..motion import odometry_covariance
 from ..types import Float64, Int64, Pose, Recording
 from .config import AlignConfig
 from .consistency import supported
@@ -208,10 +209,8 @@ def odometry_edges(chain: Chain, settings: AlignConfig) -> Edges:
     first = second - 1
     T = np.linalg.inv(chain.odometry[first]) @ chain.odometry[second]
     length = np.maximum(chain.travelled[second] - chain.travelled[first], 1.0)
-    shift = settings.odometry_m**2 * length + (settings.odometry_scale * length) ** 2
-    turn = np.radians(settings.odometry_deg) ** 2 * length
-    variances = np.repeat(np.stack([turn, shift], axis=1), 3, axis=1)
-    return Edges(first, second, T, variances[:, :, None] * np.eye(6))
+    noise = settings.odometry_m, settings.odometry_deg, settings.odometry_scale
+    return Edges(first, second, T, odometry_covariance(length, *noise))
 
 
 def _components(chain: Chain, loops: list[Loop]) -> list[list[int]]:

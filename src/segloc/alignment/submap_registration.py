@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -40,10 +41,14 @@ class Fit:
     shift_m: float
 
 
+Submaps = Sequence[Submap] | Mapping[int, Submap]
+"""By their numbers."""
+
+
 class SubmapRegistration:
     """Generalised ICP between submaps (A. Segal, D. Haehnel, S. Thrun, RSS 2009)."""
 
-    def __init__(self, submaps: list[Submap], config: AlignConfig, threads: int = 0) -> None:
+    def __init__(self, submaps: Submaps, config: AlignConfig, threads: int = 0) -> None:
         self._submaps, self._config = submaps, config
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)

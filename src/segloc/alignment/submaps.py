@@ -171,14 +171,24 @@ def _submap(reader: _Reader, anchor: int, settings: AlignConfig, prior_map: Segm
     short, short_descriptors = reader.view(anchor, settings.submap_m)
     for seen, described in ((scene, descriptors), (short, short_descriptors)):
         add_view(prior_map, View(T_odom_local, float(anchor), seen), described)
+    radius_m = reader.config.local_cloud.radius_m
+    return lean_submap(T_odom_local, scene, descriptors, short, settings, radius_m)
+
+
+def lean_submap(
+    T_odom_local: Pose,
+    scene: Segmentation,
+    descriptors: Descriptors,
+    short: Segmentation,
+    settings: AlignConfig,
+    radius_m: float,
+) -> Submap:
+    """What is to be kept of a place: of the cloud that a query spans, and of a shorter one."""
+    structure = _within(scene.structure, radius_m)
+    lean = Segmentation(_without_points(scene.segments), structure, scene.ground)
     radius = settings.icp_radius
-    lean = Segmentation(
-        _without_points(scene.segments),
-        _within(scene.structure, reader.config.local_cloud.radius_m),
-        scene.ground,
-    )
-    structure = _within(short.structure, radius)
-    return Submap(T_odom_local, lean, descriptors, structure, _within(short.surface, radius))
+    aligned = _within(short.structure, radius), _within(short.surface, radius)
+    return Submap(T_odom_local, lean, descriptors, *aligned)
 
 
 def _without_points(segments: Segments) -> Segments:

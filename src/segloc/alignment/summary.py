@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from typing import Any
 
 import numpy as np
 
+from .. import geometry
 from ..pictures import blank, png
-from ..types import Float64
+from ..types import Float64, Pose
 from .align import Alignment
 from .loops import Loop
 
@@ -45,6 +47,46 @@ def loops_csv(alignment: Alignment) -> str:
         said = [loop.kind, loop.inliers, f"{loop.shared:.3f}", int(loop.accepted), loop.reason]
         writer.writerow([*ends, *said, *_lengths(loop), f"{loop.weight:.3f}"])
     return text.getvalue()
+
+
+def loops_jsonl(alignment: Alignment) -> str:
+    """One JSON object a loop, for pose graphs of others: the pose of one sensor from the other's.
+
+    ``covariance`` is of a small rotation (rad), then a translation (m), in the source's frame.
+    """
+    lines = []
+    rows = zip(alignment.loops, alignment.loop_sessions, alignment.loop_scans, strict=True)
+    for loop, sessions, scans in rows:
+        target, source = (
+            _local_sensor(alignment, int(k), int(scan))
+            for k, scan in zip(sessions, scans, strict=True)
+        )
+        covariance = geometry.rotated_covariance(loop.covariance, source)
+        assert covariance is not None
+        record = {
+            "target_session": int(sessions[0]),
+            "target_scan": int(scans[0]),
+            "source_session": int(sessions[1]),
+            "source_scan": int(scans[1]),
+            "T_target_source": (geometry.inverse(target) @ loop.T_target_source @ source).tolist(),
+            "covariance": covariance.tolist(),
+            "kind": loop.kind,
+            "inliers": loop.inliers,
+            "shared": round(loop.shared, 4),
+            "accepted": loop.accepted,
+            "reason": loop.reason,
+            "weight": round(loop.weight, 4),
+        }
+        lines.append(json.dumps(record, allow_nan=False) + "\n")
+    return "".join(lines)
+
+
+def _local_sensor(alignment: Alignment, session: int, scan: int) -> Pose:
+    """How a scan's sensor stands in its submap's level frame."""
+    position = int(np.flatnonzero(alignment.indices[session] == scan)[0])
+    T = alignment.odometry[session][position]
+    T_local_sensor: Pose = geometry.inverse(geometry.levelled(T)) @ T
+    return T_local_sensor
 
 
 def _lengths(loop: Loop) -> list[str]:

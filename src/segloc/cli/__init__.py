@@ -16,7 +16,9 @@ from . import (
     config,
     demo,
     evaluate,
+    export,
     info,
+    live,
     localize,
     map_build,
     map_info,
@@ -45,6 +47,8 @@ app.add_typer(evaluate.app, name="evaluate", context_settings=_CONTEXT)
 app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
+app.command("live")(live.live)
+app.command("export")(export.export)
 app.command("info")(info.info)
 app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)

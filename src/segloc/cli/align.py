@@ -21,9 +21,12 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..alignment import Alignment, Reposed
+    from ..alignment import AlignConfig, Alignment, Reposed
     from ..config import Config
     from ..types import Recording
+
+_NOISE = {"odometry_m", "odometry_deg", "odometry_scale"}
+"""What odometry was taken to err."""
 
 
 def align(
@@ -77,7 +80,7 @@ def align(
     _check(sequences, recordings)
     alignment = align_sessions(recordings, chosen, settings, progress)
     aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
-    _write(out, alignment)
+    _write(out, alignment, settings)
     _write_maps(out, alignment, aligned, chosen)
     if pairs:
         _write_pairs(out, alignment, aligned, chosen)
@@ -101,18 +104,21 @@ def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
         note(f"sessions are of different sensors and may share few segments: {listed}")
 
 
-def _write(out: Path, alignment: Alignment) -> None:
-    from ..alignment.summary import loops_csv, picture, summary
+def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
+    from ..alignment.summary import loops_csv, loops_jsonl, picture, summary
     from ..errors import MissingDependency
     from ..files import replacing, write_text
     from ..io import Trajectory, write_tum
     from .console import note
 
     out.mkdir(parents=True, exist_ok=True)
-    for k, (indices, poses) in enumerate(zip(alignment.indices, alignment.poses, strict=True)):
-        write_tum(out / f"session_{k}.tum", Trajectory(indices.astype(float), poses))
+    for name, tracks in (("session", alignment.poses), ("odometry", alignment.odometry)):
+        for k, (indices, poses) in enumerate(zip(alignment.indices, tracks, strict=True)):
+            write_tum(out / f"{name}_{k}.tum", Trajectory(indices.astype(float), poses))
     write_text(out / "loops.csv", loops_csv(alignment))
-    write_text(out / "alignment.json", json.dumps(summary(alignment), indent=2) + "\n")
+    write_text(out / "loops.jsonl", loops_jsonl(alignment))
+    facts = {**summary(alignment), "odometry": settings.model_dump(include=_NOISE)}
+    write_text(out / "alignment.json", json.dumps(facts, indent=2) + "\n")
     try:
         image = picture(alignment)
     except MissingDependency as error:

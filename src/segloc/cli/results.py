@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -11,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import MissingDependency, SeglocError
-from ..files import replacing
 from ..io import Trajectory, write_tum
 from .console import note
+from .saving import write_together
 
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
@@ -42,17 +41,7 @@ def write_results(
             files["trajectory.png"] = draw(prior_map, evaluation, title)
         except MissingDependency as error:
             note(f"no trajectory.png: {error}")
-    made = not out.exists()
-    out.mkdir(parents=True, exist_ok=True)
-    try:
-        with ExitStack() as stack:  # nothing is renamed before everything is written
-            for name, data in files.items():
-                stack.enter_context(replacing(out / name)).write(data)
-    except BaseException:
-        if made:
-            with suppress(OSError):
-                out.rmdir()
-        raise
+    write_together(out, files)
 
 
 def _contents(evaluation: Evaluation) -> dict[str, bytes]:

@@ -1,9 +1,9 @@
-"""How verbs replace a map: one at a time, so that nothing is lost between reading and writing."""
+"""How verbs write: maps one at a time so that nothing is lost, the files of a folder together."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 
@@ -17,3 +17,20 @@ def writing(out: Path) -> Iterator[None]:
     checked_target(out)
     with exclusive(out, lambda: note(f"{out}: waiting for another process that writes it")):
         yield
+
+
+def write_together(out: Path, files: dict[str, bytes]) -> None:
+    """Write files of a folder: all of them, or none."""
+    from ..files import replacing
+
+    made = not out.exists()
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        with ExitStack() as stack:  # nothing is renamed before everything is written
+            for name, data in files.items():
+                stack.enter_context(replacing(out / name)).write(data)
+    except BaseException:
+        if made:
+            with suppress(OSError):
+                out.rmdir()
+        raise

@@ -126,21 +126,26 @@ def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 
     return points, times if times is not None and times.any() else None
 
 
-def format_laz(points: Float32, times: Float64 | None = None) -> bytes:
+def format_laz(
+    points: Float32 | Float64, times: Float64 | None = None, *, offset: Float64 | None = None
+) -> bytes:
     """A LAZ file with coordinates in steps of ``RESOLUTION``, of a format with times if needed.
+
+    ``offset``, (3,), is near points that lie far from zero, so that their steps are few.
 
     Raises
     ------
     DatasetError
-        If a coordinate is beyond what 32 bits of such steps can hold, about 2147 km.
+        If a coordinate is beyond what 32 bits of such steps can hold, about 2147 km from there.
     """
     laspy = _import_laspy("writing .laz files")
-    steps = np.rint(points.astype(np.float64) / RESOLUTION)
+    origin = np.zeros(3) if offset is None else offset
+    steps = np.rint((points.astype(np.float64) - origin) / RESOLUTION)
     if np.abs(steps).max(initial=0) > np.iinfo(np.int32).max:
         raise DatasetError("coordinates beyond 2147 km do not fit a .laz file")
     header = laspy.LasHeader(version="1.2", point_format=0 if times is None else 1)
     header.scales = np.full(3, RESOLUTION)
-    header.offsets = np.zeros(3)
+    header.offsets = origin
     header.creation_date = None  # the same points make the same bytes
     las = laspy.LasData(header)
     las.X, las.Y, las.Z = steps.astype(np.int32).T

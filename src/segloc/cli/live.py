@@ -1,0 +1,184 @@
+"""``segloc live``"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import (
+    ConfigFile,
+    Deskew,
+    Level,
+    Odometry,
+    Recording,
+    Select,
+    Threads,
+    Topic,
+    Weights,
+    open_localizer,
+)
+
+if TYPE_CHECKING:
+    from ..live import State
+    from ..live.replay import Replay
+    from ..types import Recording as Scans
+
+
+def live(
+    sequence: Recording,
+    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
+    poses: Annotated[
+        Path | None,
+        typer.Option(help="TUM or KITTI, in any frame: the odometry. By default the recording's."),
+    ] = None,
+    select: Select = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="True poses in the map's frame, to score against.")
+    ] = None,
+    tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 2.0,
+    tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 10.0,
+    rate: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
+        ),
+    ] = 0.0,
+    every: Annotated[
+        float, typer.Option(min=0, metavar="METRES", help="A query for so much travel.")
+    ] = 10.0,
+    topic: Topic = None,
+    deskew: Deskew = True,
+    odometry: Odometry = False,
+    level: Level = False,
+    config: ConfigFile = None,
+    weights: Weights = None,
+    threads: Threads = 0,
+) -> None:
+    """Play a recording to what runs on a robot, and say where it is scan by scan.
+
+    Only the motion between poses is used, never where they are. Writes poses.tum, states.jsonl and
+    summary.json.
+    """
+    from ..datasets import poses_at
+    from ..live.replay import odometry_of, replay
+    from ..live.score import summary
+    from ..map.segment_map import SegmentMap
+    from .console import progress
+    from .recording import levelled_poses, open_recording, place_of_sensor
+    from .results import check_folder
+    from .saving import write_together
+
+    check_folder(out)
+    localizer = open_localizer(SegmentMap.load(prior_map), config, threads, weights)
+    local = localizer.config.local_cloud
+    recording: Scans = open_recording(
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=local.mount
+    )
+    moved = odometry_of(recording)[1]
+    recording = levelled_poses(recording, local, level)
+    T = place_of_sensor(local.mount)
+    truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
+    heard = _teller(recording)
+    with progress("Following") as update:
+        played = replay(localizer, recording, _settings(every), rate, heard, update)
+    facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
+    facts |= summary(played, moved, truths, tolerance_m, tolerance_deg)
+    write_together(out, _contents(recording, played, facts))
+    _show(facts, f"{recording.name} in {prior_map.name}")
+
+
+def _settings(every_m: float) -> Any:
+    from ..live import LiveConfig
+
+    settings = LiveConfig()
+    tracker = settings.tracker.model_copy(update={"every_m": every_m})
+    return settings.model_copy(update={"tracker": tracker})
+
+
+def _teller(recording: Scans) -> Callable[[int, State], None]:
+    """Prints a line whenever the state changes."""
+    from .console import say
+
+    last: list[str] = []
+
+    def heard(position: int, state: State) -> None:
+        if last and last[0] == state.status.value:
+            return
+        last[:] = [state.status.value]
+        T = state.T_map_base
+        where = "" if T is None else f" at {T[0, 3]:.1f}, {T[1, 3]:.1f}"
+        why = f": {state.reason}" if state.reason else ""
+        path = f"{state.travelled_m:.1f} m"
+        say(f"scan {recording.indices[position]}, {path}: {state.status}{where}{why}")
+
+    return heard
+
+
+def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[str, bytes]:
+    return {
+        "poses.tum": _poses(recording, played),
+        "states.jsonl": "".join(_lines(recording, played)).encode(),
+        "summary.json": (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode(),
+    }
+
+
+def _lines(recording: Scans, played: Replay) -> list[str]:
+    lines = []
+    for position in map(int, played.positions):
+        record = {
+            "index": int(recording.indices[position]),
+            **played.states[position].record(),
+            "stamp": None if recording.stamps is None else float(recording.stamps[position]),
+        }
+        lines.append(json.dumps(record, allow_nan=False) + "\n")
+    return lines
+
+
+def _poses(recording: Scans, played: Replay) -> bytes:
+    """T_map_sensor by the scans' times, or else by their numbers."""
+    from tempfile import TemporaryDirectory
+
+    import numpy as np
+
+    from ..io import Trajectory, write_tum
+
+    found = {
+        position: T
+        for position in map(int, played.positions)
+        if (T := played.states[position].T_map_base) is not None
+    }
+    rows = list(found)
+    timed = recording.stamps is not None
+    keys = recording.stamps if recording.stamps is not None else recording.indices
+    track = np.array([found[k] for k in rows], dtype=np.float64).reshape(-1, 4, 4)
+    remark = "" if timed else "no times: the first column holds the scans' numbers"
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "poses.tum"
+        write_tum(path, Trajectory(np.asarray(keys, dtype=np.float64)[rows], track), remark)
+        return path.read_bytes()
+
+
+def _show(facts: dict[str, Any], title: str) -> None:
+    from .console import number, table
+
+    taken = f"{facts['scans']}, {facts['dropped']} dropped"
+    rows = [("scans", taken), ("travelled", number(facts["travelled_m"], "m", 1))]
+    rows.append(("localized", number(100 * facts["localized_share"], "%", 1)))
+    rows.append(("first fix after", number(facts["first_fix_m"], "m", 1)))
+    if facts["false_m"] is not None:
+        rows.append(("false track", number(facts["false_m"], "m", 1)))
+        for kind, unit in (("translation", "m"), ("rotation", "deg")):
+            spread = facts[f"{kind}_error_{unit}"]
+            pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"
+            rows.append((f"{kind} error, median / 95 %", pair))
+    for name, key in (("a scan", "latency_ms"), ("a query", "query_ms")):
+        times = facts[key]
+        pair = f"{number(times['p50'], 'ms', 1)} / {number(times['p99'], 'ms', 1)}"
+        rows.append((f"time of {name}, median / 99 %", pair))
+    table(title, ("", ""), rows)

@@ -1,0 +1,147 @@
+"""What can be exported: a map, or the folder that a verb has written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from ..errors import DatasetError
+from ..io import Trajectory, read_trajectory
+from ..io.scans import read_file
+from ..map.segment_map import SegmentMap
+
+
+@dataclass(frozen=True)
+class MapSource:
+    """A map.
+
+    Attributes
+    ----------
+    path : path
+    prior_map : SegmentMap
+    """
+
+    path: Path
+    prior_map: SegmentMap
+    what = "a map"
+
+
+@dataclass(frozen=True)
+class FoundSource:
+    """What `segloc localize` or `segloc live` wrote.
+
+    Attributes
+    ----------
+    path : path
+        The folder.
+    track : Trajectory
+        T_map_sensor by the scans' times, or else by their numbers.
+    timed : bool
+        Which of the two.
+    """
+
+    path: Path
+    track: Trajectory
+    timed: bool
+    what = "results of `segloc localize` or `segloc live`"
+
+
+@dataclass(frozen=True)
+class AlignedSource:
+    """What `segloc align` wrote.
+
+    Attributes
+    ----------
+    path : path
+        The folder.
+    names : list of str
+        Of the sessions.
+    components : list of list of int
+        Sessions that share a frame.
+    noise : (float, float, float)
+        What odometry was taken to err: `odometry_m`, `odometry_deg`, `odometry_scale`.
+    """
+
+    path: Path
+    names: list[str]
+    components: list[list[int]]
+    noise: tuple[float, float, float]
+    what = "results of `segloc align`"
+
+    def session(self, k: int) -> Trajectory:
+        """T_world_sensor of a session, by the scans' numbers."""
+        return read_trajectory(self.path / f"session_{k}.tum")
+
+    def odometry(self, k: int) -> Trajectory:
+        """The same as it came."""
+        return read_trajectory(self.path / f"odometry_{k}.tum")
+
+    def loops(self) -> Iterator[dict[str, Any]]:
+        """Accepted and rejected ones."""
+        path = self.path / "loops.jsonl"
+        for number, line in enumerate(_read(path).splitlines(), 1):
+            yield _parsed(line, f"{path}: line {number}")
+
+
+Source: TypeAlias = MapSource | FoundSource | AlignedSource
+
+
+def opened(path: Path) -> Source:
+    """A map, or the results in a folder, by the files that are there.
+
+    Raises
+    ------
+    DatasetError
+        If it is neither, or a file of it cannot be read.
+    MapFormatError
+        If it is a file, and no map.
+    """
+    if not path.is_dir():
+        return MapSource(path, SegmentMap.load(path))
+    if (path / "alignment.json").is_file():
+        return _aligned(path)
+    for kept in ("localizations.jsonl", "states.jsonl"):
+        if (path / kept).is_file():
+            text = _read(path / "poses.tum")
+            timed = "no times" not in text[:300]
+            return FoundSource(path, read_trajectory(path / "poses.tum"), timed)
+    raise DatasetError(
+        f"{path}: neither a map nor results: there is no alignment.json, localizations.jsonl or "
+        "states.jsonl in it"
+    )
+
+
+def _aligned(path: Path) -> AlignedSource:
+    file = path / "alignment.json"
+    facts = _parsed(_read(file), str(file))
+    try:
+        names = [str(session["name"]) for session in facts["sessions"]]
+        components = [[int(k) for k in members] for members in facts["components"]]
+        noise = facts["odometry"]
+        erred = tuple(float(noise[f"odometry_{key}"]) for key in ("m", "deg", "scale"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{file}: not as `segloc align` of today writes it: {error}") from error
+    if sorted(k for members in components for k in members) != list(range(len(names))):
+        raise DatasetError(f"{file}: its components are not of its sessions")
+    return AlignedSource(path, names, components, (erred[0], erred[1], erred[2]))
+
+
+def _read(path: Path) -> str:
+    try:
+        return read_file(path).decode("utf-8", "replace")
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise DatasetError(f"{path}: cannot be read: {reason}") from error
+
+
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(f"{where}: damaged: {error}") from error
+    if not isinstance(values, dict):
+        raise DatasetError(f"{where}: damaged: no JSON object")
+    return values

@@ -1,0 +1,130 @@
+"""Paths of sensors as TUM files and as GeoJSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigError, SeglocError
+from ..files import write_text
+from ..io import Trajectory, write_tum
+from ..types import Float64
+from .sources import AlignedSource, FoundSource, MapSource, Source
+
+BREAK_M = 35.0
+"""Poses farther apart are not joined by a line."""
+UNTIMED = "no times: the first column holds the scans' numbers"
+_EQUATOR_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the origin of a map's frame lies on the globe; its x axis points east.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        Degrees, WGS 84.
+    """
+
+    latitude: float
+    longitude: float
+
+    @classmethod
+    def parse(cls, text: str) -> Place:
+        """From ``LATITUDE,LONGITUDE``.
+
+        Raises
+        ------
+        ConfigError
+            If it is something else.
+        """
+        try:
+            latitude, longitude = (float(part) for part in text.split(","))
+        except ValueError as error:
+            raise ConfigError(f"--at {text[:40]!r}: not LATITUDE,LONGITUDE in degrees") from error
+        if not (abs(latitude) < 89.9 and abs(longitude) <= 180.0):
+            raise ConfigError(f"--at {text[:40]!r}: no place with an east")
+        return cls(latitude, longitude)
+
+    def degrees(self, xy: Float64) -> Float64:
+        """Longitude and latitude of (N, 2) metres; good to a centimetre within some kilometres."""
+        phi = math.radians(self.latitude)
+        squared = _FLATTENING * (2.0 - _FLATTENING)
+        bent = 1.0 - squared * math.sin(phi) ** 2
+        north = _EQUATOR_M * (1.0 - squared) / bent**1.5
+        east = _EQUATOR_M / math.sqrt(bent) * math.cos(phi)
+        steps = np.degrees(xy / np.array([east, north]))
+        return np.asarray(steps + [self.longitude, self.latitude], dtype=np.float64)
+
+
+def tracks(source: Source) -> Iterator[tuple[str, Trajectory, str]]:
+    """Name, path, and a remark on its stamps, of each session."""
+    if isinstance(source, MapSource):
+        poses = source.prior_map.trajectory
+        if not len(poses):
+            raise SeglocError(f"{source.path}: the map does not know along which path it was made")
+        numbers = np.arange(len(poses), dtype=np.float64)
+        yield source.path.stem, Trajectory(numbers, poses), "a map's poses have no times: numbered"
+    elif isinstance(source, FoundSource):
+        if not len(source.track):
+            raise SeglocError(f"{source.path}: nothing was localized: there is no path")
+        yield source.path.resolve().name, source.track, "" if source.timed else UNTIMED
+    else:
+        for k, name in enumerate(source.names):
+            yield name, source.session(k), UNTIMED
+
+
+def write_tum_files(source: Source, out: Path) -> list[str]:
+    """One file; of several aligned sessions a folder with one file each."""
+    listed = list(tracks(source))
+    if not isinstance(source, AlignedSource) or len(listed) == 1:
+        write_tum(out, *listed[0][1:])
+        return []
+    out.mkdir(parents=True, exist_ok=True)
+    for k, (_, track, remark) in enumerate(listed):
+        write_tum(out / f"session_{k}.tum", track, remark)
+    return []
+
+
+def write_geojson(
+    source: Source, out: Path, epsg: int | None = None, place: Place | None = None
+) -> list[str]:
+    """A feature for each session, its coordinates in degrees, or else as they are.
+
+    RFC 7946 has no frame but WGS 84. Without ``place`` coordinates are the map's metres, and
+    ``epsg`` names their frame by the member "crs" of GeoJSON 2008, which GDAL and QGIS heed.
+    """
+    if epsg is not None and place is not None:
+        raise ConfigError("--epsg and --at exclude each other")
+    features = [_feature(name, track.poses, place) for name, track, _ in tracks(source)]
+    document: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if epsg is not None:
+        crs = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
+        document = {"type": "FeatureCollection", "crs": crs, "features": features}
+    write_text(out, json.dumps(document, allow_nan=False) + "\n")
+    if epsg is None and place is None:
+        return ["coordinates are the map's metres: --at LAT,LON or --epsg N puts them on a globe"]
+    return []
+
+
+def _feature(name: str, poses: Float64, place: Place | None) -> dict[str, Any]:
+    xyz = poses[:, :3, 3]
+    if place is not None:
+        xyz = np.column_stack([place.degrees(xyz[:, :2]), xyz[:, 2]])
+    steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
+    digits = 3 if place is None else 8
+    lines = [
+        [[round(float(x), digits), round(float(y), digits), round(float(z), 3)] for x, y, z in part]
+        for part in np.split(xyz, np.flatnonzero(steps > BREAK_M) + 1)
+    ]
+    lines = [line if len(line) > 1 else line * 2 for line in lines]  # a line has two ends
+    geometry = {"type": "MultiLineString", "coordinates": lines}
+    properties = {"name": name, "poses": len(poses)}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}

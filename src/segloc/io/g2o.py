@@ -1,0 +1,96 @@
+"""Pose graphs as g2o reads them (R. Kümmerle et al., "g2o: A General Framework for Graph
+Optimization", ICRA 2011; https://github.com/RainerKuemmerle/g2o/wiki/File-format-slam-3d)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..types import Float64, Int64
+
+
+@dataclass(frozen=True)
+class PoseEdges:
+    """E measured relative poses.
+
+    Attributes
+    ----------
+    first, second : (E,) int64
+        Poses by number.
+    T : (E, 4, 4) float64
+        T_first_second.
+    covariance : (E, 6, 6) float64
+        Of rotation (rad), then translation (m), in the frame of ``second``.
+    """
+
+    first: Int64
+    second: Int64
+    T: Float64
+    covariance: Float64
+
+
+_UPPER = np.triu_indices(6)
+
+
+def g2o_information(covariance: Float64) -> Float64:
+    """The information matrix of an EDGE_SE3:QUAT.
+
+    Its order is x, y, z, then the vector part of the unit quaternion, which is half of a small
+    rotation vector. Both orders are of errors in the frame of the second pose.
+
+    Parameters
+    ----------
+    covariance : (6, 6) float64
+        Of rotation (rad), then translation (m).
+
+    Returns
+    -------
+    (6, 6) float64
+    """
+    order = np.array([3, 4, 5, 0, 1, 2])
+    information = np.linalg.inv(covariance)[np.ix_(order, order)]
+    scale = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # d(rotation vector) / d(quaternion)
+    scaled = scale[:, None] * information * scale
+    return np.asarray((scaled + scaled.T) / 2.0, dtype=np.float64)
+
+
+def format_g2o(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int] = ()) -> str:
+    """A file of VERTEX_SE3:QUAT, FIX and EDGE_SE3:QUAT lines.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        The first estimates, numbered from 0.
+    edges : sequence of PoseEdges
+    fixed : sequence of int
+        Poses that an optimisation is to leave where they are.
+    """
+    return "".join(_lines(poses, edges, fixed))
+
+
+def _lines(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int]) -> Iterator[str]:
+    for k, row in enumerate(_rows(poses)):
+        yield f"VERTEX_SE3:QUAT {k} {_text(row)}\n"
+    for k in fixed:
+        yield f"FIX {k}\n"
+    for part in edges:
+        for k, row in enumerate(_rows(part.T)):
+            information = g2o_information(part.covariance[k])[_UPPER]
+            ends = f"{int(part.first[k])} {int(part.second[k])}"
+            yield f"EDGE_SE3:QUAT {ends} {_text(row)} {_text(information)}\n"
+
+
+def _rows(poses: Float64) -> Float64:
+    """x y z qx qy qz qw, with qw >= 0."""
+    if not len(poses):
+        return np.empty((0, 7))
+    quaternions = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()
+    quaternions *= np.where(quaternions[:, 3:] < 0, -1.0, 1.0)
+    return np.concatenate([poses[:, :3, 3], quaternions], axis=1)
+
+
+def _text(values: Float64) -> str:
+    return " ".join(f"{value:.12g}" for value in values)

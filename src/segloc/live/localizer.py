@@ -1,0 +1,287 @@
+"""A robot followed in threads of its own: a thin shell around :class:`LiveCore`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import checked_pose
+from ..errors import LiveError, SeglocError
+from ..localizer import Localizer
+from ..types import Pose, Scan
+from ..views import View
+from .config import LiveConfig
+from .core import Asked, LiveCore
+from .odometry import known_stamp
+from .state import State
+
+_MOST_POSES, _MOST_SCANS = 4096, 2
+"""Odometry and scans that wait for the worker; the newest win."""
+_MOST_ARRIVALS = 256
+
+
+@dataclass(frozen=True)
+class _Pose:
+    stamp: float
+    T_odom_base: Pose
+
+
+@dataclass(frozen=True)
+class _Taken:
+    stamp: float
+    scan: Scan
+
+
+@dataclass(frozen=True)
+class _Answered:
+    asked: Asked
+    view: View | None
+
+
+class LiveLocalizer:
+    """Follows a robot: scans and odometry in, each at its own rate, and states out.
+
+    One thread takes in what comes, in a few milliseconds a scan; another makes the queries.
+    Neither keeps the caller waiting: where they fall behind, old scans are dropped.
+
+    Parameters
+    ----------
+    localizer : Localizer
+    config : LiveConfig, optional
+    T_base_sensor : (4, 4) array, optional
+        As for :class:`LiveCore`.
+    on_state : callable, optional
+        Called with every :class:`State`, one after another, in a thread of this object.
+
+    Raises
+    ------
+    LiveError
+        By every method, once a thread has failed; the cause is with it.
+
+    Notes
+    -----
+    Any thread may use one. It is a context manager; leaving it ends its threads.
+    """
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        config: LiveConfig | None = None,
+        *,
+        T_base_sensor: ArrayLike | None = None,
+        on_state: Callable[[State], None] | None = None,
+    ) -> None:
+        self._core = LiveCore(localizer, config, T_base_sensor)
+        self._state, self._on_state = self._core.state, on_state
+        self._changed = threading.Condition()
+        self._inbox: deque[_Pose | _Taken | _Answered] = deque()
+        self._asked: Asked | None = None
+        self._busy = 0  # threads that are at work
+        self._closed, self._error = False, None
+        self._overrun = 0
+        self._arrived: dict[float, float] = {}
+        names = {"intake": self._take_in, "queries": self._make_queries}
+        self._threads = [
+            threading.Thread(target=self._guarded, args=(work,), name=f"segloc-{name}", daemon=True)
+            for name, work in names.items()
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    _error: BaseException | None
+
+    # --- for callers ---------------------------------------------------------------------------
+
+    def add_scan(self, scan: Scan | NDArray[np.floating[Any]], stamp: float | None = None) -> None:
+        """Hand over a scan, and do not wait.
+
+        Parameters
+        ----------
+        scan : Scan or (N, 3) array
+            Points in the sensor's frame, metres; with times, its motion is undone.
+        stamp : float, optional
+            Seconds, on the odometry's clock; by default the scan's own.
+
+        Raises
+        ------
+        InvalidScan
+            If it is no scan, or has no stamp.
+        """
+        scan = scan if isinstance(scan, Scan) else Scan(scan)
+        self._put(_Taken(known_stamp(scan.stamp if stamp is None else stamp), scan))
+
+    def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> None:
+        """Hand over a pose of the odometry, and do not wait.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds, on the scans' clock.
+        T_odom_base : (4, 4) array
+            In a frame whose z axis points up.
+
+        Raises
+        ------
+        InvalidScan
+            If it is no pose, or the stamp is no finite number.
+        """
+        self._put(_Pose(known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")))
+
+    @property
+    def state(self) -> State:
+        """The newest one."""
+        self._check()
+        return self._state
+
+    @property
+    def scans(self) -> int:
+        """Scans taken in."""
+        return self._core.scans
+
+    @property
+    def dropped(self) -> int:
+        """Scans that were not: late, without odometry, or more than could be taken in."""
+        return self._core.dropped + self._overrun
+
+    def flush(self, timeout: float | None = None) -> bool:
+        """Wait until all that was handed over is dealt with; False where it takes longer."""
+        with self._changed:
+            done = self._changed.wait_for(
+                lambda: self._closed or not (self._inbox or self._asked or self._busy), timeout
+            )
+        self._check()
+        return done
+
+    def close(self) -> None:
+        """End the threads, once what they are at is done. What waits is not dealt with.
+
+        Raises
+        ------
+        LiveError
+            If a thread has failed.
+        """
+        self._end()
+        self._check()
+
+    def __enter__(self) -> LiveLocalizer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end()
+        if error is None:
+            self._check()
+
+    # --- inside --------------------------------------------------------------------------------
+
+    def _end(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join()
+
+    def _check(self) -> None:
+        if self._error is not None:
+            kind = type(self._error).__name__
+            raise LiveError(
+                f"live localization has stopped: {kind}: {self._error}"
+            ) from self._error
+
+    def _put(self, event: _Pose | _Taken) -> None:
+        self._check()
+        with self._changed:
+            if self._closed:
+                raise LiveError("live localization was closed")
+            most = _MOST_SCANS if isinstance(event, _Taken) else _MOST_POSES
+            alike = [e for e in self._inbox if type(e) is type(event)] if self._inbox else []
+            if len(alike) >= most:
+                self._inbox.remove(alike[0])
+                self._overrun += isinstance(event, _Taken)
+            if isinstance(event, _Taken):
+                self._arrived[event.stamp] = time.perf_counter()
+                if len(self._arrived) > _MOST_ARRIVALS:
+                    self._arrived.pop(next(iter(self._arrived)))
+            self._inbox.append(event)
+            self._changed.notify_all()
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """What fails in a thread ends both, and is told to whoever calls next."""
+        try:
+            work()
+        except BaseException as error:
+            with self._changed:
+                self._error = self._error or error
+        finally:
+            with self._changed:
+                self._closed = True
+                self._changed.notify_all()
+
+    def _take_in(self) -> None:
+        silent_s, said_s = self._core.config.silent_s, 0.0
+        while True:
+            with self._changed:
+                woken = self._changed.wait_for(lambda: self._closed or self._inbox, silent_s)
+                if self._closed:
+                    return
+                event = self._inbox.popleft() if woken else None
+                self._busy += 1
+            if event is not None:
+                said_s = 0.0
+                self._publish(self._deal_with(event))
+            elif said_s == 0.0 and self._core.scans:
+                said_s = silent_s
+                self._publish([self._core.silent(silent_s)])
+            with self._changed:
+                if (asked := self._core.due()) is not None:
+                    self._asked = asked  # the newest wins
+                self._busy -= 1
+                self._changed.notify_all()
+
+    def _deal_with(self, event: _Pose | _Taken | _Answered) -> list[State]:
+        if isinstance(event, _Pose):
+            return self._core.add_odometry(event.stamp, event.T_odom_base)
+        if isinstance(event, _Taken):
+            return self._core.add_scan(event.scan, event.stamp)
+        return [self._core.answer(event.asked, event.view)]
+
+    def _publish(self, states: list[State]) -> None:
+        now = time.perf_counter()
+        for state in states:
+            key = state.stamp if state.answered is None else state.answered
+            arrived = self._arrived.get(key)
+            if arrived is not None:
+                state = replace(state, latency_ms=1e3 * (now - arrived))
+            self._state = state
+            if self._on_state is not None:
+                self._on_state(state)
+
+    def _make_queries(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._asked is not None)
+                if self._closed or self._asked is None:
+                    return
+                asked, self._asked = self._asked, None
+                self._busy += 1
+            view: View | None = None
+            with suppress(SeglocError):  # a query that cannot be made finds nothing
+                view = self._core.ask(asked)
+            with self._changed:
+                self._inbox.append(_Answered(asked, view))
+                self._busy -= 1
+                self._changed.notify_all()

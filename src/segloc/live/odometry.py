@@ -1,0 +1,157 @@
+"""Odometry as it comes: kept for some seconds, its jumps noticed, its gaps left open."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from .. import geometry
+from ..checks import checked_stamp
+from ..datasets.recorded import times_fit
+from ..errors import InvalidScan
+from ..motion import Motion
+from ..types import Float64, Pose, Scan
+from .config import LiveConfig
+
+_MOST_POSES = 4096
+
+
+class Cover(Enum):
+    """Whether odometry tells where a sensor was over a stretch of time."""
+
+    KNOWN = "known"
+    LATER = "later"
+    NEVER = "never"
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A step that no robot makes.
+
+    Attributes
+    ----------
+    T_new_old : (4, 4) float64
+        From the odometry's frame before the jump to that after it, if the robot stood still.
+    text : str
+        What happened, for people.
+    """
+
+    T_new_old: Pose
+    text: str
+
+
+class Odometry:
+    """The last seconds of odometry.
+
+    Attributes
+    ----------
+    late : int
+        Poses that came too late to be of use.
+    """
+
+    def __init__(self, config: LiveConfig) -> None:
+        self._config = config
+        self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MOST_POSES)
+        self.late = 0
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest pose; minus infinity where there is none."""
+        return self._kept[-1][0] if self._kept else -math.inf
+
+    @property
+    def pose(self) -> Pose | None:
+        """T_odom_base of the newest one."""
+        return self._kept[-1][1] if self._kept else None
+
+    def add(self, stamp: float, T_odom_base: Pose) -> Jump | None:
+        """Add a pose; what went before a jump, or before the clock was set, is forgotten."""
+        jump = None
+        if self._kept:
+            last, before = self._kept[-1]
+            back = stamp <= last
+            if back and last - stamp <= self._config.clock_jump_s:
+                self.late += 1
+                return None
+            jump = self._jump(before, T_odom_base, math.inf if back else stamp - last, back)
+            if jump is not None or back:
+                self._kept.clear()
+        self._kept.append((stamp, T_odom_base))
+        while self._kept[0][0] < stamp - self._config.odometry_s:
+            self._kept.popleft()
+        return jump
+
+    def _jump(self, before: Pose, after: Pose, seconds: float, back: bool) -> Jump | None:
+        """Where the clock was set, time tells nothing: then any step beyond the least is one."""
+        config, step = self._config, geometry.inverse(before) @ after
+        metres = float(np.linalg.norm(step[:3, 3]))
+        degrees = math.degrees(geometry.rotation_angle(step))
+        time = 0.0 if back else seconds
+        far = metres > max(config.jump_m, config.max_speed_mps * time)
+        turned = degrees > max(config.jump_deg, config.max_turn_dps * time)
+        if not (far or turned):
+            return None
+        size = f"{metres:.1f} m" if far else f"{degrees:.0f} degrees"
+        return Jump(after @ geometry.inverse(before), f"the odometry jumped by {size}")
+
+    def cover(self, first: float, last: float, now: float) -> Cover:
+        """Whether poses are known all the way from one stamp to another.
+
+        Parameters
+        ----------
+        first, last : float
+            Seconds.
+        now : float
+            The newest stamp of all that has come in.
+        """
+        if self.newest < last:
+            return Cover.LATER if now <= last + self._config.wait_s else Cover.NEVER
+        if self._kept[0][0] > first:
+            return Cover.NEVER
+        stamps = self._stamps()
+        inner = stamps[np.searchsorted(stamps, first, "right") - 1 :]
+        inner = inner[: np.searchsorted(inner, last) + 1]
+        gaps = np.diff(inner)
+        return Cover.NEVER if (gaps > self._config.max_gap_s).any() else Cover.KNOWN
+
+    def motion(self, T_base_sensor: Pose) -> Motion:
+        """The sensor's path; with a single pose it rests there."""
+        stamps, poses = self._stamps(), np.stack([T for _, T in self._kept]) @ T_base_sensor
+        if len(stamps) == 1:
+            stamps, poses = np.append(stamps, stamps + 1.0), np.repeat(poses, 2, axis=0)
+        return Motion(stamps, poses)
+
+    def _stamps(self) -> Float64:
+        return np.array([stamp for stamp, _ in self._kept], dtype=np.float64)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._kept.clear()
+
+
+def known_stamp(stamp: float | None) -> float:
+    """A stamp that must be there.
+
+    Raises
+    ------
+    InvalidScan
+        If it is not, or no finite number.
+    """
+    time = checked_stamp(stamp)
+    if time is None:
+        raise InvalidScan("a stamp is needed: the time of a scan or of a pose, seconds")
+    return time
+
+
+def span(scan: Scan, stamp: float) -> tuple[float, float]:
+    """When the first and the last point of a scan were measured."""
+    if scan.times is None or not times_fit(scan):
+        return stamp, stamp
+    return stamp + min(0.0, float(scan.times.min())), stamp + max(0.0, float(scan.times.max()))

@@ -1,0 +1,208 @@
+"""A recording played to a robot's localization: scan by scan, or as fast as it was recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import geometry
+from ..errors import DatasetError
+from ..localizer import Localizer
+from ..types import Float64, Int64, Recording
+from .config import LiveConfig
+from .core import LiveCore
+from .localizer import LiveLocalizer
+from .state import State
+
+NOMINAL_S, NOMINAL_MPS = 0.1, 10.0
+"""Between scans without times, and no faster than this."""
+
+Heard = Callable[[int, State], None]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What was said while a recording was played.
+
+    Attributes
+    ----------
+    states : dict of int to State
+        By the position of the newest scan: the last that was said before the next one.
+    latency_ms, query_ms : (S,), (Q,) float64
+        From when a scan came in until it was taken in, and until its query was answered.
+    scans, dropped : int
+        Taken in, and not.
+    """
+
+    states: dict[int, State]
+    latency_ms: Float64
+    query_ms: Float64
+    scans: int
+    dropped: int
+
+    @property
+    def positions(self) -> Int64:
+        """Of the scans that something was said at, rising, (N,)."""
+        return np.array(sorted(self.states), dtype=np.int64)
+
+
+class _Listener:
+    """Keeps the last state of every scan, and tells of every state."""
+
+    def __init__(self, clock: Float64, heard: Heard | None) -> None:
+        self._positions = {float(stamp): i for i, stamp in enumerate(clock)}
+        self._heard = heard
+        self.states: dict[int, State] = {}
+        self._latency: list[float] = []
+        self._query: list[float] = []
+
+    def __call__(self, state: State) -> None:
+        position = self._positions.get(state.stamp)
+        if position is None:
+            return
+        self._keep(position, state)
+        self._tell(position)
+
+    def hear(self, position: int, states: list[State]) -> None:
+        """Take what was said of a scan; the last of it counts."""
+        for state in states:
+            self._keep(position, state)
+        self._tell(position)
+
+    def _keep(self, position: int, state: State) -> None:
+        self.states[position] = state
+        if state.latency_ms is not None:
+            which = self._latency if state.answered is None else self._query
+            which.append(state.latency_ms)
+
+    def _tell(self, position: int) -> None:
+        if self._heard is not None and position in self.states:
+            self._heard(position, self.states[position])
+
+    def replay(self, scans: int, dropped: int) -> Replay:
+        return Replay(self.states, np.array(self._latency), np.array(self._query), scans, dropped)
+
+
+def odometry_of(recording: Recording) -> tuple[Float64, Float64]:
+    """A clock, (N,) seconds, and T_odom_sensor, (N, 4, 4), of which only the motion is left.
+
+    The first scan stands at the origin and heads along x, so nothing tells where it is in a map.
+    Scans without times come every tenth of a second, or as far apart as they would at 10 m/s.
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses.
+    """
+    if recording.poses is None or not len(recording):
+        raise DatasetError(
+            f"{recording.name}: following a robot needs odometry: --poses FILE or --odometry"
+        )
+    poses = geometry.inverse(geometry.levelled(recording.poses[0])) @ recording.poses
+    if recording.stamps is not None:
+        return np.array(recording.stamps, dtype=np.float64), poses
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    seconds = np.maximum(NOMINAL_S, steps / NOMINAL_MPS)
+    return np.concatenate([[0.0], np.cumsum(seconds)]), poses
+
+
+def replay(
+    localizer: Localizer,
+    recording: Recording,
+    config: LiveConfig | None = None,
+    rate: float = 0.0,
+    heard: Heard | None = None,
+    progress: Progress | None = None,
+) -> Replay:
+    """Play a recording, its poses as the odometry of its sensor.
+
+    Parameters
+    ----------
+    localizer : Localizer
+    recording : Recording
+        With poses, of which only the relative motion is used.
+    config : LiveConfig, optional
+    rate : float
+        How many times as fast as it was recorded, in threads: scans that are late are dropped. 0:
+        as fast as it goes, every scan and every query in its turn, so that the same recording gives
+        the same states.
+    heard : callable, optional
+        Called with the position of the scan and each state.
+    progress : callable, optional
+        Called with (scans done, scans in all).
+
+    Raises
+    ------
+    DatasetError
+        If there are no poses, or a scan cannot be read.
+    """
+    clock, poses = odometry_of(recording)
+    speed = rate or 1.0
+    listener = _Listener(clock / speed, heard)
+    play = _in_time if rate > 0 else _in_turn
+    scans, dropped = play(
+        localizer, recording, config, clock / speed, poses, listener, progress or _silent
+    )
+    return listener.replay(scans, dropped)
+
+
+def _in_turn(
+    localizer: Localizer,
+    recording: Recording,
+    config: LiveConfig | None,
+    clock: Float64,
+    poses: Float64,
+    listener: _Listener,
+    progress: Progress,
+) -> tuple[int, int]:
+    """Every query is answered before the next scan comes."""
+    core = LiveCore(localizer, config, np.eye(4))
+    for i, (stamp, T) in enumerate(zip(clock.tolist(), poses, strict=True)):
+        scan = recording.scan(i)
+        begun = time.perf_counter()
+        said = _timed(core.add_odometry(stamp, T) + core.add_scan(scan, stamp), begun)
+        while (asked := core.due()) is not None:
+            said += _timed([core.answer(asked, core.ask(asked))], begun)
+        listener.hear(i, said)
+        progress(i + 1, len(recording))
+    return core.scans, core.dropped
+
+
+def _in_time(
+    localizer: Localizer,
+    recording: Recording,
+    config: LiveConfig | None,
+    clock: Float64,
+    poses: Float64,
+    listener: _Listener,
+    progress: Progress,
+) -> tuple[int, int]:
+    """Scans come when they came; one that cannot be read in time is left out."""
+    missed, count = 0, len(recording)
+    with LiveLocalizer(localizer, config, T_base_sensor=np.eye(4), on_state=listener) as live:
+        begun = time.monotonic() - clock[0]
+        for i in range(count):
+            now = time.monotonic() - begun
+            live.add_odometry(clock[i], poses[i])
+            if i + 1 < count and now > clock[i + 1]:
+                missed += 1
+                continue
+            scan = recording.scan(i)
+            time.sleep(max(0.0, clock[i] - (time.monotonic() - begun)))
+            live.add_scan(scan, clock[i])
+            progress(i + 1, count)
+        live.flush()
+        return live.scans, live.dropped + missed
+
+
+def _timed(states: list[State], begun: float) -> list[State]:
+    now = time.perf_counter()
+    return [replace(state, latency_ms=1e3 * (now - begun)) for state in states]
+
+
+def _silent(done: int, total: int) -> None:
+    pass

@@ -1,0 +1,155 @@
+"""What one query says of where a robot is, and what several of them make of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from pydantic import Field
+
+from .section import Section
+from .types import Float64, Pose
+
+
+class Status(str, Enum):
+    """How well it is known where the robot is."""
+
+    LOST = "lost"
+    CANDIDATE = "candidate"
+    LOCALIZED = "localized"
+    DEGRADED = "degraded"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+class Check(Enum):
+    """What the newest scan says of the track, at its pose alone.
+
+    It fits; it tells nothing; the map has what is not there; or little of it is in the map: its
+    end, or another place.
+    """
+
+    HOLDS = "holds"
+    UNDECIDED = "undecided"
+    CONTRADICTS = "contradicts"
+    UNMAPPED = "unmapped"
+
+
+class HypothesesConfig(Section):
+    """When hypotheses of different views support each other, and when they are given up."""
+
+    min_confidence: float = Field(0.3, ge=0, le=1, description="less likely ones are not kept")
+    tolerance_m: float = Field(1.0, gt=0, description="hypotheses that agree differ by less")
+    tolerance_deg: float = Field(3.0, gt=0, description="the same for their headings, degrees")
+    drift: float = Field(
+        0.02, ge=0, description="odometry errs by this share of the distance travelled"
+    )
+    drift_deg: float = Field(0.05, ge=0, description="and turns by so many degrees a metre")
+    apart_m: float = Field(
+        4.0, ge=0, description="travel between two views that witness independently, metres"
+    )
+    agreeing: int = Field(2, ge=2, description="views that must agree on a hypothesis")
+    doubts: int = Field(2, ge=1, description="contradictions in a row that end a track")
+    support_m: float = Field(
+        30.0, gt=0, description="a track that is not supported for longer is degraded, metres"
+    )
+    confirm_m: float = Field(
+        20.0, gt=0, description="one carried over a jump of the odometry ends without support"
+    )
+    memory_m: float = Field(150.0, gt=0, description="unsupported hypotheses are kept this long")
+    max_kept: int = Field(16, ge=1, description="hypotheses kept between queries")
+
+
+@dataclass(frozen=True)
+class View:
+    """What one query says.
+
+    Attributes
+    ----------
+    at : float
+        Metres travelled when its scan was taken.
+    T_odom_sensor : (4, 4) float64
+        Of its scan.
+    T_map_odom : (4, 4) float64 or None
+        The best pose; None where nothing is worth keeping.
+    confidence : float
+        In [0, 1].
+    believed : bool
+        Whether it passed all gates of verification.
+    covariance : (6, 6) float64 or None
+        As :attr:`segloc.Localized.covariance`.
+    check : Check
+        What the newest scan says at the pose of the track.
+    T_checked, checked_covariance
+        Where the check has put the track; None where it does not hold.
+    """
+
+    at: float
+    T_odom_sensor: Pose
+    T_map_odom: Pose | None = None
+    confidence: float = 0.0
+    believed: bool = False
+    covariance: Float64 | None = None
+    check: Check = Check.UNDECIDED
+    T_checked: Pose | None = None
+    checked_covariance: Float64 | None = None
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A pose with the last view that supported it.
+
+    Attributes
+    ----------
+    T_map_odom : (4, 4) float64
+    covariance : (6, 6) float64 or None
+        Of the sensor's pose where it was at the last view.
+    T_odom_sensor : (4, 4) float64
+        Where that was.
+    confidence : float
+        Of the views that agree, taken as independent.
+    views : int
+        Independent views that agree.
+    believed : bool
+        Whether a single one of them passed all gates.
+    at, since : float
+        Metres travelled at the last independent view that supported it, and at the last of all.
+    """
+
+    T_map_odom: Pose
+    covariance: Float64 | None
+    T_odom_sensor: Pose
+    confidence: float
+    views: int
+    believed: bool
+    at: float
+    since: float
+
+    @classmethod
+    def of(cls, view: View, T_map_odom: Pose) -> Hypothesis:
+        return cls(
+            T_map_odom,
+            view.covariance,
+            view.T_odom_sensor,
+            view.confidence,
+            1,
+            view.believed,
+            view.at,
+            view.at,
+        )
+
+    def joined(self, view: View, T_map_odom: Pose, apart_m: float) -> Hypothesis:
+        """With one more view that agrees with it, which is independent from ``apart_m`` on."""
+        independent = view.at - self.at >= apart_m
+        both = 1.0 - (1.0 - self.confidence) * (1.0 - view.confidence)
+        return Hypothesis(
+            T_map_odom,
+            view.covariance,
+            view.T_odom_sensor,
+            both if independent else max(self.confidence, view.confidence),
+            self.views + independent,
+            self.believed or view.believed,
+            view.at if independent else self.at,
+            view.at,
+        )

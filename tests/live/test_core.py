@@ -1,0 +1,222 @@
+"""A robot followed event by event: fixes, kidnapping, the map's end, jumps, clocks, silence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+from samples.streams import T_MAP_ODOM, Event, error_m, feed, walked
+
+from segloc import Config, InvalidScan, Localizer, Scan, build_map, geometry
+from segloc.live import LiveConfig, LiveCore, State, Status
+from segloc.motion import Motion
+from segloc.tracker import TrackerConfig
+from segloc.types import Pose
+
+CONFIG = LiveConfig(tracker=TrackerConfig(accumulate=True, every_m=4.0))
+
+
+@pytest.fixture(scope="module")
+def localizer(plaza: Plaza) -> Localizer:
+    return Localizer(build_map(PlazaSequence(plaza), Config.preset("geo")))
+
+
+def drive(core: LiveCore, stream: Iterable[tuple[list[Event], Pose]]) -> list[tuple[State, float]]:
+    """The last state after each scan, and its error."""
+    return [
+        ((feed(core, events) or [core.state])[-1], error_m(core.state, T)) for events, T in stream
+    ]
+
+
+def test_a_robot_is_found_and_followed_and_the_same_stream_gives_the_same_states(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    streams = []
+    for _ in range(2):
+        core = LiveCore(localizer, CONFIG)
+        said = drive(core, walked(plaza, 12))
+        assert all(state.status is Status.LOCALIZED and error < 0.3 for state, error in said)
+        assert core.scans == 12 and core.dropped == 0
+        streams.append([state.record() for state, _ in said])
+    assert streams[0] == streams[1]
+    last = said[-1][0]
+    assert np.allclose(last.T_map_odom, T_MAP_ODOM, atol=0.3)
+    assert last.views > 3 and last.covariance is not None and last.reason == ""
+    assert 0.05 <= np.sqrt(last.covariance[3, 3]) < 0.5
+    with pytest.raises(ValueError, match="read-only"):
+        last.T_map_odom[0, 3] = 0.0
+
+
+def test_poses_are_those_of_the_base(localizer: Localizer, plaza: Plaza) -> None:
+    T_base_sensor = geometry.yaw_transform(0.7, (1.5, 0.2, 0.3))
+    core = LiveCore(localizer, CONFIG, T_base_sensor)
+    sensor_base = geometry.inverse(T_base_sensor)
+    for events, truth in walked(plaza, 4):
+        moved = [
+            Event(e.stamp, e.scan, None if e.T_odom_base is None else e.T_odom_base @ sensor_base)
+            for e in events
+        ]
+        feed(core, moved)
+        assert error_m(core.state, truth @ sensor_base) < 0.3
+
+
+def test_a_kidnapped_robot_is_noticed_and_found_again(localizer: Localizer, plaza: Plaza) -> None:
+    """Its odometry notices nothing: it was carried."""
+    core = LiveCore(localizer, CONFIG)
+    drive(core, walked(plaza, 8))
+    carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
+    later = list(walked(plaza, 20, begin=(2.0, 1.0), start_s=108.0, carried=carried, step=1.0))
+    said = drive(core, later)
+    noticed = next(k for k, (state, _) in enumerate(said) if state.status is not Status.LOCALIZED)
+    found = next(k for k, (s, e) in enumerate(said) if k > noticed and s.status is Status.LOCALIZED)
+    assert noticed <= 6 and found <= 14
+    assert all(error < 0.5 for _, error in said[found:])
+
+
+def test_beyond_the_map_odometry_carries_on_and_in_the_end_gives_up(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    config = CONFIG.tracker.model_copy(update={"memory_m": 80.0})
+    core = LiveCore(localizer, LiveConfig(tracker=config))
+    elsewhere = Plaza(7)
+    drive(core, walked(plaza, 8))
+    begin = (2.0, 1.0)
+    said = []
+    for events, truth in walked(elsewhere, 30, begin=begin, start_s=108.0, step=4.0):
+        beyond = []  # what is seen there is of another plaza, far off the map
+        for e in events:
+            points = None if e.scan is None else Scan(e.scan.points * np.float32(1.3))
+            beyond.append(Event(e.stamp, points, e.T_odom_base))
+        feed(core, beyond)
+        said.append((core.state, error_m(core.state, truth)))
+    kinds = [state.status for state, _ in said]
+    assert Status.DEGRADED in kinds and kinds[-1] in (Status.LOST, Status.CANDIDATE)
+    assert Status.LOCALIZED not in kinds[kinds.index(Status.DEGRADED) :]
+    degraded = [(s, e) for s, e in said if s.status is Status.DEGRADED]
+    assert all(error < 1.0 and state.reason for state, error in degraded)
+
+
+@pytest.mark.parametrize("reset", [np.eye(4), geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0))])
+def test_odometry_that_begins_anew_is_followed_and_confirmed(
+    localizer: Localizer, plaza: Plaza, reset: np.ndarray
+) -> None:
+    core = LiveCore(localizer, CONFIG)
+    drive(core, walked(plaza, 6))
+    T_map_odom = geometry.yaw_transform(0.02 * 6, (-2.0, 1.6, 1.8)) @ geometry.inverse(reset)
+    states: list[State] = []
+    for events, truth in walked(plaza, 5, begin=(-2.0, 1.6), start_s=106.0, T_map_odom=T_map_odom):
+        states += feed(core, events)
+        assert error_m(core.state, truth) < 2.5
+    jumped = [s for s in states if "jumped" in s.reason]
+    assert jumped and all(s.status is Status.DEGRADED for s in jumped)
+    assert states[-1].status is Status.LOCALIZED and error_m(states[-1], truth) < 0.3
+
+
+def test_clocks_that_are_set_back_or_on_cost_a_scan_or_two(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    core = LiveCore(localizer, CONFIG)
+    drive(core, walked(plaza, 3, step=1.0))
+    for begin, start_s in (((-11.0, 1.3), 20.0), ((-7.0, 1.7), 5000.0)):
+        said = drive(core, walked(plaza, 4, begin=begin, start_s=start_s, step=1.0))
+        assert said[-1][0].status is Status.LOCALIZED and said[-1][1] < 0.3
+        assert said[-1][0].stamp == start_s + 3
+    assert core.dropped <= 2
+    late = core.add_scan(Scan(np.zeros((5, 3))), 5002.5)
+    assert late == [] and core.dropped <= 3
+
+
+def test_scans_wait_for_their_odometry_and_are_placed_between_its_poses(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    core = LiveCore(localizer, CONFIG)
+    (events, truth), *_ = walked(plaza, 1)
+    before, taken, behind = events
+    assert feed(core, [taken]) == [] and feed(core, [before]) == []
+    # There is no odometry before the scan without `before`: it came, and the scan waits.
+    said = feed(core, [behind])
+    assert [s.stamp for s in said] == [100.0, 100.0]
+    assert said[-1].answered == 100.0 and error_m(said[-1], truth) < 0.3
+
+
+def test_scans_without_odometry_are_dropped_and_that_is_said(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    core = LiveCore(localizer, CONFIG)
+    said = drive(core, walked(plaza, 3))
+    T = said[-1][0].T_map_odom
+    scans = [e for events, _ in walked(plaza, 6, start_s=103.0) for e in events if e.scan]
+    states = feed(core, scans)
+    assert states and all(s.status is Status.DEGRADED for s in states)
+    assert "no odometry" in states[-1].reason and np.array_equal(states[-1].T_map_odom, T)
+    assert core.dropped == len(states) and len(core._waiting) <= CONFIG.waiting
+    assert drive(core, walked(plaza, 3, start_s=120.0))[-1][0].status is Status.LOCALIZED
+
+
+def test_silence_of_the_sensor_is_said_once(localizer: Localizer, plaza: Plaza) -> None:
+    core = LiveCore(localizer, CONFIG)
+    *_, (events, _) = walked(plaza, 3)
+    drive(core, walked(plaza, 3))
+    T = events[-1].T_odom_base
+    said = [s for k in range(50) for s in core.add_odometry(102.3 + 0.1 * k, T)]
+    assert [s.status for s in said] == [Status.DEGRADED] and "no scan for 2" in said[0].reason
+    assert core.silent(3.0).status is Status.DEGRADED
+
+
+def test_the_motion_in_a_scan_is_undone(
+    localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, end = np.eye(4), geometry.yaw_transform(0.3, (1.0, 0.2, 0.0))
+    motion = Motion(np.array([10.0, 10.1]), np.stack([start, end]))
+    points = plaza.scan(start, posed=False).points[:500]
+    times = np.linspace(0.0, 0.1, len(points))
+    skewed = [
+        geometry.transform(geometry.inverse(T), p[None])[0]
+        for T, p in zip(motion.at(10.0 + times), points, strict=True)
+    ]
+    core, taken = LiveCore(localizer, CONFIG), []
+    monkeypatch.setattr(core.tracker, "add", lambda scan, T, due: taken.append((scan, T)))
+    core.add_odometry(10.0, start)
+    assert core.add_scan(Scan(np.array(skewed), times=times), 10.0) == []
+    assert len(core.add_odometry(10.1, end)) == 1
+    (scan, T), *_ = taken
+    assert np.allclose(scan.points, points, atol=1e-4) and np.allclose(T, start)
+
+
+def test_a_robot_that_is_lost_asks_though_it_stands(localizer: Localizer, plaza: Plaza) -> None:
+    core, elsewhere = LiveCore(localizer, CONFIG), Plaza(11)
+    drive(core, walked(elsewhere, 3, step=0.0))
+    assert core.state.status in (Status.LOST, Status.CANDIDATE)
+    said = drive(core, walked(plaza, 2, step=0.0, start_s=103.0))
+    assert said[-1][0].status is Status.LOCALIZED and said[-1][1] < 0.3
+
+
+def test_memory_is_bounded(localizer: Localizer, plaza: Plaza) -> None:
+    core = LiveCore(localizer, CONFIG)
+    T = np.eye(4)
+    for k in range(9000):
+        core.add_odometry(0.001 * k, T)
+    assert len(core._odometry) <= 4096
+    for k in range(3000):
+        core.add_odometry(9.0 + 0.1 * k, T)
+    assert len(core._odometry) <= 101
+
+
+def test_wrong_input_is_refused_and_changes_nothing(localizer: Localizer) -> None:
+    core = LiveCore(localizer, CONFIG)
+    with pytest.raises(InvalidScan, match="stamp"):
+        core.add_scan(Scan(np.zeros((3, 3))))
+    with pytest.raises(InvalidScan, match="finite"):
+        core.add_odometry(np.nan, np.eye(4))
+    with pytest.raises(InvalidScan, match="rigid"):
+        core.add_odometry(0.0, np.zeros((4, 4)))
+    with pytest.raises(InvalidScan, match="T_base_sensor"):
+        LiveCore(localizer, T_base_sensor=np.zeros((4, 4)))
+    # A scan that cannot be used ends nothing.
+    far = geometry.yaw_transform(0.0, (9e7, 0.0, 0.0))
+    core.add_odometry(0.0, np.eye(4))
+    assert core.add_scan(Scan(np.zeros((3, 3))), 0.0)
+    core.add_odometry(1.0, far)
+    assert core.add_scan(Scan(np.zeros((3, 3))), 1.0)

@@ -1,0 +1,81 @@
+"""Scans and odometry as a robot on the plaza has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from segloc import Scan, geometry
+from segloc.live import LiveCore, State
+from segloc.types import Float64, Pose
+
+from .plaza import Plaza
+
+T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
+
+
+@dataclass(frozen=True)
+class Event:
+    """A scan, or a pose of the odometry."""
+
+    stamp: float
+    scan: Scan | None = None
+    T_odom_base: Pose | None = None
+
+
+def walked(
+    plaza: Plaza,
+    count: int,
+    *,
+    begin: tuple[float, float] = (-14.0, 1.0),
+    step: float = 2.0,
+    start_s: float = 100.0,
+    T_map_odom: Pose = T_MAP_ODOM,
+    carried: Pose | None = None,
+) -> Iterator[tuple[list[Event], Pose]]:
+    """A scan a second, with odometry before and behind it, and the true pose.
+
+    With ``carried`` the robot is elsewhere than its odometry says: moved by that, in the map.
+    """
+    T_odom_map = geometry.inverse(T_map_odom)
+    moved = np.eye(4) if carried is None else carried
+    for k in range(count):
+        stamp = start_s + k
+        poses = [_at(begin, k + dt, step) for dt in (-0.2, 0.0, 0.2)]
+        truth = moved @ poses[1]
+        scan = plaza.scan(truth, posed=False, seed=k)
+        before, _, behind = (T_odom_map @ T for T in poses)
+        yield (
+            [
+                Event(stamp - 0.2, T_odom_base=before),
+                Event(stamp, Scan(scan.points)),
+                Event(stamp + 0.2, T_odom_base=behind),
+            ],
+            truth,
+        )
+
+
+def _at(begin: tuple[float, float], k: float, step: float) -> Pose:
+    return geometry.yaw_transform(0.02 * k, (begin[0] + step * k, begin[1] + 0.1 * k, 1.8))
+
+
+def feed(core: LiveCore, events: list[Event]) -> list[State]:
+    """What is said of some events, each query made as soon as it is due."""
+    said: list[State] = []
+    for event in events:
+        if event.scan is not None:
+            said += core.add_scan(event.scan, event.stamp)
+        elif event.T_odom_base is not None:
+            said += core.add_odometry(event.stamp, event.T_odom_base)
+        if (asked := core.due()) is not None:
+            said.append(core.answer(asked, core.ask(asked)))
+    return said
+
+
+def error_m(state: State, truth: Float64) -> float:
+    """How far a state's pose is off; infinite where it has none."""
+    if state.T_map_base is None:
+        return float("inf")
+    return float(np.linalg.norm((geometry.inverse(truth) @ state.T_map_base)[:3, 3]))
