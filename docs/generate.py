@@ -26,6 +26,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "alignment": (2, "sessions with drifting poses brought into one frame"),
     "training": (2, "networks and forests trained and exported; the only room with PyTorch"),
     "simulation": (3, "worlds, objects, sensors, motion"),
+    "diagnosis": (3, "what is wrong with a recording, measured, and how to mend it"),
     "pictures.py": (3, "empty pictures, and their bytes"),
     "datasets": (4, "recordings: loaders, bags, packets, odometry"),
     "tracker.py": (4, "many queries over time"),

@@ -25,7 +25,7 @@ LAYERS = (
     Layer("cli"),
     Layer(ROOT),
     Layer("batch alignment training"),
-    Layer("simulation pictures"),
+    Layer("simulation diagnosis pictures"),
     Layer("datasets"),
     Layer("tracker"),
     Layer("localizer answer fallback search", together=True),

@@ -15,6 +15,7 @@ from . import (
     align,
     config,
     demo,
+    doctor,
     evaluate,
     info,
     localize,
@@ -46,6 +47,7 @@ app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("info")(info.info)
+app.command("doctor")(doctor.doctor)
 app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)

@@ -56,7 +56,8 @@ def localize(
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
     from ..map.segment_map import SegmentMap
-    from .console import progress
+    from .console import note, progress
+    from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
     from .results import check_folder, write_results
 
@@ -84,6 +85,8 @@ def localize(
     )
     write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}")
     show(evaluation.summary(), f"{recording.name} in {prior_map.name}")
+    if line := hint(recording, results, localizer.config.local_cloud):
+        note(line)
 
 
 def _positions(
