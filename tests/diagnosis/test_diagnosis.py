@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
+from samples.walk import Points, Poses, Walk, run, written
 from scipy.spatial.transform import Rotation
 
-from segloc import cli, geometry
+from segloc import geometry
 from segloc.config import Config
 from segloc.datasets import open_sequence
 from segloc.diagnosis import Fault, examine, first_fault, pose_findings, scan_findings
-from segloc.io import Trajectory, write_tum
 from segloc.local_cloud import LocalCloudConfig
 from segloc.reposed import Reposed
 from segloc.types import Float64, Recording, Scan
 
 T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-Points = Callable[[Float64], Float64]
-Poses = Callable[[Float64], Float64]
 
 
 def turned(axis: str, degrees: float) -> Points:
@@ -90,21 +85,6 @@ def noisy(poses: Float64, metres: float = 0.0, degrees: float = 0.0) -> Float64:
     yaw = Rotation.from_euler("z", rng.normal(0, degrees, (len(made), 1)), degrees=True).as_matrix()
     made[:, :3, :3] = made[:, :3, :3] @ yaw
     return made
-
-
-class Walk(PlazaSequence):
-    """A plaza crossed in curves; perhaps with points that are written wrongly."""
-
-    def __init__(self, written: Points = lambda points: points, posed: bool = True) -> None:
-        super().__init__(Plaza(1, objects=90), steps=14, posed=posed)
-        turns = 0.5 * np.sin(0.6 * np.arange(len(self)))
-        for T, yaw in zip(self.poses, turns, strict=True):
-            T[:3, :3] = geometry.yaw_transform(float(yaw))[:3, :3]
-        self._written = written
-
-    def scan(self, i: int) -> Scan:
-        seen = super().scan(i)
-        return Scan(self._written(seen.points.astype(np.float64)), T_odom_sensor=seen.T_odom_sensor)
 
 
 def scans(recording: Recording, count: int = 5) -> list[Scan]:
@@ -235,26 +215,6 @@ def test_simulated_drives_of_every_platform_have_nothing_wrong(
     assert not [str(finding) for finding in found if finding.wrong]
     inverse = Reposed(drive, np.linalg.inv(drive.poses))
     assert platform == "drone" or pose_findings(inverse)[0].fault is Fault.POSES_INVERSE
-
-
-def written(folder: Path, points: Points = lambda p: p, poses: Poses = lambda T: T) -> Path:
-    """A walk as a folder of scans."""
-    folder.mkdir()
-    walk = Walk(points)
-    for i in range(len(walk)):
-        np.save(folder / f"{i:04d}.npy", walk.scan(i).points)
-    write_tum(folder / "poses.tum", Trajectory(np.arange(len(walk)), poses(walk.poses)))
-    return folder
-
-
-def run(*arguments: object) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
-        try:
-            cli.main()
-        except SystemExit as stop:
-            return int(stop.code or 0)
-    return 0
 
 
 @pytest.mark.slow

@@ -6,9 +6,10 @@ import atexit
 import signal
 import sys
 from importlib.metadata import entry_points
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from ..errors import SeglocError
 from . import (
@@ -31,11 +32,26 @@ from .train import train
 _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
+ORDER = (
+    *("demo", "doctor", "info", "odometry", "map", "localize", "align", "evaluate"),
+    *("simulate", "train", "config"),
+)
+"""Verbs in the order in which they are met; those of other distributions follow."""
+
+
+class InOrder(TyperGroup):
+    """Lists the verbs in the order of use."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        known = [name for name in ORDER if name in self.commands]
+        return [*known, *(name for name in self.commands if name not in ORDER)]
+
+
 app = typer.Typer(
     name="segloc",
+    cls=InOrder,
     help="Global LiDAR localization: a pose in a prior map from one point cloud.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings=_CONTEXT,
 )

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from .options import ConfigFile, Poses, Recording, Select, Topic, load_config
+from .options import ConfigFile, Poses, Recording, Sample, Select, Topic, load_config
 
 if TYPE_CHECKING:
     from ..diagnosis import Examinable, Examination
-
-Sample = Annotated[
-    int, typer.Option(min=1, metavar="COUNT", help="How many scans to read, spread over it all.")
-]
 
 
 def doctor(
@@ -29,10 +25,14 @@ def doctor(
 
     Units, axes and tilt are seen in the scans; poses are judged by how neighbouring clouds fit.
     """
+    from .info import show_pose_files
+
     recording, found = examined(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
     print(f"{recording.name}: {len(recording)} scans, {facts.sensor}, poses: {facts.poses}")
     show_findings(found)
+    if poses is None:
+        show_pose_files(sequence, recording)
     if wrong:
         raise typer.Exit(1)
     print("nothing wrong is found")

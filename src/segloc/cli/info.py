@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from .options import ConfigFile, Poses, Recording, Select, Topic
+from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
 
 if TYPE_CHECKING:
     from ..diagnosis import Examinable, Examination
@@ -18,7 +16,7 @@ def info(
     poses: Poses = None,
     select: Select = None,
     topic: Topic = None,
-    sample: Annotated[int, typer.Option(min=1, help="How many scans to read.")] = 20,
+    sample: Sample = 20,
     config: ConfigFile = None,
 ) -> None:
     """Show what a recording is and what is wrong with it."""
@@ -26,10 +24,8 @@ def info(
 
     recording, found = examined(sequence, poses, select, topic, sample, config)
     show(recording, found)
-    sequence = sequence.resolve()
-    if recording.poses is None and poses is None:
-        for name in pose_files(sequence):
-            print(f"- {name} beside the scans may be their poses: --poses {name}")
+    if poses is None:
+        show_pose_files(sequence, recording)
 
 
 def show(recording: Examinable, examination: Examination) -> None:
@@ -57,6 +53,13 @@ def show(recording: Examinable, examination: Examination) -> None:
     ]
     table(recording.name, ("", ""), rows)
     show_findings(examination)
+
+
+def show_pose_files(sequence: Path, recording: Examinable) -> None:
+    """Where a recording has no poses, print which files may be theirs."""
+    if recording.poses is None:
+        for name in pose_files(sequence.resolve()):
+            print(f"note: {name} beside the scans may be their poses: --poses {name}")
 
 
 def pose_files(sequence: Path) -> list[str]:

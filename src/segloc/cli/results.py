@@ -55,6 +55,12 @@ def write_results(
         raise
 
 
+def print_json(evaluation: Evaluation) -> None:
+    """Print the answers and their summary as one object."""
+    found = {"summary": evaluation.summary(), "queries": list(evaluation.records())}
+    print(json.dumps(found, indent=2, allow_nan=False))
+
+
 def _contents(evaluation: Evaluation) -> dict[str, bytes]:
     lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
     summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
