@@ -25,6 +25,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "batch": (2, "many queries at once: run, score, negative maps, reports"),
     "alignment": (2, "sessions with drifting poses brought into one frame"),
     "training": (2, "networks and forests trained and exported; the only room with PyTorch"),
+    "explanation": (2, "one query through every stage, in words and pictures"),
     "simulation": (3, "worlds, objects, sensors, motion"),
     "diagnosis": (3, "what is wrong with a recording, measured, and how to mend it"),
     "pictures.py": (3, "empty pictures, and their bytes"),

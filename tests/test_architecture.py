@@ -24,7 +24,7 @@ class Layer(NamedTuple):
 LAYERS = (
     Layer("cli"),
     Layer(ROOT),
-    Layer("batch alignment training"),
+    Layer("batch alignment training explanation"),
     Layer("simulation diagnosis pictures"),
     Layer("datasets"),
     Layer("tracker"),
@@ -63,7 +63,7 @@ PACKAGES = {
     "velodyne_decoder": "datasets.packets",
     "kiss_icp": "datasets.odometry",
     "embreex": "simulation",
-    "matplotlib": "pictures batch",
+    "matplotlib": "pictures batch explanation",
     "typer": "cli",
     "rich": "cli",
 }

@@ -6,30 +6,20 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 import typer
-from samples.walk import POINTS_ASIDE, run, written
+from samples.walk import POINTS_ASIDE, Site, run, walked_site
 
 from segloc import cli
 from segloc.io import read_trajectory
 
 
-class Site(NamedTuple):
-    """A recording and a map of it."""
-
-    run: Path
-    map: Path
-
-
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    root = tmp_path_factory.mktemp("site")
-    folder, file = written(root / "run"), root / "site.segmap"
-    assert run("map", "build", folder, "--poses", "poses.tum", "--out", file) == 0
-    return Site(folder, file)
+    return walked_site(tmp_path_factory.mktemp("site"))
 
 
 @pytest.mark.slow

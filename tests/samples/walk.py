@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -56,3 +57,17 @@ def run(*arguments: object) -> int:
 
 POINTS_ASIDE = Plaza(77, objects=12).scan(geometry.yaw_transform(0.3, (5.0, 9.0, 1.8))).points
 """What is seen at another plaza."""
+
+
+class Site(NamedTuple):
+    """A recording and a map of it."""
+
+    run: Path
+    map: Path
+
+
+def walked_site(root: Path) -> Site:
+    """A walk in a folder, and its map beside it."""
+    folder, file = written(root / "run"), root / "site.segmap"
+    assert run("map", "build", folder, "--poses", "poses.tum", "--out", file) == 0
+    return Site(folder, file)

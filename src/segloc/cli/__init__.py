@@ -18,6 +18,7 @@ from . import (
     demo,
     doctor,
     evaluate,
+    explain,
     info,
     localize,
     map_build,
@@ -33,8 +34,8 @@ _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 ORDER = (
-    *("demo", "doctor", "info", "odometry", "map", "localize", "align", "evaluate"),
-    *("simulate", "train", "config"),
+    *("demo", "doctor", "info", "odometry", "map", "localize", "explain"),
+    *("align", "evaluate", "simulate", "train", "config"),
 )
 """Verbs in the order in which they are met; those of other distributions follow."""
 
@@ -62,6 +63,7 @@ app.add_typer(evaluate.app, name="evaluate", context_settings=_CONTEXT)
 app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
+app.command("explain")(explain.explain)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("odometry")(odometry.odometry)
