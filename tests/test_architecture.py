@@ -64,6 +64,7 @@ PACKAGES = {
     "kiss_icp": "datasets.odometry",
     "embreex": "simulation",
     "matplotlib": "pictures batch explanation",
+    "viser": "explanation",
     "typer": "cli",
     "rich": "cli",
 }

@@ -27,6 +27,7 @@ from . import (
     map_update,
     odometry,
     simulate,
+    view,
 )
 from .train import train
 
@@ -34,7 +35,7 @@ _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 ORDER = (
-    *("demo", "doctor", "info", "odometry", "map", "localize", "explain"),
+    *("demo", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
     *("align", "evaluate", "simulate", "train", "config"),
 )
 """Verbs in the order in which they are met; those of other distributions follow."""
@@ -64,6 +65,7 @@ app.command("align")(align.align)
 app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("explain")(explain.explain)
+app.command("view")(view.view)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("odometry")(odometry.odometry)

@@ -24,8 +24,11 @@ from .options import (
 )
 
 if TYPE_CHECKING:
+    from ..localization import Localization
+    from ..localizer import Localizer
     from ..types import Float64, Int64
     from ..types import Recording as Scans
+    from .console import Update
 
 
 def localize(
@@ -34,6 +37,9 @@ def localize(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="A folder to write results to.")
     ] = None,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
+    ] = False,
     json: Annotated[
         bool, typer.Option("--json", help="All of it on stdout, for programs.")
     ] = False,
@@ -66,6 +72,7 @@ def localize(
     from ..batch.run import localize_sequence
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
+    from ..errors import ConfigError
     from ..map.segment_map import SegmentMap
     from .answers import show_answers
     from .console import busy, note, progress
@@ -74,6 +81,8 @@ def localize(
     from .results import check_folder, print_json, write_results
 
     check_every(every)
+    if debug and out is None:
+        raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
     if out is not None:
         check_folder(out)
     with busy("Loading the map"):
@@ -88,8 +97,12 @@ def localize(
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
+    kept: dict[str, bytes] = {}
     with progress("Localizing") as update:
-        results = localize_sequence(localizer, recording, positions, update)
+        if debug:
+            results, kept = _in_detail(localizer, recording, positions, update)
+        else:
+            results = localize_sequence(localizer, recording, positions, update)
     evaluation = Evaluation(
         recording.indices[positions],
         results,
@@ -98,7 +111,7 @@ def localize(
         Tolerance(tolerance_m, tolerance_deg),
     )
     if out is not None:
-        write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}")
+        write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}", kept)
     title = f"{recording.name} in {prior_map.name}"
     if json:
         print_json(evaluation)
@@ -108,6 +121,25 @@ def localize(
             show(evaluation.summary(), title)
     if line := hint(recording, results, localizer.config.local_cloud):
         note(line)
+
+
+def _in_detail(
+    localizer: Localizer, recording: Scans, positions: Int64, update: Update
+) -> tuple[list[Localization], dict[str, bytes]]:
+    """The answers, and files of what each stage made of each query."""
+    from ..batch.run import query_clouds
+    from ..explanation import trace
+    from ..explanation.results import DEBUG
+    from ..explanation.seen import packed, seen
+
+    results, kept = [], {}
+    clouds = query_clouds(recording, positions, localizer.config, localizer.clock)
+    for index, (cloud, times) in zip(recording.indices[positions], clouds, strict=True):
+        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times)
+        results.append(found.result)
+        kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
+        update(len(results), len(positions))
+    return results, kept
 
 
 def _positions(

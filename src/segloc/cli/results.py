@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,13 +29,17 @@ def check_folder(out: Path) -> None:
 
 
 def write_results(
-    out: Path, prior_map: SegmentMap, evaluation: Evaluation, title: str | None
+    out: Path,
+    prior_map: SegmentMap,
+    evaluation: Evaluation,
+    title: str | None,
+    more: Mapping[str, bytes] | None = None,
 ) -> None:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
-    There is no picture without a title.
+    There is no picture without a title. ``more`` are other files, by their names in the folder.
     """
-    files = _contents(evaluation)
+    files = {**_contents(evaluation), **(more or {})}
     if title is not None:
         try:
             from ..batch.picture import draw
@@ -42,16 +47,21 @@ def write_results(
             files["trajectory.png"] = draw(prior_map, evaluation, title)
         except MissingDependency as error:
             note(f"no trajectory.png: {error}")
-    made = not out.exists()
-    out.mkdir(parents=True, exist_ok=True)
+    made = [
+        folder
+        for folder in sorted({(out / name).parent for name in files} | {out})
+        if not folder.exists()
+    ]
+    for folder in made:
+        folder.mkdir(parents=True)
     try:
         with ExitStack() as stack:  # nothing is renamed before everything is written
             for name, data in files.items():
                 stack.enter_context(replacing(out / name)).write(data)
     except BaseException:
-        if made:
+        for folder in reversed(made):
             with suppress(OSError):
-                out.rmdir()
+                folder.rmdir()
         raise
 
 

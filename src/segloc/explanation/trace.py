@@ -83,9 +83,14 @@ class Trace:
     parts: tuple[Part, ...]
 
 
-def trace(localizer: Localizer, cloud: LocalCloud, name: str = "query") -> Trace:
-    """Localize a local cloud and keep what each stage made of it."""
-    times = StageTimes(localizer.clock)
+def trace(
+    localizer: Localizer,
+    cloud: LocalCloud,
+    name: str = "query",
+    times: StageTimes | None = None,
+) -> Trace:
+    """Localize a local cloud, as :meth:`Localizer.localize` does, and keep what each stage made."""
+    times = times or StageTimes(localizer.clock)
     query = localizer.describe(cloud, times)
     found = localizer.search(query, times)
     result = answer(cloud, found.verdict, counted(query, found), times.with_total())
