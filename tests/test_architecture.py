@@ -24,8 +24,8 @@ class Layer(NamedTuple):
 LAYERS = (
     Layer("cli"),
     Layer(ROOT),
-    Layer("batch alignment training live export"),
-    Layer("simulation pictures"),
+    Layer("batch alignment training live export explanation"),
+    Layer("simulation diagnosis pictures"),
     Layer("datasets"),
     Layer("tracker scan_check hypotheses views", together=True),
     Layer("localizer answer fallback search", together=True),
@@ -63,7 +63,8 @@ PACKAGES = {
     "velodyne_decoder": "datasets.packets",
     "kiss_icp": "datasets.odometry",
     "embreex": "simulation",
-    "matplotlib": "pictures batch",
+    "matplotlib": "pictures batch explanation",
+    "viser": "explanation",
     "typer": "cli",
     "rich": "cli",
 }

@@ -143,15 +143,7 @@ class Localizer:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self.clock)
         found = self.search(query, times, deadline_ms)
-        counts = {
-            "scans": query.cloud.num_scans,
-            "points": len(query.cloud.points),
-            "segments": len(query.scene.segments),
-            "proposed": found.proposed,
-            "matches": len(found.matches),
-            "candidates": len(found.candidates),
-        }
-        return answer(query.cloud, found.verdict, counts, times.with_total())
+        return answer(query.cloud, found.verdict, counted(query, found), times.with_total())
 
     def search(
         self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
@@ -187,6 +179,18 @@ class Localizer:
         if not best.verdict.is_thin:
             return best
         return self.fallback.search(query, best, cloud, times, deadline_ms)
+
+
+def counted(query: Query, found: Search) -> dict[str, int]:
+    """How many items each stage produced."""
+    return {
+        "scans": query.cloud.num_scans,
+        "points": len(query.cloud.points),
+        "segments": len(query.scene.segments),
+        "proposed": found.proposed,
+        "matches": len(found.matches),
+        "candidates": len(found.candidates),
+    }
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

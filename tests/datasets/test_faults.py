@@ -195,9 +195,9 @@ def test_info_shows_pose_files_and_scans_without_points(
     with pytest.raises(SystemExit):
         main()
     said = capsys.readouterr().out
-    assert "- no point in any of the 3 scans that were read" in said
+    assert "wrong: no point in any of the 3 scans that were read" in said
     for name in ("poses.tum", "scans.odometry.tum"):
-        assert f"- {name} beside the scans may be their poses: --poses {name}" in said
+        assert f"note: {name} beside the scans may be their poses: --poses {name}" in said
 
 
 def test_real_sensors_are_told_from_each_other_and_from_nobody_else(tmp_path: Path) -> None:

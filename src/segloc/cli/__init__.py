@@ -6,17 +6,20 @@ import atexit
 import signal
 import sys
 from importlib.metadata import entry_points
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from ..errors import SeglocError
 from . import (
     align,
     config,
     demo,
+    doctor,
     evaluate,
     export,
+    explain,
     info,
     live,
     localize,
@@ -26,17 +29,33 @@ from . import (
     map_update,
     odometry,
     simulate,
+    view,
 )
 from .train import train
 
 _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
+ORDER = (
+    *("demo", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
+    *("align", "evaluate", "simulate", "train", "config"),
+)
+"""Verbs in the order in which they are met; those of other distributions follow."""
+
+
+class InOrder(TyperGroup):
+    """Lists the verbs in the order of use."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        known = [name for name in ORDER if name in self.commands]
+        return [*known, *(name for name in self.commands if name not in ORDER)]
+
+
 app = typer.Typer(
     name="segloc",
+    cls=InOrder,
     help="Global LiDAR localization: a pose in a prior map from one point cloud.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings=_CONTEXT,
 )
@@ -49,7 +68,10 @@ app.command("demo")(demo.demo)
 app.command("localize")(localize.localize)
 app.command("live")(live.live)
 app.command("export")(export.export)
+app.command("explain")(explain.explain)
+app.command("view")(view.view)
 app.command("info")(info.info)
+app.command("doctor")(doctor.doctor)
 app.command("odometry")(odometry.odometry)
 app.command("config")(config.config)
 app.command("simulate")(simulate.simulate)

@@ -39,9 +39,9 @@ def align(
     method: Annotated[
         str | None, typer.Option(metavar="NAME", help="How segments are described.")
     ] = None,
-    every: Annotated[float, typer.Option(help="Metres between submaps.")] = 6.0,
+    every: Annotated[float, typer.Option(metavar="METRES", help="Between submaps.")] = 6.0,
     min_support: Annotated[
-        int, typer.Option(min=1, help="Other loops that must agree with a loop.")
+        int, typer.Option(min=1, metavar="COUNT", help="Other loops that must agree with a loop.")
     ] = 2,
     pairs: Annotated[
         bool, typer.Option("--pairs", help="Also write a dataset to train on, and its pairs.")

@@ -11,6 +11,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+_UNWRAPPED = 10_000  # columns
+
 Update = Callable[[int, int], None]
 
 
@@ -42,8 +44,10 @@ def busy(label: str) -> Iterator[None]:
 
 
 def note(text: str) -> None:
-    """A remark on stderr."""
-    Console(stderr=True).print(f"segloc: note: {text}", markup=False, highlight=False)
+    """A remark on stderr; in one line where that is no terminal."""
+    console = Console(stderr=True)
+    wrapped = console.is_terminal
+    console.print(f"segloc: note: {text}", markup=False, highlight=False, soft_wrap=not wrapped)
 
 
 def say(text: str) -> None:
@@ -52,8 +56,13 @@ def say(text: str) -> None:
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table whose first column is text and whose others are numbers."""
+    """Print a table whose first column is text and whose others are numbers.
+
+    Where stdout is no terminal, nothing in it is wrapped.
+    """
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=_UNWRAPPED)
     console.print(Text(title, style="bold"), soft_wrap=True)  # a title of the table's would wrap
     shown = Table(show_header=any(header))
     for i, name in enumerate(header):

@@ -22,7 +22,9 @@ def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")] = Path(
         "demo"
     ),
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another town.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="NUMBER", help="Another seed is another town.")
+    ] = 0,
 ) -> None:
     """Map a simulated town, then localize a second traversal of it, and another town.
 

@@ -25,22 +25,27 @@ Out = Annotated[
     Path, typer.Option(metavar="DIR", help="The folder of all results.", show_default=False)
 ]
 Methods = Annotated[str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.")]
-Threads = Annotated[int, typer.Option(min=0, help="Of the engine; 0: all cores.")]
-Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
+Threads = Annotated[int, typer.Option(min=0, metavar="COUNT", help="Of the engine; 0: all cores.")]
+Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes.")]
 MapPoses = Annotated[
     Path | None,
-    typer.Option(help="Poses of MAP; poses.tum where there is one, else the recording's own."),
+    typer.Option(
+        metavar="FILE", help="Poses of MAP; poses.tum where there is one, else the recording's own."
+    ),
 ]
 QueryPoses = Annotated[
     Path | None,
     typer.Option(
+        metavar="FILE",
         help="Odometry of QUERY; odometry.tum where there is one, else the truth, else the "
-        "recording's own."
+        "recording's own.",
     ),
 ]
 Truth = Annotated[
     Path | None,
-    typer.Option(help="True poses of QUERY in MAP's frame; poses.tum where there is one."),
+    typer.Option(
+        metavar="FILE", help="True poses of QUERY in MAP's frame; poses.tum where there is one."
+    ),
 ]
 MapSelect = Annotated[
     str | None, typer.Option(metavar="A:B[,C:D]", help="Only these scans of MAP.")

@@ -31,12 +31,14 @@ def register(app: typer.Typer) -> None:
 def failures(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
-    truth: Annotated[Path, typer.Option(help="True poses in the map's frame.")],
+    truth: Annotated[Path, typer.Option(metavar="FILE", help="True poses in the map's frame.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
     poses: Poses = None,
     select: Select = None,
     every: Every = None,
-    pictures: Annotated[int, typer.Option(min=0, help="Draw so many of the worst cases.")] = 5,
+    pictures: Annotated[
+        int, typer.Option(min=0, metavar="COUNT", help="Draw so many of the worst cases.")
+    ] = 5,
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,

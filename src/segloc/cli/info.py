@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from .options import ConfigFile, Poses, Recording, Select, Topic, load_config
+from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
 
 if TYPE_CHECKING:
-    from ..datasets.inspection import Inspectable, Inspection
+    from ..diagnosis import Examinable, Examination
 
 
 def info(
@@ -18,35 +16,24 @@ def info(
     poses: Poses = None,
     select: Select = None,
     topic: Topic = None,
-    sample: Annotated[int, typer.Option(min=1, help="How many scans to read.")] = 20,
+    sample: Sample = 20,
     config: ConfigFile = None,
 ) -> None:
     """Show what a recording is and what is wrong with it."""
-    from dataclasses import replace
-    from typing import cast
+    from .doctor import examined
 
-    from ..datasets import open_sequence
-    from ..datasets.inspection import Inspectable, inspect
-    from .attitudes import attitudes
-    from .recording import place_of_sensor
-
-    local_cloud = load_config(config, None, 1).local_cloud
-    T = place_of_sensor(local_cloud.mount)
-    opened = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
-    recording = cast(Inspectable, opened)
-    found = inspect(recording, sample)
-    stands = attitudes(opened, local_cloud, sample)
-    show(recording, replace(found, problems=(*found.problems, *stands.problems)), stands.said)
-    sequence = sequence.resolve()
-    if recording.poses is None and poses is None:
-        for name in pose_files(sequence):
-            print(f"- {name} beside the scans may be their poses: --poses {name}")
+    recording, found = examined(sequence, poses, select, topic, sample, config)
+    show(recording, found)
+    if poses is None:
+        show_pose_files(sequence, recording)
 
 
-def show(recording: Inspectable, found: Inspection, attitude: str) -> None:
-    """Print a recording's facts as one table, and its problems below."""
+def show(recording: Examinable, examination: Examination) -> None:
+    """Print a recording's facts as one table, and below what is wrong with it."""
     from .console import number, table
+    from .doctor import show_findings
 
+    found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)
     first, last = int(recording.indices[0]), int(recording.indices[-1])
     rows = [
         ("format", recording.format),
@@ -59,14 +46,20 @@ def show(recording: Inspectable, found: Inspection, attitude: str) -> None:
         ("duration", number(found.duration_s, "s", 1)),
         ("poses", found.poses),
         ("path", number(found.length_m, "m", 1)),
-        ("roll and pitch", attitude),
+        ("roll and pitch", examination.attitude),
         ("points of a scan, median", f"{found.points} ({found.sampled} scans read)"),
         ("points not finite", f"{100 * found.dropped:.2f} %"),
-        ("problems", str(len(found.problems)) if found.problems else "none found"),
+        ("problems", str(wrong) if wrong else "none found"),
     ]
     table(recording.name, ("", ""), rows)
-    for line in found.problems:
-        print(f"- {line}")
+    show_findings(examination)
+
+
+def show_pose_files(sequence: Path, recording: Examinable) -> None:
+    """Where a recording has no poses, print which files may be theirs."""
+    if recording.poses is None:
+        for name in pose_files(sequence.resolve()):
+            print(f"note: {name} beside the scans may be their poses: --poses {name}")
 
 
 def pose_files(sequence: Path) -> list[str]:

@@ -24,22 +24,38 @@ from .options import (
 )
 
 if TYPE_CHECKING:
+    from ..localization import Localization
+    from ..localizer import Localizer
     from ..types import Float64, Int64
     from ..types import Recording as Scans
+    from .console import Update
 
 
 def localize(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="A folder to write results to.")
+    ] = None,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
+    ] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="All of it on stdout, for programs.")
+    ] = False,
     poses: Poses = None,
     select: Select = None,
     every: Every = None,
     truth: Annotated[
-        Path | None, typer.Option(help="True poses in the map's frame, to score against.")
+        Path | None,
+        typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
     ] = None,
-    tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 3.0,
-    tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 5.0,
+    tolerance_m: Annotated[
+        float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")
+    ] = 3.0,
+    tolerance_deg: Annotated[
+        float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")
+    ] = 5.0,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -48,22 +64,30 @@ def localize(
     weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
-    """Find the scans of a recording in a map, each by itself and without an initial guess.
+    """Find a scan, or each of a recording, in a map: without an initial guess.
 
-    With poses, a query is a cloud gathered over the path behind it; otherwise one scan.
+    With poses, a query is a cloud gathered over the path behind it; otherwise one scan. Prints the
+    pose and how sure it is, or why there is none.
     """
     from ..batch.run import localize_sequence
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
+    from ..errors import ConfigError
     from ..map.segment_map import SegmentMap
-    from .console import progress
+    from .answers import show_answers
+    from .console import busy, note, progress
+    from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
-    from .results import check_folder, write_results
+    from .results import check_folder, print_json, write_results
 
     check_every(every)
-    check_folder(out)
-    prior = SegmentMap.load(prior_map)
-    localizer = open_localizer(prior, config, threads, weights)
+    if debug and out is None:
+        raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
+    if out is not None:
+        check_folder(out)
+    with busy("Loading the map"):
+        prior = SegmentMap.load(prior_map)
+        localizer = open_localizer(prior, config, threads, weights)
     mount = localizer.config.local_cloud.mount
     recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -73,8 +97,12 @@ def localize(
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
+    kept: dict[str, bytes] = {}
     with progress("Localizing") as update:
-        results = localize_sequence(localizer, recording, positions, update)
+        if debug:
+            results, kept = _in_detail(localizer, recording, positions, update)
+        else:
+            results = localize_sequence(localizer, recording, positions, update)
     evaluation = Evaluation(
         recording.indices[positions],
         results,
@@ -82,8 +110,36 @@ def localize(
         None if truths is None else truths[positions],
         Tolerance(tolerance_m, tolerance_deg),
     )
-    write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}")
-    show(evaluation.summary(), f"{recording.name} in {prior_map.name}")
+    if out is not None:
+        write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}", kept)
+    title = f"{recording.name} in {prior_map.name}"
+    if json:
+        print_json(evaluation)
+    else:
+        show_answers(evaluation, title)
+        if len(evaluation) > 1 or truths is not None:
+            show(evaluation.summary(), title)
+    if line := hint(recording, results, localizer.config.local_cloud):
+        note(line)
+
+
+def _in_detail(
+    localizer: Localizer, recording: Scans, positions: Int64, update: Update
+) -> tuple[list[Localization], dict[str, bytes]]:
+    """The answers, and files of what each stage made of each query."""
+    from ..batch.run import query_clouds
+    from ..explanation import trace
+    from ..explanation.results import DEBUG
+    from ..explanation.seen import packed, seen
+
+    results, kept = [], {}
+    clouds = query_clouds(recording, positions, localizer.config, localizer.clock)
+    for index, (cloud, times) in zip(recording.indices[positions], clouds, strict=True):
+        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times)
+        results.append(found.result)
+        kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
+        update(len(results), len(positions))
+    return results, kept
 
 
 def _positions(

@@ -40,14 +40,20 @@ def build(
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
+    unchecked: Annotated[
+        bool, typer.Option("--unchecked", help="Build it even where scans and poses do not fit.")
+    ] = False,
 ) -> None:
-    """Build a map from a recording with poses."""
+    """Build a map from a recording with poses.
+
+    What `segloc doctor` finds wrong with its scans or poses is refused: the map would be smeared.
+    """
     from ..errors import DatasetError
     from ..files import checked_target
     from ..map.build import build_map
     from .console import note, progress
     from .map_info import show
-    from .recording import open_recording
+    from .recording import check_fit, open_recording
     from .saving import writing
 
     check_every(every)
@@ -70,6 +76,8 @@ def build(
             f"{sequence}: a map needs a pose for every scan: name a file by --poses, "
             "or use --odometry"
         )
+    if not unchecked:
+        check_fit(recording, sequence, settings.local_cloud)
     with progress("Building the map") as update:
         prior_map = build_map(recording, settings, every_m=every, progress=update)
     with writing(out):

@@ -14,7 +14,7 @@ _MOST_TEXT = 200
 
 
 def info(
-    path: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    path: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     json: Annotated[bool, typer.Option("--json", help="All of it, for programs.")] = False,
 ) -> None:
     """Say what a map holds; reading it also checks it for damage."""

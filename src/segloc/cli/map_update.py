@@ -22,18 +22,28 @@ from .options import (
 
 
 def update(
-    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     sequence: Recording,
     out: MapOut,
     poses: Annotated[
-        Path, typer.Option(help="Poses of the scans in the map (TUM or KITTI); see `segloc align`.")
+        Path,
+        typer.Option(
+            metavar="FILE", help="Poses of the scans in the map (TUM or KITTI); see `segloc align`."
+        ),
     ],
     select: Select = None,
     max_missed: Annotated[
-        int, typer.Option(min=1, help="Sessions in a row that must pass through what is removed.")
+        int,
+        typer.Option(
+            min=1, metavar="COUNT", help="Sessions in a row that must pass through what is removed."
+        ),
     ] = 2,
-    max_views: Annotated[int, typer.Option(min=0, help="Newest views of an object; 0: all.")] = 0,
-    max_segments: Annotated[int, typer.Option(min=0, help="Size of the map; 0: any.")] = 0,
+    max_views: Annotated[
+        int, typer.Option(min=0, metavar="COUNT", help="Newest views of an object; 0: all.")
+    ] = 0,
+    max_segments: Annotated[
+        int, typer.Option(min=0, metavar="COUNT", help="Of the map at most; 0: any.")
+    ] = 0,
     elsewhere: Elsewhere = False,
     topic: Topic = None,
     deskew: Deskew = True,

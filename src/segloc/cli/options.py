@@ -21,7 +21,7 @@ Recording = Annotated[
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option(help="TUM or KITTI; by default the recording's own, `none` for none."),
+    typer.Option(metavar="FILE", help="Its poses, TUM or KITTI; `none`: none.  [default: its own]"),
 ]
 Topic = Annotated[
     str | None, typer.Option(metavar="NAME", help="Which of several topics, sensors or scenes.")
@@ -36,23 +36,34 @@ Level = Annotated[
     bool, typer.Option("--level", help="Turn the poses so that z is up, by walls in the scans.")
 ]
 Select = Annotated[
-    str | None, typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.")
+    str | None,
+    typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.  [default: all]"),
 ]
 PosesOfEach = Annotated[
     list[Path] | None,
-    typer.Option(help="TUM or KITTI, one for all or one a sequence; by default their own."),
+    typer.Option(
+        metavar="FILE", help="TUM or KITTI, one for all or one a sequence.  [default: their own]"
+    ),
 ]
 SelectOfEach = Annotated[
     list[str] | None,
     typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
 ]
+Sample = Annotated[
+    int, typer.Option(min=1, metavar="COUNT", help="How many scans to read, spread over it all.")
+]
 Every = Annotated[
-    float | None, typer.Option(metavar="METRES", help="One for so many metres of travel.")
+    float | None,
+    typer.Option(metavar="METRES", help="One for so many metres of travel.  [default: every scan]"),
 ]
 ConfigFile = Annotated[
-    Path | None, typer.Option("--config", help="YAML; see `segloc config` for all of it.")
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="YAML; `segloc config` prints all of it."),
 ]
-Threads = Annotated[int, typer.Option(min=0, help="0: all cores. Results do not depend on it.")]
+Threads = Annotated[
+    int,
+    typer.Option(min=0, metavar="COUNT", help="0: all cores. Results do not depend on it."),
+]
 MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
 Elsewhere = Annotated[
     bool, typer.Option("--elsewhere", help="What is added may be of another place in the frame.")

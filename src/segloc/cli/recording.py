@@ -66,6 +66,28 @@ def odometry_of(path: Path, topic: str | None = None) -> Path:
     return file
 
 
+def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> None:
+    """Refuse a recording of which a map would be smeared; what is only a little off is said.
+
+    Raises
+    ------
+    DatasetError
+        With what is wrong and what mends it.
+    """
+    from ..diagnosis import Fault, first_fault
+    from ..errors import DatasetError
+    from .console import busy, note
+
+    with busy("Looking whether scans and poses fit"):
+        finding = first_fault(recording, config)
+    if finding is None or not finding.wrong:
+        return
+    if finding.fault in (Fault.POSES_OFF, Fault.ONLY_GROUND):
+        note(str(finding))
+        return
+    raise DatasetError(f"{path}: {finding}; --unchecked builds the map all the same")
+
+
 def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) -> Recording:
     """The recording with its poses levelled where that is wanted; otherwise what it needs is said.
 

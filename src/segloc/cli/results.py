@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -27,13 +28,17 @@ def check_folder(out: Path) -> None:
 
 
 def write_results(
-    out: Path, prior_map: SegmentMap, evaluation: Evaluation, title: str | None
+    out: Path,
+    prior_map: SegmentMap,
+    evaluation: Evaluation,
+    title: str | None,
+    more: Mapping[str, bytes] | None = None,
 ) -> None:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
-    There is no picture without a title.
+    There is no picture without a title. ``more`` are other files, by their names in the folder.
     """
-    files = _contents(evaluation)
+    files = {**_contents(evaluation), **(more or {})}
     if title is not None:
         try:
             from ..batch.picture import draw
@@ -42,6 +47,12 @@ def write_results(
         except MissingDependency as error:
             note(f"no trajectory.png: {error}")
     write_together(out, files)
+
+
+def print_json(evaluation: Evaluation) -> None:
+    """Print the answers and their summary as one object."""
+    found = {"summary": evaluation.summary(), "queries": list(evaluation.records())}
+    print(json.dumps(found, indent=2, allow_nan=False))
 
 
 def _contents(evaluation: Evaluation) -> dict[str, bytes]:

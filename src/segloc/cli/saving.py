@@ -20,17 +20,19 @@ def writing(out: Path) -> Iterator[None]:
 
 
 def write_together(out: Path, files: dict[str, bytes]) -> None:
-    """Write files of a folder: all of them, or none."""
+    """Write files of a folder, and of folders in it: all of them, or none."""
     from ..files import replacing
 
-    made = not out.exists()
-    out.mkdir(parents=True, exist_ok=True)
+    folders = sorted({(out / name).parent for name in files} | {out})
+    made = [folder for folder in folders if not folder.exists()]
+    for folder in made:
+        folder.mkdir(parents=True)
     try:
         with ExitStack() as stack:  # nothing is renamed before everything is written
             for name, data in files.items():
                 stack.enter_context(replacing(out / name)).write(data)
     except BaseException:
-        if made:
+        for folder in reversed(made):
             with suppress(OSError):
-                out.rmdir()
+                folder.rmdir()
         raise

@@ -20,9 +20,9 @@ Out = Annotated[
 Suite = Annotated[
     str | None, typer.Option(metavar="NAME", help="Instead of a scene: six named test sets.")
 ]
-Scale = Annotated[str, typer.Option(help="Of a suite: small or full.")]
+Scale = Annotated[str, typer.Option(metavar="NAME", help="Of a suite: small or full.")]
 Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
-Thin = Annotated[int, typer.Option(metavar="N", help="Only every N-th firing.")]
+Thin = Annotated[int, typer.Option(metavar="COUNT", help="Only one of so many firings.")]
 Platform = Annotated[
     str | None,
     typer.Option(
@@ -31,20 +31,25 @@ Platform = Annotated[
 ]
 Tilt = Annotated[
     tuple[float, float],
-    typer.Option(metavar="ROLL PITCH", help="Of the sensor on its platform, degrees."),
+    typer.Option(metavar="DEGREES DEGREES", help="Roll and pitch of the sensor on its platform."),
 ]
 Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
-Sessions = Annotated[int, typer.Option(min=1, max=1001, help="Session 0 is the one to map.")]
+Sessions = Annotated[
+    int, typer.Option(min=1, max=1001, metavar="COUNT", help="Session 0 is the one to map.")
+]
 Length = Annotated[float, typer.Option(metavar="METRES", help="Of each session.")]
 Spacing = Annotated[
     float | None,
     typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
 ]
 Size = Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")]
-Storey = Annotated[int, typer.Option(min=0, help="Of a building: which one is driven through.")]
-Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
+Storey = Annotated[
+    int, typer.Option(min=0, metavar="NUMBER", help="Of a building: which one is driven through.")
+]
+Seed = Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Another seed is another world.")]
 Season = Annotated[
-    str | None, typer.Option(help="Of later sessions: summer, autumn, winter or spring.")
+    str | None,
+    typer.Option(metavar="NAME", help="Of later sessions: summer, autumn, winter or spring."),
 ]
 Foliage = Annotated[
     float | None, typer.Option(metavar="SHARE", help="Leaves left in later sessions, 0 to 1.")
@@ -64,4 +69,4 @@ FileFormat = Annotated[
 Objects = Annotated[
     bool, typer.Option("--objects", help="Also write which object each point lies on.")
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Processes that cast rays.")]
+Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes that cast rays.")]

@@ -24,14 +24,19 @@ train.command("extract")(extract)
 
 @train.command("score")
 def score(
-    weights: Annotated[str, typer.Argument(help="A weights file, or a descriptor's name.")],
+    weights: Annotated[
+        str, typer.Argument(metavar="WEIGHTS", help="A weights file, or a descriptor's name.")
+    ],
     dataset: Dataset,
     distractors: Annotated[
-        list[Path] | None, typer.Option(help="Datasets of other worlds that fill the pool.")
+        list[Path] | None,
+        typer.Option(metavar="DATASET", help="Datasets of other worlds that fill the pool."),
     ] = None,
-    pool: Annotated[list[int] | None, typer.Option(min=1, help="Sizes of the pool.")] = None,
-    threads: Annotated[int, typer.Option(min=1)] = 1,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
+    pool: Annotated[
+        list[int] | None, typer.Option(min=1, metavar="COUNT", help="Segments in the pool.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Of the engine.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
 ) -> None:
     """ROC area and recall among the k nearest, of each session against the others."""
     from ..training.scoring import KS, load_descriptor, score_descriptor
@@ -54,12 +59,16 @@ def score(
 
 @train.command("forest")
 def forest(
-    method: Annotated[str, typer.Argument(help="The method whose candidates it prunes.")],
+    method: Annotated[
+        str, typer.Argument(metavar="METHOD", help="The method whose candidates it prunes.")
+    ],
     dataset: Dataset,
     out: Annotated[Path, typer.Option(metavar="FOREST.safetensors", help="The result.")],
-    threads: Annotated[int, typer.Option(min=1)] = 1,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    licence: Annotated[str, typer.Option(help="Of the forest; goes into the file.")] = "MIT",
+    threads: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Of the engine.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
+    licence: Annotated[
+        str, typer.Option(metavar="NAME", help="Of the forest; goes into the file.")
+    ] = "MIT",
 ) -> None:
     """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
     from ..files import checked_target
@@ -94,15 +103,28 @@ def _add(network: str, help_text: str) -> None:
         dataset: Dataset,
         out: Annotated[Path, typer.Option(metavar="WEIGHTS.safetensors", help="The result.")],
         config: Annotated[
-            Path | None, typer.Option(help="YAML of a TrainConfig; options come on top.")
+            Path | None,
+            typer.Option(metavar="FILE", help="YAML of a TrainConfig; options come on top."),
         ] = None,
-        steps: Annotated[int | None, typer.Option(min=1)] = None,
-        minutes: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
-        threads: Annotated[int | None, typer.Option(min=1)] = None,
-        device: Annotated[str | None, typer.Option(metavar="cpu|cuda")] = None,
-        loss: Annotated[str | None, typer.Option(help="Or triplet, esm, multi_similarity.")] = None,
-        seed: Annotated[int | None, typer.Option(min=0)] = None,
-        licence: Annotated[str, typer.Option(help="Of the weights; goes into the file.")] = "MIT",
+        steps: Annotated[
+            int | None, typer.Option(min=1, metavar="COUNT", help="Of training.")
+        ] = None,
+        minutes: Annotated[
+            float | None, typer.Option(metavar="MINUTES", help="Stop after so long.")
+        ] = None,
+        threads: Annotated[
+            int | None, typer.Option(min=1, metavar="COUNT", help="Of PyTorch.")
+        ] = None,
+        device: Annotated[str | None, typer.Option(metavar="NAME", help="cpu or cuda.")] = None,
+        loss: Annotated[
+            str | None, typer.Option(metavar="NAME", help="Or triplet, esm, multi_similarity.")
+        ] = None,
+        seed: Annotated[
+            int | None, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")
+        ] = None,
+        licence: Annotated[
+            str, typer.Option(metavar="NAME", help="Of the weights; goes into the file.")
+        ] = "MIT",
     ) -> None:
         given = {
             "network": network,

@@ -32,8 +32,8 @@ def extract(
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
     topic: Topic = None,
-    place: Annotated[str, typer.Option(help="A name for the place.")] = "place",
-    sensor: Annotated[str, typer.Option(help="A name for the sensor.")] = "unknown",
+    place: Annotated[str, typer.Option(metavar="NAME", help="Of the place.")] = "place",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Of the sensor.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
     simulate: Annotated[
         str | None, typer.Option(metavar="SCENE:N,...", help="Draw worlds instead of recordings.")
@@ -41,15 +41,19 @@ def extract(
     sensors: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Simulated sensors to choose from.")
     ] = None,
-    thin: Annotated[int, typer.Option(min=1, help="Simulate every so many firings only.")] = 1,
-    drive: Annotated[float, typer.Option(help="Metres of a simulated drive.")] = 500.0,
+    thin: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Simulate every so many firings only.")
+    ] = 1,
+    drive: Annotated[float, typer.Option(metavar="METRES", help="Of a simulated drive.")] = 500.0,
     length: Lengths = None,
-    every: Annotated[float, typer.Option(help="Metres between local clouds.")] = 10.0,
+    every: Annotated[float, typer.Option(metavar="METRES", help="Between local clouds.")] = 10.0,
     centroids_only: Annotated[
         bool, typer.Option(help="Label by centroids alone, as the paper does.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Processes that simulate.")
+    ] = 2,
     config: ConfigFile = None,
 ) -> None:
     """Cut recordings or simulated worlds into labelled segments.

@@ -15,6 +15,7 @@ _BIN_DEG = 0.02
 _MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
 _OTHER_BEAMS = 1.5  # times as many
 _OTHER_DEG = 4.0  # between the lowest beams, which meet the ground in every scan
+_STEEP_DEG = -35.0  # no beams of a single turn look down so steeply, or those of any direction do
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class Signature:
         if 1 in (self.beams, other.beams):
             return self.beams == other.beams
         fewer, more = sorted((self.beams, other.beams))
+        if self.low_deg < _STEEP_DEG and other.low_deg < _STEEP_DEG and self.many and other.many:
+            return True  # gathered clouds reach down to the ground beneath, by other angles each
         same_beams = fewer > _MOST_COUNTED or more <= _OTHER_BEAMS * max(fewer, 4)
         return same_beams and abs(self.low_deg - other.low_deg) < _OTHER_DEG
 

@@ -12,13 +12,21 @@ from ..errors import DatasetError
 from ..levelling import NOTICED_DEG, frame_lean
 from ..local_cloud import Accumulator, LocalCloudConfig
 from ..types import Recording
+from .finding import Fault, Finding
+
+_MOUNTED_DEG = 10.0
+"""A sensor that mostly stands so far off level, always the same way, is mounted so."""
+_SWAYS_DEG = 4.0
+_LEANS_DEG = 3.0
+"""In maps that lean more, scans that are levelled by themselves are found less often, or
+falsely."""
 
 
 class Stands(NamedTuple):
     """Where roll and pitch come from, in one line, and what is wrong with them."""
 
     said: str
-    problems: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def attitudes(recording: Recording, config: LocalCloudConfig, sample: int) -> Stands:
@@ -34,15 +42,14 @@ def attitudes(recording: Recording, config: LocalCloudConfig, sample: int) -> St
     said = f"of the poses, whose z axis is {lean.tilt_deg:.1f} deg off vertical"
     if not lean.noticed:
         return Stands(said)
-    problem = (
-        f"the frame of the poses is tilted by {lean.tilt_deg:.1f} degrees, as walls show: "
-        "`segloc map build --level` turns it"
-    )
-    return Stands(said, (problem,))
+    what = f"the frame of the poses is tilted by {lean.tilt_deg:.1f} degrees, as walls show"
+    wrong = lean.tilt_deg > _LEANS_DEG
+    finding = Finding(Fault.POSES_TILTED, what, "`segloc map build --level` turns it", wrong)
+    return Stands(said, (finding,))
 
 
 def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> Stands:
-    accumulator, sources, tilts = Accumulator(config), Counter[str](), []
+    accumulator, sources, off = Accumulator(config), Counter[str](), []
     for i in np.unique(np.linspace(0, len(recording) - 1, max(1, sample)).round().astype(int)):
         try:
             scan = recording.scan(int(i))
@@ -51,21 +58,32 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> St
         cloud = accumulator.gather(scan)
         sources["gravity" if cloud.attitude == "given" else cloud.attitude] += 1
         if cloud.attitude != "assumed":
-            up = cloud.T_local_sensor[2, :3]
-            tilts.append(angle_deg(up, accumulator.level(scan)))
-    if not tilts:
+            off.append((cloud.T_local_sensor[2, :3], accumulator.level(scan)))
+    if not off:
         return Stands("not known: the scans show neither floors nor walls")
+    tilts = [angle_deg(up, level) for up, level in off]
     counts = ", ".join(f"{count} {name}" for name, count in sorted(sources.items()))
-    median, most = float(np.median(tilts)), max(tilts)
-    said = f"{counts}; tilt {median:.1f} deg, at most {most:.1f}"
-    problems = []
+    middle, most = float(np.median(tilts)), max(tilts)
+    said = f"{counts}; tilt {middle:.1f} deg, at most {most:.1f}"
+    findings = []
     if most > 2 * NOTICED_DEG:
-        problems.append(
-            f"scans are not level: tilted by {median:.1f} degrees in the median, {most:.1f} at most"
-        )
+        findings.append(_tilted(np.array([up for up, _ in off]), middle, most))
     if sources["assumed"]:
-        problems.append(
+        what = (
             f"{sources['assumed']} of {sources.total()} scans show too little of floors and walls "
             "to tell their roll and pitch"
         )
-    return Stands(said, tuple(problems))
+        findings.append(Finding(Fault.TILT, what, "give gravity, or poses", wrong=False))
+    return Stands(said, tuple(findings))
+
+
+def _tilted(ups: np.ndarray, middle: float, most: float) -> Finding:
+    """Of a sensor that sways, or of one that is mounted at an angle."""
+    what = f"scans are tilted by {middle:.1f} degrees in the median, {most:.1f} at most"
+    mean = ups.mean(axis=0)
+    sway = float(np.median([angle_deg(up, mean) for up in ups]))
+    if middle > _MOUNTED_DEG and sway < _SWAYS_DEG:
+        remedy = "name how the sensor is mounted, `local_cloud: {mount: {rpy_deg: ...}}`"
+        return Finding(Fault.TILT, what, remedy)
+    remedy = "each is levelled by what it shows; gravity or poses level it better"
+    return Finding(Fault.TILT, what, remedy, wrong=False)

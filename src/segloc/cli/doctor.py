@@ -1,0 +1,68 @@
+"""``segloc doctor``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from .options import ConfigFile, Poses, Recording, Sample, Select, Topic, load_config
+
+if TYPE_CHECKING:
+    from ..diagnosis import Examinable, Examination
+
+
+def doctor(
+    sequence: Recording,
+    poses: Poses = None,
+    select: Select = None,
+    topic: Topic = None,
+    sample: Sample = 20,
+    config: ConfigFile = None,
+) -> None:
+    """Say what is wrong with a recording, and what mends it; exit status 1 where something is.
+
+    Units, axes and tilt are seen in the scans; poses are judged by how neighbouring clouds fit.
+    """
+    from .info import show_pose_files
+
+    recording, found = examined(sequence, poses, select, topic, sample, config)
+    facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
+    print(f"{recording.name}: {len(recording)} scans, {facts.sensor}, poses: {facts.poses}")
+    show_findings(found)
+    if poses is None:
+        show_pose_files(sequence, recording)
+    if wrong:
+        raise typer.Exit(1)
+    print("nothing wrong is found")
+
+
+def examined(
+    sequence: Path,
+    poses: Path | None,
+    select: str | None,
+    topic: str | None,
+    sample: int,
+    config: Path | None,
+) -> tuple[Examinable, Examination]:
+    """A recording as a verb names it, opened and examined."""
+    from typing import cast
+
+    from ..datasets import open_sequence
+    from ..diagnosis import Examinable, examine
+    from .console import busy
+    from .recording import place_of_sensor
+
+    local_cloud = load_config(config, None, 1).local_cloud
+    T = place_of_sensor(local_cloud.mount)
+    opened = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
+    recording = cast(Examinable, opened)
+    with busy("Looking at the scans"):
+        return recording, examine(recording, local_cloud, sample)
+
+
+def show_findings(found: Examination) -> None:
+    """Print each finding in a line: what is wrong, then what is worth knowing."""
+    for finding in found.findings:
+        print(f"{'wrong' if finding.wrong else 'note'}: {finding}")

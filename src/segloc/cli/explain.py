@@ -1,0 +1,104 @@
+"""``segloc explain``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import ConfigFile, Poses, Threads, Topic, Weights, open_localizer
+
+if TYPE_CHECKING:
+    from ..explanation import Trace
+    from ..local_cloud import LocalCloudConfig
+    from ..types import Recording
+
+
+def explain(
+    scan: Annotated[
+        Path, typer.Argument(metavar="SCAN", help="The file of one scan, or a recording.")
+    ],
+    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write a page with pictures.")
+    ] = None,
+    select: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="NUMBER", help="Of a recording: which scan.  [default: last]"),
+    ] = None,
+    poses: Poses = None,
+    topic: Topic = None,
+    config: ConfigFile = None,
+    weights: Weights = None,
+    threads: Threads = 0,
+) -> None:
+    """Show one query stage by stage, and why it is localized, or is not.
+
+    With poses, the query is a cloud gathered over the path behind the scan.
+    """
+    import numpy as np
+
+    from ..batch.run import query_clouds
+    from ..explanation import trace
+    from ..files import checked_target
+    from ..map.segment_map import SegmentMap
+    from .console import busy
+    from .recording import open_recording
+
+    if html is not None:
+        checked_target(html)
+    with busy("Loading the map"):
+        localizer = open_localizer(SegmentMap.load(prior_map), config, threads, weights)
+    local = localizer.config.local_cloud
+    recording = open_recording(scan, poses, topic=topic, mount=local.mount)
+    position = _position(recording, select)
+    name = f"{recording.name}, scan {recording.indices[position]}, in {prior_map.name}"
+    with busy("Localizing"):
+        ((cloud, _),) = query_clouds(recording, np.array([position]), localizer.config)
+        found = trace(localizer, cloud, name)
+        findings = _findings(recording, position, local)
+    _show(found, findings)
+    if html is not None:
+        from ..explanation.page import page
+        from ..files import write_text
+
+        with busy("Drawing"):
+            write_text(html, page(found, localizer.prior_map, findings))
+
+
+def _position(recording: Recording, number: int | None) -> int:
+    from ..errors import ConfigError
+
+    if number is None:
+        return len(recording) - 1
+    found = [i for i, index in enumerate(recording.indices) if index == number]
+    if not found:
+        first, last = recording.indices[0], recording.indices[-1]
+        raise ConfigError(f"--select {number}: {recording.name} has scans {first} to {last}")
+    return found[0]
+
+
+def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> list[str]:
+    """What `segloc doctor` says of that scan."""
+    from ..diagnosis import scan_findings
+
+    found = scan_findings([recording.scan(position)], config, posed=recording.poses is not None)
+    return [f"{'wrong' if finding.wrong else 'note'}: {finding}" for finding in found]
+
+
+def _show(trace: Trace, findings: list[str]) -> None:
+    from ..explanation import steps, verdict
+
+    print(verdict(trace))
+    for line in findings:
+        print(line)
+    print()
+    for name, outcome in steps(trace):
+        print(f"  {name:<10} {outcome}")
+    if not trace.parts:
+        return
+    print(f"\nconfidence {trace.result.confidence:.2f}, in log-odds:")
+    print(f"  {trace.constant:+5.1f}  to begin with: most poses are wrong")
+    for part in trace.parts:
+        print(f"  {part.log_odds:+5.1f}  {part.words}")

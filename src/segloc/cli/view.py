@@ -1,0 +1,49 @@
+"""``segloc view``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def view(
+    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
+    results: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RESULTS]", help="A folder that `segloc localize --out` wrote."),
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write one page that needs nothing else, and end."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="NUMBER", help="Of the server, on localhost.")
+    ] = 8080,
+) -> None:
+    """Show a map and the queries in it in the browser.
+
+    Queries that `segloc localize --debug` kept are shown with their cloud on the map, segments,
+    matches (those that agree are green), runner-up, and what the confidence is made of.
+    """
+    from ..explanation import viewer
+    from ..explanation.results import read_results
+    from ..files import checked_target, write_text
+    from ..map.segment_map import SegmentMap
+    from .console import busy, note
+
+    if html is not None:
+        checked_target(html)
+    with busy("Loading"):
+        prior = SegmentMap.load(prior_map)
+        queries = [] if results is None else read_results(results)
+    if queries and not any(query.seen for query in queries):
+        note("only where queries were localized is known: `segloc localize --debug` keeps more")
+    if html is not None:
+        with busy("Writing the page"):
+            write_text(html, viewer.html(prior, queries))
+        return
+    server = viewer.serve(prior, queries, port)
+    print(f"http://localhost:{server.get_port()} shows {prior_map}; Ctrl-C ends it", flush=True)
+    server.sleep_forever()

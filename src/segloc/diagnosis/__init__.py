@@ -1,0 +1,10 @@
+"""What is wrong with a recording, measured, and how to mend it."""
+
+from .finding import Fault as Fault
+from .finding import Finding as Finding
+from .pose_faults import pose_findings as pose_findings
+from .recording import Examinable as Examinable
+from .recording import Examination as Examination
+from .recording import examine as examine
+from .recording import first_fault as first_fault
+from .scan_faults import scan_findings as scan_findings

@@ -1,0 +1,7 @@
+"""One query through every stage: what was found, how sure, and why: words and pictures."""
+
+from .trace import Part as Part
+from .trace import Trace as Trace
+from .trace import trace as trace
+from .words import steps as steps
+from .words import verdict as verdict

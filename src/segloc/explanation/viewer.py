@@ -1,0 +1,138 @@
+"""A map and queries in the browser: by a server with a panel, or as one file with a slider."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from io import StringIO
+from typing import Any
+
+import numpy as np
+
+from ..errors import MissingDependency, SeglocError
+from ..map.segment_map import SegmentMap
+from ..types import Float64
+from .results import Shown
+from .scene import FIXED, OF_QUERY, MapScene
+
+SECONDS_A_QUERY = 2.0
+_BACK_M, _UP_M = 45.0, 60.0
+
+
+def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
+    """One self-contained page: the map with all queries, and one after another in detail.
+
+    Its slider goes over the queries of which stages were kept, or else over all.
+
+    Raises
+    ------
+    MissingDependency
+        If viser is not installed.
+    """
+    server = _server("127.0.0.1", 0)
+    try:
+        scene = MapScene(server.scene, prior_map)
+        shown = _in_detail(queries)
+        _look(server, scene, shown[0] if shown else None)
+        scene.draw_map()
+        scene.draw_queries(queries)
+        recorded = server.get_scene_serializer()
+        for query in shown:
+            scene.draw_query(query)
+            recorded.insert_sleep(SECONDS_A_QUERY)
+        return str(recorded.as_html())
+    finally:
+        with redirect_stdout(StringIO()):
+            server.stop()
+
+
+def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
+    """Start a server on this machine alone, with a panel to choose queries and layers by.
+
+    Returns
+    -------
+    viser.ViserServer
+        Which runs in threads of its own until it is stopped.
+
+    Raises
+    ------
+    MissingDependency
+        If viser is not installed.
+    SeglocError
+        If the port is in use.
+    """
+    server = _server("127.0.0.1", port)
+    scene = MapScene(server.scene, prior_map)
+    shown = _in_detail(queries)
+    _look(server, scene, shown[0] if shown else None)
+    scene.draw_map()
+    scene.draw_queries(queries)
+    if shown:
+        _add_choice(server, scene, shown)
+    detailed = any(query.seen is not None for query in shown)
+    _add_layers(server, scene, (*FIXED, *OF_QUERY) if detailed else FIXED)
+    return server
+
+
+def _add_layers(server: Any, scene: MapScene, layers: Sequence[str]) -> None:
+    for layer in layers:
+        box = server.gui.add_checkbox(layer, True)
+
+        def change(_: Any, box: Any = box, layer: str = layer) -> None:
+            scene.show(layer, bool(box.value))
+
+        box.on_update(change)
+
+
+def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
+    last = len(queries) - 1
+    slider = server.gui.add_slider("query", min=0, max=max(last, 1), step=1, initial_value=0)
+    text = server.gui.add_markdown("")
+
+    def choose(_: Any) -> None:
+        query = queries[min(int(slider.value), last)]
+        with server.atomic():
+            scene.draw_query(query)
+        text.content = described(query)
+        for client in server.get_clients().values():
+            client.camera.position, client.camera.look_at = _from(scene, query)
+
+    slider.on_update(choose)
+    choose(None)
+
+
+def described(query: Shown) -> str:
+    """Markdown of one query: its outcome, its verdict, each stage and each part."""
+    lines = () if query.seen is None else query.seen.lines
+    said = query.said if query.seen is None else query.seen.verdict
+    listed = "\n".join(f"- {line}" for line in lines)
+    return f"**{query.index}: {query.outcome}**\n\n{said}\n\n{listed}"
+
+
+def _in_detail(queries: Sequence[Shown]) -> list[Shown]:
+    """Those that something was kept of; all where nothing was."""
+    return [query for query in queries if query.seen is not None] or list(queries)
+
+
+def _look(server: Any, scene: MapScene, query: Shown | None) -> None:
+    server.scene.set_up_direction("+z")
+    camera = server.initial_camera
+    camera.position, camera.look_at = _from(scene, query)
+
+
+def _from(scene: MapScene, query: Shown | None) -> tuple[Float64, Float64]:
+    """Where the camera is, and what it looks at."""
+    middle = scene.middle(query)
+    return middle + np.array([0.0, -_BACK_M, _UP_M]), middle
+
+
+def _server(host: str, port: int) -> Any:
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingDependency("viser", "view", "viewing") from error
+    try:
+        with redirect_stdout(StringIO()):  # it greets, even if told not to
+            return viser.ViserServer(host=host, port=port, verbose=False)
+    except OSError as error:
+        raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error

@@ -1,0 +1,73 @@
+"""A walk across a plaza, in memory and as a folder of scans; and the command line, run here."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from segloc import cli, geometry
+from segloc.io import Trajectory, write_tum
+from segloc.types import Float64, Scan
+
+from .plaza import Plaza, PlazaSequence
+
+Points = Callable[[Float64], Float64]
+Poses = Callable[[Float64], Float64]
+
+
+class Walk(PlazaSequence):
+    """A plaza crossed in curves; perhaps with points that are written wrongly."""
+
+    def __init__(self, written: Points = lambda points: points, posed: bool = True) -> None:
+        super().__init__(Plaza(1, objects=90), steps=14, posed=posed)
+        turns = 0.5 * np.sin(0.6 * np.arange(len(self)))
+        for T, yaw in zip(self.poses, turns, strict=True):
+            T[:3, :3] = geometry.yaw_transform(float(yaw))[:3, :3]
+        self._written = written
+
+    def scan(self, i: int) -> Scan:
+        seen = super().scan(i)
+        return Scan(self._written(seen.points.astype(np.float64)), T_odom_sensor=seen.T_odom_sensor)
+
+
+def written(folder: Path, points: Points = lambda p: p, poses: Poses = lambda T: T) -> Path:
+    """A walk as a folder of scans."""
+    folder.mkdir()
+    walk = Walk(points)
+    for i in range(len(walk)):
+        np.save(folder / f"{i:04d}.npy", walk.scan(i).points)
+    write_tum(folder / "poses.tum", Trajectory(np.arange(len(walk)), poses(walk.poses)))
+    return folder
+
+
+def run(*arguments: object) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
+        try:
+            cli.main()
+        except SystemExit as stop:
+            return int(stop.code or 0)
+    return 0
+
+
+POINTS_ASIDE = Plaza(77, objects=12).scan(geometry.yaw_transform(0.3, (5.0, 9.0, 1.8))).points
+"""What is seen at another plaza."""
+
+
+class Site(NamedTuple):
+    """A recording and a map of it."""
+
+    run: Path
+    map: Path
+
+
+def walked_site(root: Path) -> Site:
+    """A walk in a folder, and its map beside it."""
+    folder, file = written(root / "run"), root / "site.segmap"
+    assert run("map", "build", folder, "--poses", "poses.tum", "--out", file) == 0
+    return Site(folder, file)
