@@ -149,6 +149,9 @@ class PoseSearch:
         count: int,
         separation: float,
         separation_deg: float,
+        x: float = 0.0,
+        y: float = 0.0,
+        radius: float = ...,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
 
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...

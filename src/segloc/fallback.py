@@ -9,6 +9,7 @@ from .landmarks.stem_search import StemSearch
 from .map.segment_map import SegmentMap
 from .occupancy import OccupancySearch
 from .pose import PoseEstimator
+from .prior import Prior, allowed, within
 from .search import Query, Search
 from .stage_times import StageTimes
 from .types import Candidate
@@ -47,40 +48,52 @@ class Fallback:
         cloud: QueryCloud,
         times: StageTimes,
         deadline_ms: float | None = None,
+        near: Prior | None = None,
     ) -> Search:
         """Stems, where there are any; where those do not settle it, what stands where."""
         settled = times.beyond(deadline_ms)
         if self._config.stems.enabled and not settled:
-            tried, settled = self._by_stems(query, tried, cloud, times)
+            tried, settled = self._by_stems(query, tried, cloud, times, near)
         if not self._config.occupancy.enabled or settled or times.beyond(deadline_ms):
             return tried
-        return _better(tried, self.by_occupancy(query, tried, cloud, times))
+        return _better(tried, self.by_occupancy(query, tried, cloud, times, near))
 
     def _by_stems(
-        self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
+        self,
+        query: Query,
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+        near: Prior | None,
     ) -> tuple[Search, bool]:
         """The verdict by stems, and whether stems and clouds both settle on it."""
         with times("pose"):
             alone = query.cloud.num_scans == 1
             stems = self.stems.search(query.scene, seen_from_origin=alone)
-        if not stems.candidates:
+        candidates = within(near, stems.candidates)
+        if not candidates:
             return tried, False
-        found = self._judged(query, stems.candidates, tried, cloud, times)
+        found = self._judged(query, candidates, tried, cloud, times, near)
         best = found.verdict.best
         settled = stems.decided and found.verdict.reason is None and best is not None
         if settled and best is not None:
             apart = self._config.pose.separation.apart
-            settled = not apart(best.T_map_local, stems.candidates[0].T_map_local)
+            settled = not apart(best.T_map_local, candidates[0].T_map_local)
         # What comes next compares its own candidates with these.
         return replace(_better(tried, found), candidates=found.candidates), settled
 
     def by_occupancy(
-        self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
+        self,
+        query: Query,
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+        near: Prior | None = None,
     ) -> Search:
         """The verdict by what stands where."""
         with times("pose"):
-            candidates = self.occupancy.candidates(query.scene)
-        return self._judged(query, candidates, tried, cloud, times)
+            candidates = self.occupancy.candidates(query.scene, near)
+        return self._judged(query, candidates, tried, cloud, times, near)
 
     def _judged(
         self,
@@ -89,6 +102,7 @@ class Fallback:
         tried: Search,
         cloud: QueryCloud,
         times: StageTimes,
+        near: Prior | None,
     ) -> Search:
         """The verdict on candidates that no matches propose, among all that were tried before."""
         with times("pose"):
@@ -101,7 +115,7 @@ class Fallback:
         if (best := tried.verdict.best) is not None:
             candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
         with times("verification"):
-            verdict = self._verifier.verify(cloud, candidates, inliers)
+            verdict = self._verifier.verify(cloud, candidates, inliers, allowed(near))
         return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
 
 

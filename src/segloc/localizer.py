@@ -15,6 +15,7 @@ from .localization import Localization
 from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
+from .prior import Near, Prior, allowed, within
 from .search import Query, Search
 from .segmentation import Segmenter
 from .stage_times import Clock, StageTimes
@@ -100,7 +101,11 @@ class Localizer:
         return _restored, (self.prior_map, self.config, self.clock)
 
     def localize(
-        self, scans: Scans | LocalCloud, *, deadline_ms: float | None = None
+        self,
+        scans: Scans | LocalCloud,
+        *,
+        near: Near | None = None,
+        deadline_ms: float | None = None,
     ) -> Localization:
         """The pose of the (last) scan in the map, or the reason why there is none.
 
@@ -109,6 +114,10 @@ class Localizer:
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
             One scan, or its points; or consecutive ones with odometry poses, of which the last is
             the query.
+        near : Prior or (position, radius_m), optional
+            Where the sensor is known to be, in the map's frame: no other place is proposed or
+            answered, and none elsewhere makes it ambiguous. Where it is not found there, the
+            reason says so.
         deadline_ms : float, optional
             No more candidates are tried after it: the answer is the verdict on those so far. The
             first ones always are, so that a query may take longer.
@@ -118,9 +127,11 @@ class Localizer:
         InvalidScan
             If several scans are given without poses, or something else. Never raised for "not
             found".
+        ConfigError
+            If ``near`` is no prior.
         """
-        times = StageTimes(self.clock)
-        return self.locate(self.describe(scans, times), times, deadline_ms)
+        times, prior = StageTimes(self.clock), Prior.of(near)
+        return self.locate(self.describe(scans, times), times, deadline_ms, prior)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Scans -> local cloud -> segments -> descriptors."""
@@ -136,11 +147,17 @@ class Localizer:
         return Query(cloud, scene, descriptors)
 
     def locate(
-        self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
     ) -> Localization:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self.clock)
-        found = self.search(query, times, deadline_ms)
+        found = self.search(query, times, deadline_ms, near)
+        if near and near.anywhere and found.verdict.reason is not None:
+            near, found = None, self.search(query, times, deadline_ms)
         counts = {
             "scans": query.cloud.num_scans,
             "points": len(query.cloud.points),
@@ -149,10 +166,14 @@ class Localizer:
             "matches": len(found.matches),
             "candidates": len(found.candidates),
         }
-        return answer(query.cloud, found.verdict, counts, times.with_total())
+        return answer(query.cloud, found.verdict, counts, times.with_total(), near)
 
     def search(
-        self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
     ) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
@@ -162,19 +183,21 @@ class Localizer:
         """
         times = times or StageTimes(self.clock)
         centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
-        neighbours = self.matcher.neighbours(query.descriptors)
+        matcher = self._matcher_near(near)
+        neighbours = matcher.neighbours(query.descriptors)
         cloud = self.verifier.query(query.scene)
         best: Search | None = None
-        for count in self.matcher.schedule:
+        for count in matcher.schedule:
             with times("matching"):
                 proposed = neighbours.matches(count)
             with times("pruning"):
-                matches = self.matcher.prune(query.descriptors, proposed)
+                matches = matcher.prune(query.descriptors, proposed)
             with times("pose"):
                 candidates = self.estimator.estimate(centroids, map_centroids, matches)
+                candidates = within(near, candidates)
                 inliers = self.estimator.agreement(centroids, map_centroids, matches)
             with times("verification"):
-                verdict = self.verifier.verify(cloud, candidates, inliers)
+                verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
@@ -183,7 +206,14 @@ class Localizer:
         assert best is not None  # no schedule is empty
         if not best.verdict.is_thin:
             return best
-        return self.fallback.search(query, best, cloud, times, deadline_ms)
+        return self.fallback.search(query, best, cloud, times, deadline_ms, near)
+
+    def _matcher_near(self, near: Prior | None) -> Matcher:
+        """What matches segments that are in view from near a prior."""
+        if near is None:
+            return self.matcher
+        reach_m = self.config.local_cloud.radius_m
+        return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))
 
 
 def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:

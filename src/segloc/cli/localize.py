@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import (
+    Anywhere,
     ConfigFile,
     Deskew,
     Every,
     Level,
+    Near,
     Odometry,
     Poses,
+    Radius,
     Recording,
     Select,
     Threads,
@@ -21,6 +24,7 @@ from .options import (
     Weights,
     check_every,
     open_localizer,
+    parsed_prior,
 )
 
 if TYPE_CHECKING:
@@ -40,6 +44,9 @@ def localize(
     ] = None,
     tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 3.0,
     tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 5.0,
+    near: Near = None,
+    radius: Radius = 50.0,
+    anywhere: Anywhere = False,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -61,6 +68,7 @@ def localize(
     from .results import check_folder, write_results
 
     check_every(every)
+    prior_position = parsed_prior(near, radius, anywhere)
     check_folder(out)
     prior = SegmentMap.load(prior_map)
     localizer = open_localizer(prior, config, threads, weights)
@@ -74,7 +82,7 @@ def localize(
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
     with progress("Localizing") as update:
-        results = localize_sequence(localizer, recording, positions, update)
+        results = localize_sequence(localizer, recording, positions, update, prior_position)
     evaluation = Evaluation(
         recording.indices[positions],
         results,

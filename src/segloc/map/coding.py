@@ -223,6 +223,8 @@ def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, Octr
 
 
 def _lies_on(points: Float32, origin: Float64, voxel: float, bits: int) -> bool:
+    if not np.isfinite(points).all() or not np.isfinite(origin).all():
+        return False
     for part in (points[:64], points):  # most that do not show it at once
         cells, parts = cells_and_parts(part, origin, voxel, bits)
         if not np.array_equal(lattice_points(cells, parts, origin, voxel, bits), part):

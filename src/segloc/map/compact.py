@@ -30,7 +30,9 @@ class CompactConfig(Section):
     bits: int = Field(
         5, ge=2, le=12, description="of a number of a descriptor, across its usual spread"
     )
-    max_views: int = Field(2, ge=0, le=1000, description="views kept of an object; 0: all")
+    max_views: int = Field(
+        2, ge=0, le=1000, description="views of an object kept of each session; 0: all"
+    )
     same_m: float = Field(
         0.5, gt=0, le=10, description="centroids of one object lie this close, metres"
     )
@@ -46,8 +48,8 @@ def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     """The same map in fewer bits; making it compact twice is making it compact once.
 
     Numbers of descriptors are rounded to a power of two below their spread, points of the cloud to
-    the centres of parts of their voxels. Of the views of an object those of the best quality stay.
-    Segments are put into an order in which neighbours follow one another.
+    the centres of parts of their voxels. Of the views of an object in a session those of the best
+    quality stay. Segments are put into an order in which neighbours follow one another.
 
     Parameters
     ----------
@@ -78,26 +80,44 @@ def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     return _with(prior_map, segments, _rounded_cloud(prior_map, config.cloud_bits), path)
 
 
+def with_cloud_voxel(prior_map: SegmentMap, voxel: float) -> SegmentMap:
+    """The same map with its cloud on another grid, of voxels of that edge in metres."""
+    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
+    moved = cloud.moved_to(prior_map.origin, voxel)
+    return _with(prior_map, prior_map.columns(), moved.points, prior_map.trajectory, voxel)
+
+
 def _with(
-    prior_map: SegmentMap, segments: dict[str, NDArray[Any]], points: Float32, path: Float64
+    prior_map: SegmentMap,
+    segments: dict[str, NDArray[Any]],
+    points: Float32,
+    path: Float64,
+    voxel: float | None = None,
 ) -> SegmentMap:
-    cloud = VoxelCloud(points, prior_map.origin, prior_map.cloud_voxel)
+    cloud = VoxelCloud(points, prior_map.origin, voxel or prior_map.cloud_voxel)
     named = prior_map.descriptor, prior_map.fingerprint
     return SegmentMap(*named, segments, cloud, path, prior_map.metadata)
 
 
 def best_views(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:
-    """Which segments stay when an object has so many views at most."""
-    count = len(prior_map)
-    keep = np.ones(count, dtype=bool)
-    if not config.max_views or not count:
-        return keep
-    quality = np.zeros(count) if prior_map.quality is None else prior_map.quality
-    ranks = (prior_map.stamps, prior_map.session, *prior_map.centroids.T, prior_map.sizes, quality)
-    near = cKDTree(prior_map.centroids).query_ball_point(prior_map.centroids, config.same_m)
-    taken = np.zeros(count, np.int64)  # kept views near each
-    keep[:] = False
-    for i in np.lexsort(ranks)[::-1]:
+    """Which segments stay when an object has so many views of each session at most."""
+    keep = np.ones(len(prior_map), dtype=bool)
+    if config.max_views:
+        for session in np.unique(prior_map.session):
+            rows = np.flatnonzero(prior_map.session == session)
+            keep[rows] = _best_of_session(prior_map, rows, config)
+    return keep
+
+
+def _best_of_session(
+    prior_map: SegmentMap, rows: Int64, config: CompactConfig
+) -> NDArray[np.bool_]:
+    centroids, sizes = prior_map.centroids[rows], prior_map.sizes[rows]
+    quality = np.zeros(len(rows)) if prior_map.quality is None else prior_map.quality[rows]
+    near = cKDTree(centroids).query_ball_point(centroids, config.same_m)
+    taken = np.zeros(len(rows), np.int64)  # views near each that stay
+    keep = np.zeros(len(rows), dtype=bool)
+    for i in np.lexsort((prior_map.stamps[rows], *centroids.T, sizes, quality))[::-1]:
         if taken[i] < config.max_views:
             keep[i] = True
             taken[near[i]] += 1
