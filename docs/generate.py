@@ -71,6 +71,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "section.py": (11, "what every section of the configuration refuses"),
     "budget.py": (11, "what one input may hold at most"),
     "geometry.py": (11, "rigid transforms"),
+    "prior.py": (11, "where the sensor is known to be"),
     "types.py": (11, "the data that flows: scans, segments, matches, answers"),
     "errors.py": (11, "the one family of exceptions"),
 }

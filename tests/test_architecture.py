@@ -41,7 +41,7 @@ LAYERS = (
     Layer("io"),
     Layer("motion processes reposed system files tensor_file stage_times yamlfile"),
     Layer("locks"),
-    Layer("geometry types localization checks section errors budget _native", together=True),
+    Layer("geometry types localization prior checks section errors budget _native", together=True),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""
 

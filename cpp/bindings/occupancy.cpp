@@ -43,7 +43,7 @@ void construct(PoseSearch* self, const In2<float>& points, const In1<std::uint8_
 
 auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::uint8_t>& slices,
             std::size_t yaws, int leaf_level, std::size_t width, std::size_t count,
-            double separation, double separation_deg) {
+            double separation, double separation_deg, double x, double y, double radius) {
   require(columns.shape(1) == 2, "columns must have shape (M, 2)");
   require(slices.shape(0) == columns.shape(0), "slices must have one value for each column");
   require(columns.shape(0) <= 4096, "there are more than 4096 columns");
@@ -53,6 +53,9 @@ auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::ui
   require(count <= 65536, "count must be at most 65536");
   require_between(separation, 0.0, kLongest, "separation");
   require_between(separation_deg, 0.0, 360.0, "separation_deg");
+  require_between(x, -kLongest, kLongest, "x");
+  require_between(y, -kLongest, kLongest, "y");
+  require(radius >= 0.0, "radius must not be negative");
   std::vector<double> poses;
   std::vector<std::int64_t> scores;
   {
@@ -61,7 +64,8 @@ auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::ui
       const double x = columns.data()[2 * i], y = columns.data()[2 * i + 1];
       require(std::hypot(x, y) <= self.area().range(), "columns lie beyond the range");
     }
-    const SearchLimits limits{yaws, leaf_level, width, count, separation, separation_deg};
+    const SearchLimits limits{yaws,           leaf_level, width, count, separation,
+                              separation_deg, x,          y,     radius};
     for (const PlanarPose& p :
          self.area().search(columns.data(), slices.data(), columns.shape(0), limits)) {
       poses.insert(poses.end(), {p.x, p.y, p.yaw});
@@ -80,7 +84,9 @@ void bind_occupancy(nb::module_& m) {
            nb::arg("roots").noconvert(), nb::arg("cell"), nb::arg("levels"), nb::arg("range"))
       .def("search", &search, nb::arg("columns").noconvert(), nb::arg("slices").noconvert(),
            nb::arg("yaws"), nb::arg("leaf_level"), nb::arg("width"), nb::arg("count"),
-           nb::arg("separation"), nb::arg("separation_deg"))
+           nb::arg("separation"), nb::arg("separation_deg"),
+           nb::arg("x") = 0.0, nb::arg("y") = 0.0,
+           nb::arg("radius") = std::numeric_limits<double>::infinity())
       .def_prop_ro("nbytes",
                    [](const PoseSearch& self) { return self.map().bytes() + self.area().bytes(); });
 }

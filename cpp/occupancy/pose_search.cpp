@@ -56,25 +56,39 @@ std::vector<std::int32_t> turned(const float* columns, std::size_t m, double cel
   return offsets;
 }
 
+// Whether a window, from cell (x, y) on, has a place that is near enough.
+bool meets(const SearchLimits& limits, double cell, std::int32_t x, std::int32_t y,
+           std::int32_t side) {
+  const auto beyond = [&](double at, std::int32_t first) {  // of an edge of the window
+    return std::max({first * cell - at, at - (first + side) * cell, 0.0});
+  };
+  return std::hypot(beyond(limits.x, x), beyond(limits.y, y)) <= limits.radius;
+}
+
 // The best of all windows at all headings.
 std::vector<Branch> best_windows(const SearchArea& area, const std::vector<std::int32_t>& offsets,
                                  const std::uint8_t* slices, std::size_t m,
                                  const SearchLimits& limits) {
   std::vector<std::vector<std::uint16_t>> scores(limits.yaws);
   std::vector<std::size_t> histogram(8 * m + 1, 0);
+  const std::int32_t side = 1 << (area.map().levels() - 1);
+  const auto near = [&](std::int32_t x, std::int32_t y) {
+    return meets(limits, area.map().cell(), x * side, y * side, side);
+  };
   for (std::size_t k = 0; k < limits.yaws; ++k) {
     area.score(offsets.data() + 2 * m * k, slices, m, scores[k]);
-    area.visit([&](std::size_t i, std::int32_t, std::int32_t) { ++histogram[scores[k][i]]; });
+    area.visit([&](std::size_t i, std::int32_t x, std::int32_t y) {
+      if (near(x, y)) ++histogram[scores[k][i]];
+    });
   }
   std::size_t least = 8 * m, better = 0;
   while (least > 0 && better + histogram[least] <= limits.width) better += histogram[least--];
   std::size_t equal = limits.width - better;
-  const std::int32_t side = 1 << (area.map().levels() - 1);
   std::vector<Branch> branches;
   for (std::uint32_t k = 0; k < limits.yaws; ++k) {
     area.visit([&](std::size_t i, std::int32_t x, std::int32_t y) {
       const std::uint16_t s = scores[k][i];
-      if (s < least || (s == least && equal == 0)) return;
+      if (s < least || (s == least && equal == 0) || !near(x, y)) return;
       if (s == least) --equal;
       branches.push_back({s, k, x * side, y * side});
     });
@@ -144,6 +158,7 @@ std::vector<PlanarPose> apart(std::vector<Branch>& branches, const OccupancyPyra
     if (poses.size() == limits.count) break;
     const PlanarPose pose{(b.x + middle) * map.cell(), (b.y + middle) * map.cell(),
                           angle(b.yaw, limits), b.score};
+    if (std::hypot(pose.x - limits.x, pose.y - limits.y) > limits.radius) continue;
     const auto known = [&](const PlanarPose& other) { return alike(pose, other, limits); };
     if (std::none_of(poses.begin(), poses.end(), known)) poses.push_back(pose);
   }

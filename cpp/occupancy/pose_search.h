@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "occupancy/occupancy_pyramid.h"
@@ -17,6 +18,8 @@ struct SearchLimits {
   std::size_t count = 64;    // poses wanted
   double separation = 2.0;   // metres between those of like heading
   double separation_deg = 9.0;
+  double x = 0.0, y = 0.0;  // poses are no farther from here than `radius`
+  double radius = std::numeric_limits<double>::infinity();
 };
 
 struct PlanarPose {

@@ -28,6 +28,7 @@ from .localization import Localization, Localized, NotLocalized, Reason
 from .localizer import Localizer
 from .map.build import build_map
 from .map.segment_map import SegmentMap
+from .prior import Prior
 from .rolling_cloud import RollingCloud
 from .tracker import Tracker
 from .types import LocalCloud, Scan
@@ -54,6 +55,7 @@ __all__ = [
     "MapMismatch",
     "MissingDependency",
     "NotLocalized",
+    "Prior",
     "Reason",
     "RollingCloud",
     "Scan",

@@ -149,9 +149,23 @@ class PoseSearch:
         count: int,
         separation: float,
         separation_deg: float,
+        x: float = 0.0,
+        y: float = 0.0,
+        radius: float = ...,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
 
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...
+def octree_encode(cells: NDArray[np.int32], levels: int) -> NDArray[np.uint8]: ...
+def octree_points(
+    codes: NDArray[np.uint8],
+    levels: int,
+    count: int,
+    parts: NDArray[np.uint8],
+    bits: int,
+    low: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.float32]: ...
 def instruction_set(isa: str = "auto") -> str: ...
 def fps(
     points: NDArray[np.float32], samples: int, threads: int = 0, isa: str = "auto"

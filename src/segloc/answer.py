@@ -7,6 +7,7 @@ from typing import Any
 
 from . import geometry
 from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
+from .prior import Prior
 from .types import LocalCloud, Pose
 from .verification import RefinedScore, Score, Verdict
 
@@ -15,12 +16,16 @@ NOT_FLAT = (
     "as level it is not found: give its gravity or a pose)"
 )
 
+_OF_THE_QUERY = (Reason.NO_POINTS, Reason.NO_SEGMENTS, Reason.AMBIGUOUS, Reason.UNKNOWN_ATTITUDE)
+"""Reasons that say nothing against the prior."""
+
 
 def answer(
     cloud: LocalCloud,
     verdict: Verdict,
     counts: Mapping[str, int],
     times_ms: Mapping[str, float],
+    near: Prior | None = None,
 ) -> Localization:
     """What is told of a query.
 
@@ -33,6 +38,8 @@ def answer(
         How many items each stage produced.
     times_ms : dict
         Milliseconds each stage took.
+    near : Prior, optional
+        Where it was looked for.
     """
     best, T_local_sensor = verdict.best, cloud.T_local_sensor
     common: dict[str, Any] = {
@@ -45,7 +52,7 @@ def answer(
         **_measured(verdict),
     }
     if verdict.reason is not None or best is None:
-        return NotLocalized(**_why(verdict, cloud, counts), **common)
+        return NotLocalized(**_why(verdict, cloud, counts, near), **common)
     covariance = best.covariance if isinstance(best, RefinedScore) else None
     return Localized(
         T_map_sensor=best.T_map_local @ T_local_sensor,
@@ -69,8 +76,18 @@ def _measured(verdict: Verdict) -> dict[str, float | None]:
     }
 
 
-def _why(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
+def _why(
+    verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int], near: Prior | None
+) -> dict[str, Any]:
     """The first stage that was left with nothing, or else what the verdict says."""
+    why = _why_anywhere(verdict, cloud, counts)
+    if near is None or why["reason"] in _OF_THE_QUERY:
+        return why
+    message = f"{Reason.NOT_NEAR_PRIOR} ({near}: {why['message']})"
+    return {"reason": Reason.NOT_NEAR_PRIOR, "message": message}
+
+
+def _why_anywhere(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
     for what, reason in (
         ("points", Reason.NO_POINTS),
         ("segments", Reason.NO_SEGMENTS),

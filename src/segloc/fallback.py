@@ -9,6 +9,7 @@ from .landmarks.stem_search import StemSearch
 from .map.segment_map import SegmentMap
 from .occupancy import OccupancySearch
 from .pose import PoseEstimator
+from .prior import Prior, allowed, within
 from .search import Query, Search
 from .stage_times import StageTimes
 from .types import Candidate
@@ -55,22 +56,28 @@ class Fallback:
         cloud: QueryCloud,
         times: StageTimes,
         deadline_ms: float | None = None,
+        near: Prior | None = None,
     ) -> Search:
         """Stems, where there are any; where those do not settle it, what stands where, too."""
         if times.beyond(deadline_ms):
             return tried
-        found, proposed = self._by_stems(query, tried, cloud, times)
+        found, proposed = self._by_stems(query, tried, cloud, times, near)
         if found is not None or times.beyond(deadline_ms):
             return found or tried
         if self._config.occupancy.enabled:
             with times("pose"):
-                proposed = [*proposed, *self.occupancy.candidates(query.scene)]
+                proposed = [*proposed, *self.occupancy.candidates(query.scene, near)]
         if not proposed:
             return tried
-        return _better(tried, self.judged(query, proposed, tried, cloud, times))
+        return _better(tried, self.judged(query, proposed, tried, cloud, times, near))
 
     def _by_stems(
-        self, query: Query, tried: Search, cloud: QueryCloud, times: StageTimes
+        self,
+        query: Query,
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+        near: Prior | None,
     ) -> tuple[Search | None, list[Candidate]]:
         """What stems and clouds both settle on, if they do; and where the stems may stand."""
         if not self._config.stems.enabled:
@@ -78,16 +85,17 @@ class Fallback:
         with times("pose"):
             alone = query.cloud.num_scans == 1
             stems = self.stems.search(query.scene, seen_from_origin=alone)
-        if not stems.decided:
-            return None, stems.candidates
-        found = self.judged(query, stems.candidates, tried, cloud, times)
+        candidates = within(near, stems.candidates)
+        if not (stems.decided and candidates):
+            return None, candidates
+        found = self.judged(query, candidates, tried, cloud, times, near)
         best = found.verdict.best
         apart = self._config.pose.separation.apart
         if found.verdict.reason is not None or best is None:
-            return None, stems.candidates
-        if apart(best.T_map_local, stems.candidates[0].T_map_local):
-            return None, stems.candidates
-        return _better(tried, found), stems.candidates
+            return None, candidates
+        if apart(best.T_map_local, candidates[0].T_map_local):
+            return None, candidates
+        return _better(tried, found), candidates
 
     def judged(
         self,
@@ -96,6 +104,7 @@ class Fallback:
         tried: Search,
         cloud: QueryCloud,
         times: StageTimes,
+        near: Prior | None = None,
     ) -> Search:
         """The verdict on candidates that no matches propose, among all that were tried before."""
         with times("pose"):
@@ -108,7 +117,7 @@ class Fallback:
         if (best := tried.verdict.best) is not None:
             candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
         with times("verification"):
-            verdict = self._verifier.verify(cloud, candidates, inliers)
+            verdict = self._verifier.verify(cloud, candidates, inliers, allowed(near))
         return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
 
 

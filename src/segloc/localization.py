@@ -22,6 +22,7 @@ class Reason(str, Enum):
     TOO_LITTLE_OVERLAP = "too little overlap"
     AMBIGUOUS = "ambiguous"
     TOO_UNCERTAIN = "too uncertain"
+    NOT_NEAR_PRIOR = "not near the prior"
 
     def __str__(self) -> str:
         return self.value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 from .answer import answer
@@ -15,11 +16,12 @@ from .localization import Localization
 from .map.segment_map import SegmentMap
 from .matching import Matcher
 from .pose import PoseEstimator
+from .prior import Near, Prior, allowed, within
 from .search import Query, Search
 from .segmentation import Segmenter
 from .stage_times import Clock, StageTimes
 from .types import LocalCloud
-from .verification import Verifier
+from .verification import QueryCloud, Verifier
 
 
 class Localizer:
@@ -94,15 +96,17 @@ class Localizer:
             threads=threads,
         )
         self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
-        schedule = self.matcher.schedule
-        self._efforts = schedule[:1] if self.fallback.is_thorough else schedule
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
         return _restored, (self.prior_map, self.config, self.clock)
 
     def localize(
-        self, scans: Scans | LocalCloud, *, deadline_ms: float | None = None
+        self,
+        scans: Scans | LocalCloud,
+        *,
+        near: Near | None = None,
+        deadline_ms: float | None = None,
     ) -> Localization:
         """The pose of the (last) scan in the map, or the reason why there is none.
 
@@ -111,6 +115,10 @@ class Localizer:
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
             One scan, or its points; or consecutive ones with odometry poses, of which the last is
             the query.
+        near : Prior or (position, radius_m), optional
+            Where the sensor is known to be, in the map's frame: no other place is proposed or
+            answered, and none elsewhere makes it ambiguous. Where it is not found there, the
+            reason says so.
         deadline_ms : float, optional
             No more candidates are tried after it: the answer is the verdict on those so far. The
             first ones always are, so that a query may take longer.
@@ -120,9 +128,11 @@ class Localizer:
         InvalidScan
             If several scans are given without poses, or something else. Never raised for "not
             found".
+        ConfigError
+            If ``near`` is no prior.
         """
-        times = StageTimes(self.clock)
-        return self.locate(self.describe(scans, times), times, deadline_ms)
+        times, prior = StageTimes(self.clock), Prior.of(near)
+        return self.locate(self.describe(scans, times), times, deadline_ms, prior)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Scans -> local cloud -> segments -> descriptors."""
@@ -138,15 +148,24 @@ class Localizer:
         return Query(cloud, scene, descriptors)
 
     def locate(
-        self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
     ) -> Localization:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self.clock)
-        found = self.search(query, times, deadline_ms)
-        return answer(query.cloud, found.verdict, counted(query, found), times.with_total())
+        found = self.search(query, times, deadline_ms, near)
+        counts = counted(query, found)
+        return answer(query.cloud, found.verdict, counts, times.with_total(), found.near)
 
     def search(
-        self, query: Query, times: StageTimes | None = None, deadline_ms: float | None = None
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
     ) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
@@ -156,29 +175,52 @@ class Localizer:
         counts.
         """
         times = times or StageTimes(self.clock)
-        centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
-        neighbours = self.matcher.neighbours(query.descriptors)
         cloud = self.verifier.query(query.scene)
+        found = self._by_segments(query, cloud, times, deadline_ms, near)
+        if found.verdict.is_thin:
+            found = self.fallback.search(query, found, cloud, times, deadline_ms, near)
+        if near and near.anywhere and found.verdict.reason is not None:
+            return self.search(query, times, deadline_ms)
+        return replace(found, near=near)
+
+    def _by_segments(
+        self,
+        query: Query,
+        cloud: QueryCloud,
+        times: StageTimes,
+        deadline_ms: float | None,
+        near: Prior | None,
+    ) -> Search:
+        """Descriptors -> matches -> candidate poses -> verdict."""
+        centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
+        matcher = self._matcher_near(near)
+        neighbours = matcher.neighbours(query.descriptors)
         best: Search | None = None
-        for count in self._efforts:
+        for count in matcher.schedule[:1] if self.fallback.is_thorough else matcher.schedule:
             with times("matching"):
                 proposed = neighbours.matches(count)
             with times("pruning"):
-                matches = self.matcher.prune(query.descriptors, proposed)
+                matches = matcher.prune(query.descriptors, proposed)
             with times("pose"):
                 candidates = self.estimator.estimate(centroids, map_centroids, matches)
+                candidates = within(near, candidates)
                 inliers = self.estimator.agreement(centroids, map_centroids, matches)
             with times("verification"):
-                verdict = self.verifier.verify(cloud, candidates, inliers)
+                verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
             found = Search(len(proposed), matches, candidates, verdict)
             if best is None or found.verdict.rank > best.verdict.rank:
                 best = found
             if not verdict.undecided or times.beyond(deadline_ms):
                 break
         assert best is not None  # no schedule is empty
-        if not best.verdict.is_thin:
-            return best
-        return self.fallback.search(query, best, cloud, times, deadline_ms)
+        return best
+
+    def _matcher_near(self, near: Prior | None) -> Matcher:
+        """What matches segments that are in view from near a prior."""
+        if near is None:
+            return self.matcher
+        reach_m = self.config.local_cloud.radius_m
+        return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))
 
 
 def counted(query: Query, found: Search) -> dict[str, int]:

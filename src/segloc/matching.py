@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from pydantic import Field
 
@@ -96,6 +98,16 @@ class Matcher:
         self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
+        self._rows: Int64 | None = None  # of the map that are searched; None: all
+
+    def among(self, rows: Int64) -> Matcher:
+        """The same search among some of the map's segments alone, exact however many they are."""
+        some = copy(self)
+        some.schedule = self.config.schedule(len(rows))
+        vectors = np.ascontiguousarray(self._vectors[rows])
+        some._index = _native.DescriptorIndex(vectors, 1, self._threads)
+        some._rows = rows
+        return some
 
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
         """The nearest map segments of every query segment, best match first.
@@ -110,7 +122,8 @@ class Matcher:
 
     def nearest(self, query: Descriptors, neighbours: int) -> Nearest:
         """So many map segments for each query segment, nearest first, with their distances."""
-        return self._index.search(query.vectors, neighbours, self.config.probes, self._threads)
+        found = self._index.search(query.vectors, neighbours, self.config.probes, self._threads)
+        return found if self._rows is None else (self._rows[found[0]], found[1])
 
     @property
     def indexed(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .prior import Prior
 from .segmentation import Segmentation
 from .types import Candidate, Descriptors, LocalCloud, Matches
 from .verification import Verdict
@@ -32,6 +33,8 @@ class Search:
     verdict : Verdict
     by_segments : bool
         Whether the candidates come from matches alone.
+    near : Prior or None
+        Where alone was searched; None where all over the map.
     """
 
     proposed: int
@@ -39,3 +42,4 @@ class Search:
     candidates: list[Candidate]
     verdict: Verdict
     by_segments: bool = True
+    near: Prior | None = None

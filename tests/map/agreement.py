@@ -34,7 +34,7 @@ def moved(prior_map: SegmentMap, T: Pose) -> SegmentMap:
     return SegmentMap(
         prior_map.descriptor,
         prior_map.fingerprint,
-        prior_map._segments(),
+        prior_map.columns(),
         VoxelCloud((cloud - origin).astype(np.float32), origin, prior_map.cloud_voxel),
         T @ prior_map.trajectory,
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import io
-import json
 import os
 import pickle
 import subprocess
@@ -19,33 +18,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import load_file
+from samples.mapfiles import (
+    ARRAYS,
+    assert_identical,
+    assert_refused,
+    header_end,
+    load_bytes,
+    with_header,
+)
 from samples.maps import make_map
 
 from segloc.errors import MapFormatError, SeglocError
 from segloc.map import file as mapfile
 from segloc.map.segment_map import SegmentMap
-
-ARRAYS = (
-    "vectors",
-    "quality",
-    "centroids",
-    "sizes",
-    "session",
-    "stamps",
-    "cloud",
-    "origin",
-    "trajectory",
-)
-FIELDS = ("descriptor", "fingerprint", "dim", "cloud_voxel", "metadata")
-
-
-def assert_identical(a: SegmentMap, b: SegmentMap) -> None:
-    for name in ARRAYS:
-        x, y = getattr(a, name), getattr(b, name)
-        assert (x is None) == (y is None), name
-        if x is not None:
-            assert x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes(), name
-    assert [getattr(a, f) for f in FIELDS] == [getattr(b, f) for f in FIELDS]
 
 
 @pytest.fixture(scope="module")
@@ -53,33 +38,6 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[SegmentMap, bytes]:
     prior_map, path = make_map(), tmp_path_factory.mktemp("map") / "a.segmap"
     prior_map.save(path)
     return prior_map, path.read_bytes()
-
-
-def header_end(data: bytes) -> int:
-    return 8 + int.from_bytes(data[:8], "little")
-
-
-def with_header(data: bytes, change: Callable[[dict[str, Any]], None], *, sign: bool) -> bytes:
-    """The file with its header edited, and, if ``sign``, a checksum that agrees with the edit."""
-    header = json.loads(data[8 : header_end(data)])
-    change(header)
-    if sign:
-        texts = header["__metadata__"]
-        shapes = {k: (v["dtype"], v["shape"]) for k, v in header.items() if k != "__metadata__"}
-        texts["checksum"] = mapfile._header_digest(texts, shapes)
-    encoded = json.dumps(header).encode()
-    return len(encoded).to_bytes(8, "little") + encoded + data[header_end(data) :]
-
-
-def load_bytes(path: Path, data: bytes) -> SegmentMap:
-    path.write_bytes(data)
-    return SegmentMap.load(path)
-
-
-def assert_refused(path: Path, data: bytes, match: str | None = None) -> None:
-    with pytest.raises(MapFormatError, match=match) as caught:
-        load_bytes(path, data)
-    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -193,8 +151,8 @@ def test_forged_headers_are_refused(
 
 
 def test_newer_versions_are_refused(tmp_path: Path, saved: tuple[SegmentMap, bytes]) -> None:
-    newer = with_header(saved[1], _set("__metadata__", segmap_version="2"), sign=False)
-    assert_refused(tmp_path / "a.segmap", newer, r"newer segloc \(map format 2")
+    newer = with_header(saved[1], _set("__metadata__", segmap_version="3"), sign=False)
+    assert_refused(tmp_path / "a.segmap", newer, r"newer segloc \(map format 3")
 
 
 def test_missing_and_strange_paths(tmp_path: Path, saved: tuple[SegmentMap, bytes]) -> None:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,12 @@ from segloc.batch.run import localize_sequence
 from segloc.batch.score import Evaluation
 from segloc.cli.results import write_results
 from segloc.descriptors.weightfile import shipped_weights
+from segloc.map.compact import CompactConfig, compacted
+from segloc.map.config import MappingConfig
 from segloc.map.file import FORMAT_VERSION
 
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text("utf-8")
-DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1"}
+DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1", "U8": "|u1"}
 
 
 def table(name: str) -> list[list[str]]:
@@ -52,7 +55,8 @@ def opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str,
 
 @pytest.fixture(scope="module")
 def site(plaza: Plaza) -> SegmentMap:
-    made = build_map(PlazaSequence(plaza), Config(threads=1))
+    mapping = MappingConfig(compact=CompactConfig(enabled=False))
+    made = build_map(PlazaSequence(plaza), Config(threads=1, mapping=mapping))
     masks = np.ones(len(made), bool), np.ones(len(made.cloud), bool)
     return made.kept(*masks, missed=np.arange(len(made)) % 2)
 
@@ -62,6 +66,63 @@ def saved(site: SegmentMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("map") / "site.segmap"
     site.save(path)
     return path
+
+
+@pytest.fixture(scope="module")
+def packed(site: SegmentMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("map") / "packed.segmap"
+    compacted(site, CompactConfig()).save(path)
+    return path
+
+
+def unpacked(name: str, data: bytes, how: dict[str, Any], origin: Any, voxel: float) -> Any:
+    """A packed tensor, as the section Packed maps has it."""
+    if how["kind"] == "octree":
+        return cloud_of(zlib.decompress(data), how, origin, voxel)
+    if how["kind"] == "palette":
+        size = 8 * how["values"]
+        rows = whole_numbers(data[size:], how["shape"][0], how["width"])[:, 0]
+        return np.frombuffer(data[:size], "<f8")[rows]
+    rows = whole_numbers(data, how["shape"][0], how["width"]) + np.array(how["low"])
+    return (rows * 2.0 ** np.array(how["exponents"])).reshape(how["shape"])
+
+
+def whole_numbers(data: bytes, rows: int, width: int) -> np.ndarray:
+    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(width, rows, -1)
+    numbers = sum(plane.astype(object) << 8 * k for k, plane in enumerate(planes))
+    steps = np.where(numbers % 2 == 0, numbers // 2, -(numbers + 1) // 2)
+    return (np.cumsum(steps, axis=0) % (1 << 8 * width)).astype(np.int64)
+
+
+def cloud_of(data: bytes, how: dict[str, Any], origin: Any, voxel: float) -> np.ndarray:
+    nodes, at = [(0, 0, 0)], 0
+    for _ in range(how["levels"]):
+        codes = data[at : at + len(nodes)]
+        at += len(nodes)
+        nodes = [
+            (2 * x + (k >> 2), 2 * y + (k >> 1 & 1), 2 * z + (k & 1))
+            for (x, y, z), code in zip(nodes, codes, strict=True)
+            for k in range(8)
+            if code >> k & 1
+        ]
+    assert at == how["nodes"] and len(nodes) == how["shape"][0]
+    bits = np.unpackbits(np.frombuffer(data[at:], np.uint8), bitorder="little")
+    each = bits[: 3 * len(nodes) * how["bits"]].reshape(len(nodes), 3, how["bits"])
+    parts = (each << np.arange(how["bits"])).sum(axis=2)
+    place = np.array(sorted(nodes)) + how["low"] + (parts + 0.5) / 2 ** how["bits"]
+    return (place * voxel - origin).astype(np.float32)
+
+
+def test_a_packed_map_is_read_as_the_document_says(packed: Path) -> None:
+    header, tensors, raw = opened(packed)
+    texts, loaded = header["__metadata__"], SegmentMap.load(packed)
+    assert list(tensors) == [row[0] for row in table("map tensors")]
+    coding, voxel = json.loads(texts["coding"]), float(texts["cloud_voxel"])
+    assert coding.keys() == tensors.keys() - {"origin"}
+    for name, how in coding.items():
+        assert header[name]["dtype"] == "U8"
+        found = unpacked(name, raw[name], how, tensors["origin"], voxel)
+        np.testing.assert_array_equal(found, getattr(loaded, name), name)
 
 
 def test_a_map_has_the_tensors_of_the_document(site: SegmentMap, saved: Path) -> None:
@@ -88,12 +149,16 @@ def test_the_cloud_has_one_point_a_voxel(saved: Path) -> None:
     assert len(np.unique(cells, axis=0)) == len(cells)
 
 
-def test_a_map_has_the_text_fields_and_checksums_of_the_document(saved: Path) -> None:
-    header, tensors, raw = opened(saved)
+@pytest.mark.parametrize("version", [1, FORMAT_VERSION])
+def test_a_map_has_the_text_fields_and_checksums_of_the_document(
+    saved: Path, packed: Path, version: int
+) -> None:
+    header, tensors, raw = opened(saved if version == 1 else packed)
     texts = header["__metadata__"]
     named = {row[0] for row in table("map fields")} - {"checksum.NAME"}
+    named -= {"coding"} if version == 1 else set()
     assert set(texts) == named | {f"checksum.{name}" for name in tensors}
-    assert texts["segmap_version"] == str(FORMAT_VERSION)
+    assert texts["segmap_version"] == str(version)
     assert f"Format version {FORMAT_VERSION}." in DOCUMENT
     assert {"config", "sequence"} <= json.loads(texts["metadata"]).keys()
     for name, data in raw.items():

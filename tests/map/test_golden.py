@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import zlib
 from pathlib import Path
 from types import ModuleType
 
@@ -22,6 +23,7 @@ SHA256 = {
     "1-missed": "a50cca40719bb782bc9e8f465fbce838322bc19e172839f0755761229aa862df",
     "1-plain": "dfe5d7c59ada8730169e512104d306b36e35a6b31402c600a9d90b803467e180",
     "1-quality": "5078b59b2f102343fbdf2ee891963e4ca989f258af8deaaf206df3c3c38245fa",
+    "2-packed": "25b43e977ec0fa0cb56fd8efd88d7c334f0316df1d310ca8c757b2b4fd510c4e",
 }
 COLUMNS = ("vectors", "centroids", "sizes", "session", "stamps", "missed")
 
@@ -60,7 +62,10 @@ def test_it_holds_what_it_held(name: str, segments: ModuleType) -> None:
 def test_today_the_same_bytes_are_written(tmp_path: Path, segments: ModuleType) -> None:
     for kind in segments.KINDS:
         segments.golden(kind).save(tmp_path / "a.segmap")
-        golden = (FOLDER / f"{FORMAT_VERSION}-{kind}.segmap").read_bytes()
+        version = FORMAT_VERSION if kind == "packed" else 1
+        if version > 1 and "ng" in zlib.ZLIB_RUNTIME_VERSION:
+            continue  # another library deflates to other bytes
+        golden = (FOLDER / f"{version}-{kind}.segmap").read_bytes()
         assert (tmp_path / "a.segmap").read_bytes() == golden, kind
 
 

@@ -29,7 +29,7 @@ def moved(prior_map: SegmentMap, T: Pose) -> SegmentMap:
     """The map in another frame."""
     cloud = geometry.transform(T, prior_map.cloud + prior_map.origin)
     origin = cloud.mean(axis=0)
-    segments = prior_map._segments()
+    segments = prior_map.columns()
     segments["centroids"] = geometry.transform(T, prior_map.centroids)
     return SegmentMap(
         prior_map.descriptor,

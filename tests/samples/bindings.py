@@ -280,6 +280,13 @@ def _training() -> Iterator[tuple[str, Call]]:
 def _others() -> Iterator[tuple[str, Call]]:
     packed = np.frombuffer(b"\x03abcd\x60\x03", np.uint8)
     yield "lzf_decompress", Call(_native.lzf_decompress, {"data": packed, "size": 9})
+    cells = np.int32([[0, 1, 2], [3, 3, 3], [2, 0, 1]])
+    yield "octree_encode", Call(_native.octree_encode, {"cells": cells, "levels": 2})
+    tree = {
+        **{"codes": _native.octree_encode(cells, 2), "levels": 2, "count": 3, "voxel": 0.3},
+        **{"parts": np.uint8([129, 2]), "bits": 1, "low": np.arange(3), "origin": np.arange(3.0)},
+    }
+    yield "octree_points", Call(_native.octree_points, tree)
     yield "resolve_threads", Call(_native.resolve_threads, {"threads": 2})
     yield "instruction_set", Call(lambda isa: len(_native.instruction_set(isa)), {"isa": "auto"})
 
@@ -316,7 +323,10 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         *("xconv_apply", "xconv_apply_backward", "column_maps", "column_maps_backward"),
         *("elu_norm", "elu_norm_backward"),
     ),
-    _others: ("lzf_decompress", "resolve_threads", "instruction_set"),
+    _others: (
+        *("lzf_decompress", "octree_encode", "octree_points"),
+        *("resolve_threads", "instruction_set"),
+    ),
 }
 NAMES = tuple(name for names in ROOMS.values() for name in names)
 

@@ -12,6 +12,7 @@ from .. import geometry
 from ..config import Config
 from ..local_cloud import Accumulator, window
 from ..localization import Localization
+from ..prior import Prior
 from ..scan_window import RecordedWindows
 from ..stage_times import Clock, StageTimes
 from ..types import Float64, Int64, LocalCloud, Recording
@@ -47,11 +48,12 @@ def localize_sequence(
     sequence: Recording,
     positions: Int64,
     progress: Callable[[int, int], None] | None = None,
+    near: Prior | None = None,
 ) -> list[Localization]:
     """Localize the scans at some positions of a sequence, each by itself.
 
     Where the sequence has poses, a query gathers the scans of the path behind it; otherwise it is
-    the one scan alone.
+    the one scan alone. With a prior all of them are near it.
 
     Raises
     ------
@@ -60,7 +62,8 @@ def localize_sequence(
     """
     results = []
     for cloud, times in query_clouds(sequence, positions, localizer.config, localizer.clock):
-        results.append(localizer.locate(localizer.describe(cloud, times), times))
+        query = localizer.describe(cloud, times)
+        results.append(localizer.locate(query, times, near=near))
         if progress:
             progress(len(results), len(positions))
     return results

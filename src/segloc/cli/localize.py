@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import (
+    Anywhere,
     ConfigFile,
     Deskew,
     Every,
     Level,
+    Near,
     Odometry,
     Poses,
+    Radius,
     Recording,
     Select,
     Threads,
@@ -21,11 +24,13 @@ from .options import (
     Weights,
     check_every,
     open_localizer,
+    parsed_prior,
 )
 
 if TYPE_CHECKING:
     from ..localization import Localization
     from ..localizer import Localizer
+    from ..prior import Prior
     from ..types import Float64, Int64
     from ..types import Recording as Scans
     from .console import Update
@@ -56,6 +61,9 @@ def localize(
     tolerance_deg: Annotated[
         float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")
     ] = 5.0,
+    near: Near = None,
+    radius: Radius = 50.0,
+    anywhere: Anywhere = False,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -81,6 +89,7 @@ def localize(
     from .results import check_folder, print_json, write_results
 
     check_every(every)
+    prior_position = parsed_prior(near, radius, anywhere)
     if debug and out is None:
         raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
     if out is not None:
@@ -100,9 +109,9 @@ def localize(
     kept: dict[str, bytes] = {}
     with progress("Localizing") as update:
         if debug:
-            results, kept = _in_detail(localizer, recording, positions, update)
+            results, kept = _in_detail(localizer, recording, positions, update, prior_position)
         else:
-            results = localize_sequence(localizer, recording, positions, update)
+            results = localize_sequence(localizer, recording, positions, update, prior_position)
     evaluation = Evaluation(
         recording.indices[positions],
         results,
@@ -124,7 +133,11 @@ def localize(
 
 
 def _in_detail(
-    localizer: Localizer, recording: Scans, positions: Int64, update: Update
+    localizer: Localizer,
+    recording: Scans,
+    positions: Int64,
+    update: Update,
+    near: Prior | None,
 ) -> tuple[list[Localization], dict[str, bytes]]:
     """The answers, and files of what each stage made of each query."""
     from ..batch.run import query_clouds
@@ -135,7 +148,7 @@ def _in_detail(
     results, kept = [], {}
     clouds = query_clouds(recording, positions, localizer.config, localizer.clock)
     for index, (cloud, times) in zip(recording.indices[positions], clouds, strict=True):
-        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times)
+        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
         results.append(found.result)
         kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
         update(len(results), len(positions))

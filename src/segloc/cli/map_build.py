@@ -37,6 +37,10 @@ def build(
     deskew: Deskew = True,
     odometry: Odometry = False,
     level: Level = False,
+    compact: Annotated[
+        bool,
+        typer.Option("--compact", help="As small as it can be; docs/formats.md has its losses."),
+    ] = False,
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
@@ -59,9 +63,9 @@ def build(
     check_every(every)
     checked_target(out)
     settings = load_config(config, method, threads, weights)
-    if level:
-        mapping = settings.mapping.model_copy(update={"level": True})
-        settings = settings.model_copy(update={"mapping": mapping})
+    mapping = settings.mapping.smallest() if compact else settings.mapping
+    mapping = mapping.model_copy(update={"level": level or mapping.level})
+    settings = settings.model_copy(update={"mapping": mapping})
     recording = open_recording(
         sequence,
         poses,

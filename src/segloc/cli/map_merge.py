@@ -19,7 +19,9 @@ def merge(
     elsewhere: Elsewhere = False,
 ) -> None:
     """Merge maps of one place that share their frame; what they have in common is kept once."""
+    from ..config import map_config
     from ..errors import ConfigError
+    from ..map.compact import compacted
     from ..map.segment_map import SegmentMap
     from .map_info import show
     from .saving import writing
@@ -28,6 +30,7 @@ def merge(
         raise ConfigError("merging needs two maps or more")
     with writing(out):
         prior_map = _merged([SegmentMap.load(path) for path in maps], maps, elsewhere)
+        prior_map = compacted(prior_map, map_config(prior_map).mapping.compact)
         prior_map.save(out)
     show(prior_map, str(out))
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
+    from ..prior import Prior
 
 Value = TypeVar("Value")
 
@@ -72,6 +73,28 @@ Weights = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Trained weights, in place of the shipped ones."),
 ]
+
+Near = Annotated[
+    str | None,
+    typer.Option(metavar="X,Y[,Z]", help="All scans were taken near here, in the map's frame."),
+]
+Radius = Annotated[float, typer.Option(metavar="METRES", help="No farther from --near than this.")]
+Anywhere = Annotated[
+    bool, typer.Option("--anywhere", help="Search all of the map for what is not found near.")
+]
+
+
+def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | None:
+    """The prior of --near and --radius."""
+    from ..prior import Prior
+
+    if near is None:
+        return None
+    try:
+        position = [float(part) for part in near.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--near is X,Y or X,Y,Z in metres, not {near!r:.60}") from error
+    return Prior(position, radius, anywhere)
 
 
 def load_config(

@@ -12,6 +12,7 @@ from .. import geometry
 from ..answer import answer
 from ..localization import Localization
 from ..localizer import Localizer, counted
+from ..prior import Prior
 from ..search import Query, Search
 from ..stage_times import StageTimes
 from ..types import Float32, Int64, LocalCloud, Pose, Segments
@@ -88,12 +89,13 @@ def trace(
     cloud: LocalCloud,
     name: str = "query",
     times: StageTimes | None = None,
+    near: Prior | None = None,
 ) -> Trace:
     """Localize a local cloud, as :meth:`Localizer.localize` does, and keep what each stage made."""
     times = times or StageTimes(localizer.clock)
     query = localizer.describe(cloud, times)
-    found = localizer.search(query, times)
-    result = answer(cloud, found.verdict, counted(query, found), times.with_total())
+    found = localizer.search(query, times, near=near)
+    result = answer(cloud, found.verdict, counted(query, found), times.with_total(), found.near)
     best = found.verdict.best
     T = None if best is None else best.T_map_local
     pairs, inliers = _pairs(localizer, query, found, T)

@@ -19,6 +19,7 @@ from ..levelling import frame_lean, levelled
 from ..local_cloud import Accumulator, window
 from ..segmentation import Segmentation, Segmenter
 from ..types import Descriptors, Float64, Pose, Recording, stamp_at
+from .compact import compacted
 from .segment_map import SegmentMap
 
 
@@ -61,7 +62,7 @@ def build_map(
     prior_map.metadata["config"] = config.to_yaml()
     prior_map.metadata["sequence"] = sequence.name
     prior_map.metadata.update(frame)
-    return prior_map
+    return compacted(prior_map, config.mapping.compact)
 
 
 def _framed(sequence: Recording, config: Config) -> tuple[Recording, dict[str, str]]:

@@ -5,6 +5,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from ..section import Section
+from .compact import CompactConfig
+
+SMALL_CLOUD_VOXEL_M = 0.4
+"""Of the cloud of a map that shall be small."""
 
 
 class ViewConfig(Section):
@@ -32,3 +36,9 @@ class MappingConfig(Section):
     level: bool = Field(
         False, description="turn the poses about the first so that z is up, by walls in the scans"
     )
+    compact: CompactConfig = CompactConfig()
+
+    def smallest(self) -> MappingConfig:
+        """The same for a map that shall take as little room as it can."""
+        compact = CompactConfig(bits=4, max_views=1, cloud_bits=0, cloud_range_m=30.0)
+        return self.model_copy(update={"compact": compact, "cloud_voxel": SMALL_CLOUD_VOXEL_M})

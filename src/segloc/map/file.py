@@ -3,7 +3,8 @@
 The layout is that of https://github.com/huggingface/safetensors: a length, a JSON header, and raw
 little-endian buffers, so a map can be opened by any safetensors reader and never runs code. The
 header's ``__metadata__`` holds the format version, the map's own text fields, a BLAKE2b-128
-checksum of every array, and one of the header itself.
+checksum of every array, and one of the header itself. In version 2 the arrays are packed
+(:mod:`.coding`); a map whose numbers lie on no lattice is written in version 1, as they are.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,31 +22,30 @@ from numpy.typing import NDArray
 from ..errors import MapFormatError, SeglocError
 from ..files import replacing
 from ..tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
-from .contents import MAX_DIM, Extremes, arrays_fault, texts_fault, voxel_fault
+from .coding import (
+    Recipes,
+    fault_of_growth,
+    packed_arrays,
+    recipes_of,
+    text_of,
+    unpacked_array,
+)
+from .columns import CodingError
+from .contents import Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
+from .schema import SCHEMA, shapes_fault
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Raised whenever an older reader would misread a newer file."""
+PLAIN, PACKED = 1, 2
+"""The version of files whose arrays are as they are, and of those where they are packed."""
 
 Array = NDArray[Any]
 
-# Name -> dtype and shape. A letter stands for a length that must agree wherever it occurs.
-SCHEMA: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "origin": ("F64", (3,)),
-    "centroids": ("F64", ("P", 3)),
-    "stamps": ("F64", ("P",)),
-    "trajectory": ("F64", ("V", 4, 4)),
-    "vectors": ("F32", ("P", "D")),
-    "quality": ("F32", ("P",)),
-    "cloud": ("F32", ("N", 3)),
-    "sizes": ("I32", ("P",)),
-    "session": ("I32", ("P",)),
-    "missed": ("I32", ("P",)),
-}
-OPTIONAL = frozenset({"quality", "missed"})
 REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
 
-_DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4"}
-_VERSION, _CHECKSUM = "segmap_version", "checksum"
+_DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "U8": "|u1"}
+_DTYPE_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
+_VERSION, _CHECKSUM, _CODING = "segmap_version", "checksum", "coding"
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,13 @@ def write(path: str | Path, contents: Contents) -> None:
         for name, (dtype, _) in SCHEMA.items()  # widest first, which keeps every buffer aligned
         if name in contents.arrays
     }
-    shapes = {name: (SCHEMA[name][0], list(array.shape)) for name, array in data.items()}
-    texts = {**contents.fields(), _VERSION: str(FORMAT_VERSION)}
+    texts = {**contents.fields(), _VERSION: str(PLAIN)}
+    if found := packed_arrays(data, contents.cloud_voxel):
+        data |= found[0]
+        texts |= {_VERSION: str(PACKED), _CODING: text_of(found[1])}
+    shapes = {
+        name: (_DTYPE_NAMES[array.dtype.str], list(array.shape)) for name, array in data.items()
+    }
     texts |= {f"{_CHECKSUM}.{name}": _digest(array) for name, array in data.items()}
     texts[_CHECKSUM] = _header_digest(texts, shapes)
     header = _header(texts, shapes, {name: array.nbytes for name, array in data.items()})
@@ -140,11 +145,14 @@ def read(path: str | Path) -> Contents:
 
 def _read_checked(path: str | Path, file: TensorFile) -> Contents:
     texts = file.metadata
-    _check_version(path, texts)
+    version = _checked_version(path, texts)
     shapes = {name: (tensor.dtype, list(tensor.shape)) for name, tensor in file.tensors.items()}
     if texts.get(_CHECKSUM) != _header_digest(texts, shapes):
         raise MapFormatError(f"{path}: damaged: the header does not match its checksum")
-    _check_shapes(path, shapes)
+    recipes = _recipes(path, texts, shapes) if version == PACKED else {}
+    unpacked = shapes | {name: (SCHEMA[name][0], list(r.shape)) for name, r in recipes.items()}
+    if fault := shapes_fault(unpacked):
+        raise MapFormatError(f"{path}: {fault}")
     _check_fields(path, texts)
     arrays: dict[str, Array] = {}
     extremes: dict[str, Extremes] = {}
@@ -154,9 +162,45 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
         if texts.get(f"{_CHECKSUM}.{name}") != digest.hexdigest():
             raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
     contents = _contents(path, arrays, texts)
-    if fault := contents.fault(extremes):
+    if recipes:
+        contents = _unpacked(path, contents, recipes)
+    if fault := contents.fault(None if recipes else extremes):
         raise MapFormatError(f"{path}: damaged: {fault}")
     return contents
+
+
+def _recipes(
+    path: str | Path, texts: Mapping[str, str], shapes: Mapping[str, tuple[str, list[int]]]
+) -> Recipes:
+    """How the arrays of a file were packed: each but the origin was."""
+    try:
+        recipes = recipes_of(texts.get(_CODING, ""))
+    except CodingError as error:
+        raise MapFormatError(f"{path}: damaged: {error}") from error
+    bytes_of = {name: shape for name, shape in shapes.items() if name != "origin"}
+    for name, (dtype, shape) in bytes_of.items():
+        if name not in recipes or name not in SCHEMA or dtype != "U8" or len(shape) != 1:
+            raise MapFormatError(f"{path}: {name} is {dtype} {tuple(shape)}, and is to be packed")
+    if lost := recipes.keys() - bytes_of.keys():
+        raise MapFormatError(f"{path}: lacks {', '.join(sorted(lost))}")
+    if fault := fault_of_growth(recipes, sum(shape[0] for _, shape in bytes_of.values())):
+        raise MapFormatError(f"{path}: damaged: {fault}")
+    return recipes
+
+
+def _unpacked(path: str | Path, contents: Contents, recipes: Recipes) -> Contents:
+    arrays, voxel = dict(contents.arrays), contents.cloud_voxel
+    if fault := voxel_fault(voxel) or column_fault("origin", arrays["origin"]):
+        raise MapFormatError(f"{path}: damaged: {fault}")
+    for name, recipe in recipes.items():
+        dtype = _DTYPES[SCHEMA[name][0]]
+        try:
+            arrays[name] = unpacked_array(arrays[name], recipe, dtype, arrays["origin"], voxel)
+        except CodingError as error:
+            raise MapFormatError(f"{path}: damaged: {name}: {error}") from error
+        except MemoryError as error:
+            raise MapFormatError(f"{path}: {name} does not fit into memory") from error
+    return replace(contents, arrays=arrays)
 
 
 def _shown_to(digest: hashlib.blake2b, extremes: Extremes) -> Callable[[Array], None]:
@@ -176,7 +220,7 @@ def _contents(path: str | Path, arrays: dict[str, Array], texts: Mapping[str, st
     return Contents(arrays, texts["descriptor"], texts["fingerprint"], voxel, metadata)
 
 
-def _check_version(path: str | Path, texts: Mapping[str, str]) -> None:
+def _checked_version(path: str | Path, texts: Mapping[str, str]) -> int:
     version = texts.get(_VERSION, "")
     if not (version.isascii() and version.isdigit() and len(version) < 10):
         raise MapFormatError(f"{path}: not a segloc map")
@@ -185,31 +229,7 @@ def _check_version(path: str | Path, texts: Mapping[str, str]) -> None:
             f"{path}: written by a newer segloc (map format {int(version)}, "
             f"this version reads up to {FORMAT_VERSION})"
         )
-
-
-def _check_shapes(path: str | Path, shapes: Mapping[str, tuple[str, list[int]]]) -> None:
-    missing = SCHEMA.keys() - OPTIONAL - shapes.keys()
-    unknown = shapes.keys() - SCHEMA.keys()
-    if missing or unknown:
-        fault = "lacks" if missing else "has unknown"
-        raise MapFormatError(f"{path}: {fault} {', '.join(sorted(missing or unknown))}")
-    lengths: dict[str, int] = {}
-    for name, (dtype, shape) in shapes.items():
-        wanted_dtype, wanted = SCHEMA[name]
-        resolved = [lengths.get(d, d) if isinstance(d, str) else d for d in wanted]
-        fits = len(shape) == len(wanted) and all(
-            isinstance(w, str) or w == s for w, s in zip(resolved, shape, strict=True)
-        )
-        if dtype != wanted_dtype or not fits:
-            text = ", ".join(str(d) for d in resolved)
-            raise MapFormatError(
-                f"{path}: {name} is {dtype} {tuple(shape)}, not {wanted_dtype} ({text})"
-            )
-        for d, size in zip(wanted, shape, strict=True):
-            if isinstance(d, str):
-                lengths[d] = size
-    if not 0 < lengths["D"] <= MAX_DIM:
-        raise MapFormatError(f"{path}: vectors have {lengths['D']} numbers, not 1 to {MAX_DIM}")
+    return int(version)
 
 
 def _check_fields(path: str | Path, texts: Mapping[str, str]) -> None:

@@ -196,7 +196,7 @@ class SegmentMap(SegmentTable):
         return SegmentMap(
             self.descriptor,
             self.fingerprint,
-            union_of_segments(self._segments(), other._segments()),
+            union_of_segments(self.columns(), other.columns()),
             union_of_clouds(self._cloud, other._cloud),
             union_of_rows(self.trajectory, other.trajectory),
             union_of_texts(self.metadata, other.metadata),
@@ -215,7 +215,7 @@ class SegmentMap(SegmentTable):
         near = inside(self.centroids[:, :2])
         near_points = inside(self.cloud[:, :2] + self.origin[:2])
         path = self.trajectory[inside(self.trajectory[:, :2, 3])]
-        return self._part(self._segments(), near, near_points, path)
+        return self._part(self.columns(), near, near_points, path)
 
     def kept(
         self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
@@ -236,7 +236,7 @@ class SegmentMap(SegmentTable):
         SeglocError
             If a shape does not fit.
         """
-        segments = self._segments()
+        segments = self.columns()
         if missed is not None:
             segments["missed"] = checked(missed, "missed", (len(self),), np.int32)
         masks = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
@@ -293,7 +293,7 @@ class SegmentMap(SegmentTable):
         )
 
     def _arrays(self) -> dict[str, Array]:
-        arrays = self._segments()
+        arrays = self.columns()
         if not arrays["missed"].any():  # nothing to tell: as in files older than the column
             del arrays["missed"]
         arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)

@@ -130,7 +130,8 @@ class SegmentTable:
     def _column(self, name: str) -> Array:
         return joined(self._columns[name])
 
-    def _segments(self) -> dict[str, Array]:
+    def columns(self) -> dict[str, Array]:
+        """All columns, by the names of ``SEGMENT_DTYPES``."""
         return {name: self._column(name) for name in self._columns}
 
     def _rows_of(

@@ -15,6 +15,7 @@ from ..errors import SeglocError
 from ..section import Section
 from ..types import Float64, Recording
 from .build import build_map
+from .compact import compacted
 from .same_place import check_same_place
 from .segment_map import SegmentMap
 from .visibility import Visibility, VisibilityConfig, visibility
@@ -133,13 +134,14 @@ def update_map(
     merged = old.merge(fresh)
     keep = _newest_views(merged, update)
     bounded = merged.kept(keep, np.ones(len(merged.cloud), dtype=bool))
-    return bounded, UpdateCounts(
+    updated = compacted(bounded, config.mapping.compact)
+    return updated, UpdateCounts(
         added=len(fresh),
         seen=int(seen.sum()),
         aged=int(waiting.sum()),
         removed=int((~stay).sum()),
         out_of_view=int((~gone & ~seen).sum()),
-        bounded=int((~keep).sum()),
+        bounded=len(merged) - len(updated),
         points_removed=int((~points).sum()),
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native, geometry
+from ..prior import Prior
 from ..segmentation import Segmentation, SegmentationConfig, heights_above_ground
 from ..types import Candidate, Float32, Float64, Int64
 from .config import OccupancyConfig
@@ -66,22 +67,23 @@ class OccupancySearch:
         self._segmentation = segmentation or SegmentationConfig()
         self._maps: list[_OccupancyMap] | None = None
 
-    def candidates(self, scene: Segmentation) -> list[Candidate]:
+    def candidates(self, scene: Segmentation, near: Prior | None = None) -> list[Candidate]:
         """Candidate poses T_map_local, best first, each with its ``fit``; none if it shows little.
 
         Parameters
         ----------
         scene : Segmentation
             Of a local cloud.
+        near : Prior, optional
+            Where poses are looked for.
         """
         if self._maps is None:  # threads that ask at once make the same
             self._maps = self._prepared()
         view = _view(scene, self.config, self._segmentation)
-        found = [pose for each in self._maps for pose in each.search(view, self._origin)]
+        found = [pose for each in self._maps for pose in each.search(view, self._origin, near)]
         found.sort(key=lambda pose: -pose[4])
-        return [
-            Candidate(geometry.yaw_transform(yaw, (x, y, z)), 0, fit) for x, y, z, yaw, fit in found
-        ]
+        poses = [(geometry.yaw_transform(yaw, (x, y, z)), fit) for x, y, z, yaw, fit in found]
+        return [Candidate(T, 0, fit) for T, fit in poses if near is None or near.holds(T)]
 
     def _prepared(self) -> list[_OccupancyMap]:
         """A map of each storey; all storeys together are as much work as one would be."""
@@ -137,7 +139,7 @@ class _OccupancyMap:
                 return
 
     def search(
-        self, view: _View, origin: Float64
+        self, view: _View, origin: Float64, near: Prior | None
     ) -> Iterator[tuple[float, float, float, float, float]]:
         """Position in the map, yaw and fit of the best poses."""
         config, columns, slices = self._config, view.columns, view.slices
@@ -156,11 +158,22 @@ class _OccupancyMap:
             count=config.max_candidates,
             separation=SEPARATION_M,
             separation_deg=SEPARATION_DEG,
+            **_circle(near, origin),
         )
+        if not len(poses):
+            return
         heights = self._ground.below(poses[:, :2]) - view.below
         total = int(np.unpackbits(slices).sum())
         for (x, y, yaw), z, score in zip(poses, heights, scores, strict=True):
             yield x + origin[0], y + origin[1], z + origin[2], yaw, float(score) / total
+
+
+def _circle(near: Prior | None, origin: Float64) -> dict[str, float]:
+    """Where poses are looked for, seen from above and from the origin."""
+    if near is None:
+        return {}
+    x, y = np.asarray(near.position)[:2] - origin[:2]
+    return {"x": float(x), "y": float(y), "radius": near.radius_m}
 
 
 def _view(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> _View:

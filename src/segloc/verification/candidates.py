@@ -13,6 +13,8 @@ from .overlap_check import MapCloud, QueryCloud
 
 Inliers = Callable[[Pose], int]
 """How many distinct query segments agree with a pose T_map_local."""
+Allowed = Callable[[Pose], bool]
+"""Whether the sensor may be at a pose T_map_local at all."""
 
 
 class CandidateScores:
@@ -31,10 +33,11 @@ class CandidateScores:
         config: VerificationConfig,
         separation: Separation,
         inliers: Inliers,
+        allowed: Allowed = lambda _: True,
     ) -> None:
         self.ranked = map_cloud.ranked(candidates, query)
         self._map, self._query, self._inliers = map_cloud, query, inliers
-        self._config, self._separation = config, separation
+        self._config, self._separation, self._allowed = config, separation, allowed
         self._coarse: dict[int, CoarseScore] = {}
         self._refined: dict[int, RefinedScore] = {}
 
@@ -57,7 +60,7 @@ class CandidateScores:
     def around(self, k: int) -> tuple[Pose, list[RankedCandidate]]:
         """A better start for candidate k, and rivals near it, the best supported first."""
         found = self._map.around(self.ranked[k].T_map_local, self._query)
-        rivals = [Candidate(T, self._inliers(T)) for T in found.rivals]
+        rivals = [Candidate(T, self._inliers(T)) for T in found.rivals if self._allowed(T)]
         return found.start, self._map.ranked(rivals, self._query) if rivals else []
 
     def rough_overlap(self, score: Score) -> float:

@@ -8,7 +8,7 @@ from ..geometry import Separation
 from ..localization import Reason
 from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64
-from .candidates import CandidateScores, Inliers
+from .candidates import Allowed, CandidateScores, Inliers
 from .confidence import ConfidenceModel, shipped_confidence
 from .config import VerificationConfig
 from .decision import decide, equal_rival, too_few_inliers
@@ -67,17 +67,18 @@ class Verifier:
         query: QueryCloud,
         candidates: Sequence[Candidate],
         inliers: Inliers = lambda _: 0,
+        allowed: Allowed = lambda _: True,
     ) -> Verdict:
         """Rank the candidates, judge the best, and believe one or none.
 
         The first candidate that is believed is the answer. If none is, the verdict on the best
         supported one says why. ``inliers`` counts the segments that agree with a pose that is no
-        candidate.
+        candidate; no such pose is a rival that is not ``allowed``.
         """
         if not candidates:
             return Verdict(Reason.NO_CONSISTENT_MATCHES, "no consistent matches")
         scores = CandidateScores(
-            candidates, self._map, query, self.config, self._separation, inliers
+            candidates, self._map, query, self.config, self._separation, inliers, allowed
         )
         verdicts = []
         for k in scores.worth_judging():

@@ -9,7 +9,7 @@ from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
 
 ORIGIN = (465_000.0, 5_251_000.5, 410.25)
-KINDS = ("plain", "quality", "missed", "empty")
+KINDS = ("plain", "quality", "missed", "empty", "packed")
 
 
 def golden(kind: str) -> SegmentMap:
@@ -18,6 +18,7 @@ def golden(kind: str) -> SegmentMap:
     made.metadata = {"config": "method: geo\n", "sequence": "golden", "place": "Zürich"}
     if kind == "empty":
         return made
+    inner = 0.125 if kind == "packed" else 0.0  # the centre of a voxel
     for view in range(3):
         k = np.arange(4) + 4 * view
         made.add(
@@ -29,10 +30,10 @@ def golden(kind: str) -> SegmentMap:
             30 + k,
             session=view // 2,
             stamp=1.5e9 + 0.125 * view,
-            cloud=np.array(ORIGIN) + np.stack([k + 0.125, k / 2, k / 4], axis=1),
+            cloud=np.array(ORIGIN) + np.stack([k + 0.125, k / 2 + inner, k / 4 + inner], axis=1),
         )
         made.add_trajectory(yaw_transform(0.0, tuple(np.array(ORIGIN) + [2.0 * view, 0, 1]))[None])
-    if kind == "missed":
+    if kind in ("missed", "packed"):
         everything = np.ones(12, dtype=bool), np.ones(len(made.cloud), dtype=bool)
         return made.kept(*everything, np.arange(12) % 3)
     return made

@@ -173,7 +173,7 @@ class Judge:
                         "index": int(chosen.recording.indices[chosen.positions[k]]),
                         "map": name,
                         "within_coverage": bool(near),
-                        "outcome": _outcome(answer.T_map_sensor, truth if own else None),
+                        "outcome": outcome(answer.T_map_sensor, truth if own else None),
                         "reason": None if answer.reason is None else answer.reason.value,
                         "confidence": round(answer.confidence, 4),
                         "inliers": answer.inliers,
@@ -197,7 +197,8 @@ class Judge:
         return bool(distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M)
 
 
-def _outcome(estimate: Pose | None, truth: Pose | None) -> str:
+def outcome(estimate: Pose | None, truth: Pose | None) -> str:
+    """Whether an estimate is found, false, or refused; without a truth any is false."""
     if estimate is None:
         return "refused"
     if truth is None:

@@ -24,7 +24,7 @@ from segloc.types import Recording
 
 from .. import kitti00
 from ..script import head, parser, row
-from .real import BACK, OUT, Queries, _corridor, _outcome
+from .real import BACK, OUT, Queries, _corridor, outcome
 
 EVERY_M = 14.0
 """Between full scans of KITTI."""
@@ -69,7 +69,7 @@ def compare(mapped: Recording, queries: Queries, config: Config) -> None:
     for how, clouds in (("anew", anew(queries, config)), ("window", rolled)):
         outcomes, wrong = [], 0
         for cloud, truth in zip(clouds, truths, strict=True):
-            outcomes.append(_outcome(localizer.localize(cloud).T_map_sensor, truth))
+            outcomes.append(outcome(localizer.localize(cloud).T_map_sensor, truth))
             wrong += negative.localize(cloud).localized
         found = sum(o == "found" and n for o, n in zip(outcomes, near, strict=True))
         cells = (len(truths), int(near.sum()), found, outcomes.count("false"), wrong)

@@ -1,0 +1,253 @@
+"""The arrays of a map as few bytes, and back to the last bit.
+
+Only what lies on lattices (:mod:`.lattice`) can be packed. A recipe says how an array was packed,
+and of what shape it is: it is checked before anything is allocated for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import prod
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, ValidationError
+
+from .. import _native
+from ..section import Section
+from ..types import Float32, Float64
+from .columns import CodingError, deflated, inflated, packed, unpacked, width_of
+from .contents import MAX_VOXELS
+from .lattice import cells_and_parts, exponents_of, lattice_points
+
+Array = NDArray[Any]
+Bytes = NDArray[np.uint8]
+
+MOST_GROWTH, ALWAYS_BYTES = 200, 1 << 20
+"""A map may unpack to so many times its packed size, and so many bytes more."""
+
+_PART_BITS = (0, 1, 2, 4)
+_MOST_CODE = 1 << 52  # float64 tells whole numbers apart up to here
+_MOST_CELL = 1 << 50
+_Length = Annotated[int, Field(ge=0, le=1 << 40)]
+_Width = Literal[1, 2, 4, 8]
+
+
+class LatticeRecipe(Section):
+    """Column c of the rows is ``(code + low[c]) * 2 ** exponents[c]``."""
+
+    kind: Literal["lattice"] = "lattice"
+    shape: tuple[_Length, ...]
+    width: _Width
+    exponents: tuple[Annotated[int, Field(ge=-200, le=200)], ...]
+    low: tuple[Annotated[int, Field(ge=-_MOST_CODE, le=_MOST_CODE)], ...]
+
+
+class PaletteRecipe(Section):
+    """So many different numbers, each a float64, and then the row of the number of each segment."""
+
+    kind: Literal["palette"] = "palette"
+    shape: tuple[_Length]
+    width: _Width
+    values: _Length
+
+
+class OctreeRecipe(Section):
+    """The occupied voxels as an octree of so many nodes, and then the part of each, in bits."""
+
+    kind: Literal["octree"] = "octree"
+    shape: tuple[_Length, Literal[3]]
+    levels: int = Field(ge=1, le=21)
+    nodes: _Length
+    bits: Literal[0, 1, 2, 4]
+    low: tuple[Annotated[int, Field(ge=-_MOST_CELL, le=_MOST_CELL)], ...] = Field(
+        min_length=3, max_length=3
+    )
+
+
+Recipe = Annotated[LatticeRecipe | PaletteRecipe | OctreeRecipe, Field(discriminator="kind")]
+Recipes = Mapping[str, LatticeRecipe | PaletteRecipe | OctreeRecipe]
+
+RECIPES: TypeAdapter[Recipes] = TypeAdapter(dict[str, Recipe])
+
+
+def recipes_of(text: str) -> Recipes:
+    """The recipes in the JSON text of a file.
+
+    Raises
+    ------
+    CodingError
+    """
+    try:
+        return RECIPES.validate_json(text)
+    except ValidationError as error:
+        raise CodingError("unreadable coding") from error
+
+
+def text_of(recipes: Recipes) -> str:
+    """The recipes as JSON text."""
+    return RECIPES.dump_json(dict(sorted(recipes.items()))).decode()
+
+
+def packed_arrays(
+    arrays: Mapping[str, Array], cloud_voxel: float
+) -> tuple[dict[str, Bytes], Recipes] | None:
+    """All arrays but the origin, packed; None where one cannot be, or the whole is empty."""
+    origin = arrays["origin"]
+    data: dict[str, Bytes] = {}
+    recipes: dict[str, LatticeRecipe | PaletteRecipe | OctreeRecipe] = {}
+    size = 0
+    # Those that tell soonest whether a map is on lattices come first.
+    for name in sorted(arrays.keys() - {"origin"}, key=lambda n: (n != "cloud", n != "vectors", n)):
+        array = arrays[name]
+        found = _octree(array, origin, cloud_voxel) if name == "cloud" else _column(name, array)
+        if found is None:
+            return None
+        data[name], recipes[name] = np.frombuffer(found[0], np.uint8), found[1]
+        size += array.nbytes
+    if not size or fault_of_growth(recipes, sum(map(len, data.values()))):
+        return None
+    return data, recipes
+
+
+def fault_of_growth(recipes: Recipes, packed_bytes: int) -> str | None:
+    """What is wrong with the sizes that recipes claim for so many packed bytes."""
+    claimed = sum(8 * prod(recipe.shape) for recipe in recipes.values())
+    if claimed <= MOST_GROWTH * packed_bytes + ALWAYS_BYTES:
+        return None
+    return f"{packed_bytes} bytes cannot hold {claimed}"
+
+
+def unpacked_array(
+    data: Bytes,
+    recipe: LatticeRecipe | PaletteRecipe | OctreeRecipe,
+    dtype: str,
+    origin: Float64,
+    cloud_voxel: float,
+) -> Array:
+    """The array that a recipe makes of packed bytes.
+
+    Raises
+    ------
+    CodingError
+        If they do not fit each other.
+    """
+    if isinstance(recipe, OctreeRecipe):
+        return _from_octree(data.tobytes(), recipe, origin, cloud_voxel)
+    if isinstance(recipe, PaletteRecipe):
+        return _from_palette(data.tobytes(), recipe).astype(dtype, copy=False)
+    return _from_lattice(data.tobytes(), recipe, np.dtype(dtype))
+
+
+def _column(name: str, array: Array) -> tuple[bytes, LatticeRecipe | PaletteRecipe] | None:
+    return _palette(array) if name == "stamps" else _lattice(array)
+
+
+def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
+    rows = _as_rows(array)
+    exponents = exponents_of(rows)
+    with np.errstate(over="ignore"):
+        numbers = np.ldexp(rows.astype(np.float64), -exponents)
+    if not (np.abs(numbers) < _MOST_CODE).all() or (np.abs(exponents) > 200).any():
+        return None
+    if np.signbit(rows[rows == 0]).any():  # whole numbers know no negative zero
+        return None
+    codes = numbers.astype(np.int64)
+    low = codes.min(axis=0) if len(codes) else np.zeros(codes.shape[1], np.int64)
+    width = width_of(codes - low)
+    recipe = LatticeRecipe(shape=array.shape, width=width, exponents=exponents, low=low)
+    # Numbers that are as fine as their dtype were never rounded.
+    fits = width < array.itemsize or array.dtype.kind == "i"
+    return (packed(codes - low, width), recipe) if fits else None
+
+
+def _from_lattice(data: bytes, recipe: LatticeRecipe, dtype: np.dtype[Any]) -> Array:
+    columns = prod(recipe.shape[1:])
+    if not len(recipe.low) == len(recipe.exponents) == columns:
+        raise CodingError("its coding is of another width")
+    codes = unpacked(data, recipe.shape[0], columns, recipe.width)
+    low, whole = np.array(recipe.low, np.int64), dtype.kind == "i"
+    few = recipe.width <= 2 and np.abs(low).max(initial=0) < 1 << 23 and not whole
+    exact = np.float32 if few else np.float64  # that tells all of the numbers apart
+    numbers = codes.astype(exact)
+    numbers += low.astype(exact)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+        numbers *= np.ldexp(1.0, np.array(recipe.exponents)).astype(exact)
+        if whole and not (np.abs(numbers) < 2.0**31).all():
+            raise CodingError("it has numbers that are out of range")
+        return numbers.astype(dtype, copy=False).reshape(recipe.shape)
+
+
+def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
+    values, rows = np.unique(array, return_inverse=True)
+    codes = rows.reshape(-1, 1).astype(np.int64)
+    width = width_of(codes)
+    recipe = PaletteRecipe(shape=array.shape, width=width, values=len(values))
+    return values.astype("<f8").tobytes() + packed(codes, width), recipe
+
+
+def _from_palette(data: bytes, recipe: PaletteRecipe) -> Float64:
+    size = 8 * recipe.values
+    if len(data) < size:
+        raise CodingError("it is cut short")
+    values = np.frombuffer(data[:size], "<f8")
+    rows = unpacked(data[size:], recipe.shape[0], 1, recipe.width)[:, 0]
+    if rows.max(initial=0) >= max(recipe.values, 1) or (len(rows) and not len(values)):
+        raise CodingError("it points to values that it has not")
+    found: Float64 = values[rows]
+    return found
+
+
+def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, OctreeRecipe] | None:
+    bits = next((b for b in _PART_BITS if _lies_on(points, origin, voxel, b)), None)
+    if bits is None:
+        return None
+    cells, parts = cells_and_parts(points, origin, voxel, bits)
+    low = cells.min(axis=0) if len(cells) else np.zeros(3)
+    indices = (cells - low).astype(np.int64)
+    most = int(indices.max(initial=0))
+    if most >= MAX_VOXELS or (np.abs(low) > _MOST_CELL).any():
+        return None
+    levels = max(most.bit_length(), 1)
+    codes = _native.octree_encode(indices.astype(np.int32), levels)
+    recipe = OctreeRecipe(
+        shape=points.shape, levels=levels, nodes=len(codes), bits=bits, low=low.astype(np.int64)
+    )
+    data = deflated(codes.tobytes() + _as_bits(parts.astype(np.uint8), bits))
+    try:
+        same = np.array_equal(_from_octree(data, recipe, origin, voxel), points)
+    except CodingError:  # two points in one voxel
+        return None
+    return (data, recipe) if same else None
+
+
+def _lies_on(points: Float32, origin: Float64, voxel: float, bits: int) -> bool:
+    if not np.isfinite(points).all() or not np.isfinite(origin).all():
+        return False
+    for part in (points[:64], points):  # most that do not show it at once
+        cells, parts = cells_and_parts(part, origin, voxel, bits)
+        if not np.array_equal(lattice_points(cells, parts, origin, voxel, bits), part):
+            return False
+    return True
+
+
+def _from_octree(data: bytes, recipe: OctreeRecipe, origin: Float64, voxel: float) -> Float32:
+    count, bits = recipe.shape[0], recipe.bits
+    flat = np.frombuffer(inflated(data, recipe.nodes + (3 * count * bits + 7) // 8), np.uint8)
+    low = np.array(recipe.low, np.int64)
+    try:
+        codes, parts = flat[: recipe.nodes], flat[recipe.nodes :]
+        return _native.octree_points(codes, recipe.levels, count, parts, bits, low, origin, voxel)
+    except ValueError as error:
+        raise CodingError(str(error)) from error
+
+
+def _as_bits(parts: Bytes, bits: int) -> bytes:
+    """The low bits of (N, 3) numbers, one behind the other."""
+    each = (parts.reshape(-1, 1) >> np.arange(bits, dtype=np.uint8)) & 1
+    return np.packbits(each.reshape(-1), bitorder="little").tobytes()
+
+
+def _as_rows(array: Array) -> Array:
+    return array.reshape(len(array), prod(array.shape[1:]))

@@ -1,0 +1,169 @@
+"""A map made small: its numbers on lattices, and no more views of an object than help."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from ..section import Section
+from ..types import Float32, Float64, Int64
+from .lattice import cells_and_parts, lattice_points, rounded, spread_exponents
+from .segment_map import SegmentMap
+from .voxel_cloud import VoxelCloud
+
+CENTROID_EXPONENT, QUALITY_EXPONENT = -6, -6
+"""Centroids are kept to 1/64 m, qualities to 1/64."""
+SIZE_BITS = 4
+"""Numbers of points are kept to so many binary digits."""
+POSITION_EXPONENT, ROTATION_EXPONENT = -7, -12
+"""Positions of the path are kept to 1/128 m, entries of its rotations to 1/4096."""
+
+
+class CompactConfig(Section):
+    """What is kept of a map's numbers. What it loses is measured in docs/results.md."""
+
+    enabled: bool = Field(True, description="off: every number as it was measured")
+    bits: int = Field(
+        5, ge=2, le=12, description="of a number of a descriptor, across its usual spread"
+    )
+    max_views: int = Field(
+        2, ge=0, le=1000, description="views of an object kept of each session; 0: all"
+    )
+    same_m: float = Field(
+        0.5, gt=0, le=10, description="centroids of one object lie this close, metres"
+    )
+    cloud_bits: Literal[0, 1, 2, 4] = Field(
+        1, description="of where in its voxel a point lies, along each axis"
+    )
+    cloud_range_m: float = Field(
+        0.0, ge=0, le=10_000, description="cloud kept this near the path, metres; 0: all of it"
+    )
+
+
+def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
+    """The same map in fewer bits; making it compact twice is making it compact once.
+
+    Numbers of descriptors are rounded to a power of two below their spread, points of the cloud to
+    the centres of parts of their voxels. Of the views of an object in a session those of the best
+    quality stay. Segments are put into an order in which neighbours follow one another.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+    config : CompactConfig
+    """
+    if not config.enabled:
+        return prior_map
+    placed = _placed(prior_map, config)
+    kept = placed.kept(best_views(placed, config), _near_path(placed, config))
+    segments = {name: array[_along_curve(kept)] for name, array in kept.columns().items()}
+    exponents = spread_exponents(segments["vectors"], 1 << config.bits)
+    segments["vectors"] = rounded(segments["vectors"], exponents).astype(np.float32)
+    return _with(kept, segments, kept.cloud, kept.trajectory)
+
+
+def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
+    """The same map with all but its vectors on lattices: what is chosen next depends on these."""
+    segments = prior_map.columns()
+    segments["centroids"] = _to_step(segments["centroids"], CENTROID_EXPONENT)
+    if "quality" in segments:
+        quality = _to_step(segments["quality"], QUALITY_EXPONENT)
+        segments["quality"] = quality.astype(np.float32)
+    segments["sizes"] = _to_digits(segments["sizes"])
+    path = prior_map.trajectory.copy()
+    path[:, :3, 3] = _to_step(path[:, :3, 3], POSITION_EXPONENT)
+    path[:, :3, :3] = _to_step(path[:, :3, :3], ROTATION_EXPONENT)
+    return _with(prior_map, segments, _rounded_cloud(prior_map, config.cloud_bits), path)
+
+
+def with_cloud_voxel(prior_map: SegmentMap, voxel: float) -> SegmentMap:
+    """The same map with its cloud on another grid, of voxels of that edge in metres."""
+    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
+    moved = cloud.moved_to(prior_map.origin, voxel)
+    return _with(prior_map, prior_map.columns(), moved.points, prior_map.trajectory, voxel)
+
+
+def _with(
+    prior_map: SegmentMap,
+    segments: dict[str, NDArray[Any]],
+    points: Float32,
+    path: Float64,
+    voxel: float | None = None,
+) -> SegmentMap:
+    cloud = VoxelCloud(points, prior_map.origin, voxel or prior_map.cloud_voxel)
+    named = prior_map.descriptor, prior_map.fingerprint
+    return SegmentMap(*named, segments, cloud, path, prior_map.metadata)
+
+
+def best_views(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:
+    """Which segments stay when an object has so many views of each session at most."""
+    keep = np.ones(len(prior_map), dtype=bool)
+    if config.max_views:
+        for session in np.unique(prior_map.session):
+            rows = np.flatnonzero(prior_map.session == session)
+            keep[rows] = _best_of_session(prior_map, rows, config)
+    return keep
+
+
+def _best_of_session(
+    prior_map: SegmentMap, rows: Int64, config: CompactConfig
+) -> NDArray[np.bool_]:
+    centroids, sizes = prior_map.centroids[rows], prior_map.sizes[rows]
+    quality = np.zeros(len(rows)) if prior_map.quality is None else prior_map.quality[rows]
+    near = cKDTree(centroids).query_ball_point(centroids, config.same_m)
+    taken = np.zeros(len(rows), np.int64)  # views near each that stay
+    keep = np.zeros(len(rows), dtype=bool)
+    for i in np.lexsort((prior_map.stamps[rows], *centroids.T, sizes, quality))[::-1]:
+        if taken[i] < config.max_views:
+            keep[i] = True
+            taken[near[i]] += 1
+    return keep
+
+
+def _near_path(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:
+    """Which points of the cloud lie near enough to the path, seen from above."""
+    path = prior_map.trajectory[:, :2, 3] - prior_map.origin[:2]
+    if not config.cloud_range_m or not len(path):
+        return np.ones(len(prior_map.cloud), dtype=bool)
+    found, _ = cKDTree(path).query(
+        prior_map.cloud[:, :2], distance_upper_bound=config.cloud_range_m
+    )
+    return np.isfinite(found)
+
+
+def _along_curve(prior_map: SegmentMap) -> Int64:
+    """The order of the segments along a curve through cells of half a metre: objects together."""
+    if not len(prior_map):
+        return np.empty(0, np.int64)
+    cells = np.floor(prior_map.centroids / 0.5)
+    cells = (cells - cells.min(axis=0)).astype(np.uint64)
+    key = np.zeros(len(cells), np.uint64)
+    for bit in range(21):
+        for axis in range(3):
+            one = (cells[:, axis] >> np.uint64(bit)) & np.uint64(1)
+            key |= one << np.uint64(3 * bit + axis)
+    order: Int64 = np.lexsort((prior_map.stamps, prior_map.session, key))
+    return order
+
+
+def _rounded_cloud(prior_map: SegmentMap, bits: int) -> Float32:
+    origin, voxel = prior_map.origin, prior_map.cloud_voxel
+    cells, parts = cells_and_parts(prior_map.cloud, origin, voxel, bits)
+    return lattice_points(cells, parts, origin, voxel, bits)
+
+
+def _to_step(numbers: NDArray[Any], exponent: int) -> Float64:
+    rows = numbers.reshape(len(numbers), -1)
+    return rounded(rows, np.full(rows.shape[1], exponent)).reshape(numbers.shape)
+
+
+def _to_digits(sizes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Whole numbers with all but their first binary digits cut off."""
+    digits = np.frexp(sizes.astype(np.float64))[1]
+    shift = np.maximum(digits - SIZE_BITS, 0)
+    cut: NDArray[np.int32] = (sizes >> shift) << shift
+    return cut

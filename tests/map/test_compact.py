@@ -1,0 +1,295 @@
+"""Compact maps: the numbers of a map on lattices, packed into a file, and what is kept of them."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from samples.mapfiles import assert_identical, assert_refused, header_end, with_header
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, Localizer, SegmentMap, _native, build_map
+from segloc.geometry import yaw_transform
+from segloc.map import columns, lattice
+from segloc.map import file as mapfile
+from segloc.map.coding import MOST_GROWTH
+from segloc.map.compact import CompactConfig, compacted
+from segloc.map.config import MappingConfig
+from segloc.types import Descriptors
+
+ORIGIN = np.array([4e5, 5e6, 300.0])
+
+
+def town(count: int = 900, points: int = 6000, seed: int = 0, quality: bool = True) -> SegmentMap:
+    """Segments in small heaps, as views of objects are, and a cloud of some walls."""
+    rng = np.random.default_rng(seed)
+    made = SegmentMap.empty("geo", "f" * 16, 7, ORIGIN)
+    places = np.repeat(rng.uniform(-60, 60, (count // 9, 3)), 3, axis=0)
+    for view in range(3):
+        described = Descriptors(
+            (rng.normal(size=(len(places), 7)) * [1, 1, 1, 40, 0.02, 1, 1]).astype(np.float32),
+            rng.uniform(size=len(places)).astype(np.float32) if quality else None,
+        )
+        cloud = rng.uniform(-60, 60, (points // 3, 3))
+        cloud[:, 0] = np.round(cloud[:, 0] / 20) * 20 + 0.07
+        made.add(
+            described,
+            ORIGIN + places + rng.normal(0, 0.1, places.shape),
+            rng.integers(30, 9000, len(places)),
+            session=view // 2,
+            stamp=1.6e9 + view / 7,
+            cloud=ORIGIN + cloud,
+        )
+        made.add_trajectory(yaw_transform(view, (4e5 + view / 3, 5e6, 301.0))[None])
+    return made
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory) -> tuple[SegmentMap, bytes]:
+    made, path = compacted(town(), CompactConfig()), tmp_path_factory.mktemp("map") / "a.segmap"
+    made.save(path)
+    return made, path.read_bytes()
+
+
+# --- lattices and columns -------------------------------------------------------------------------
+
+numbers = hnp.arrays(
+    np.int64,
+    st.tuples(st.integers(0, 30), st.integers(1, 4)),
+    elements=st.integers(0, 2**53) | st.integers(0, 300),
+)
+
+
+@given(numbers)
+def test_columns_come_back(codes: np.ndarray) -> None:
+    width = columns.width_of(codes)
+    found = columns.unpacked(columns.packed(codes, width), *codes.shape, width)
+    assert np.array_equal(found.astype(np.int64), codes)
+
+
+@given(hnp.arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6, width=32)), st.integers(2, 12))
+def test_rounding_twice_is_rounding_once(values: np.ndarray, bits: int) -> None:
+    exponents = lattice.spread_exponents(values, 1 << bits)
+    once = lattice.rounded(values, exponents)
+    twice = lattice.rounded(once, lattice.spread_exponents(once, 1 << bits))
+    assert np.array_equal(once, twice)
+    step = np.ldexp(1.0, lattice.exponents_of(once))
+    assert np.array_equal(np.round(once / step) * step, once)
+    assert (np.abs(once - values) <= np.ldexp(1.0, exponents) / 2).all()
+
+
+@given(
+    st.sets(st.tuples(*[st.integers(0, 70)] * 3), min_size=1, max_size=60),
+    st.integers(7, 21),
+    st.sampled_from([0, 1, 2, 4]),
+)
+def test_an_octree_gives_back_the_voxels(cells: set[Any], levels: int, bits: int) -> None:
+    wanted = np.array(sorted(cells), np.int32)
+    codes = _native.octree_encode(np.ascontiguousarray(wanted[::-1]), levels)
+    assert np.array_equal(codes, _octree(wanted, levels))
+    rng = np.random.default_rng(len(cells))
+    parts = rng.integers(0, 1 << bits, wanted.shape)
+    each = ((parts.reshape(-1, 1) >> np.arange(bits)) & 1).astype(np.uint8)
+    packed_parts = np.packbits(each.reshape(-1), bitorder="little")
+    low = np.array([-9, 2**40, 0])
+    found = _native.octree_points(codes, levels, len(wanted), packed_parts, bits, low, ORIGIN, 0.3)
+    expected = lattice.lattice_points(wanted + low, parts, ORIGIN, 0.3, bits)
+    assert np.array_equal(found, expected)
+    for broken, count in [(codes[:-1], len(wanted)), (codes, len(wanted) + 1)]:
+        parts_of = np.zeros((3 * count * bits + 7) // 8, np.uint8)
+        with pytest.raises(ValueError, match="octree"):
+            _native.octree_points(broken, levels, count, parts_of, bits, low, ORIGIN, 0.3)
+
+
+def _octree(cells: np.ndarray, levels: int) -> np.ndarray:
+    """Level by level, as docs/formats.md has it."""
+    rows = []
+    for level in range(levels):
+        nodes: dict[tuple[int, ...], int] = {}
+        for cell in cells.tolist():
+            node = tuple(c >> (levels - level) for c in cell)
+            x, y, z = (c >> (levels - level - 1) & 1 for c in cell)
+            nodes[node] = nodes.get(node, 0) | 1 << (4 * x + 2 * y + z)
+        order = sorted(nodes, key=lambda node: _morton(node, level))
+        rows += [nodes[node] for node in order]
+    return np.array(rows, np.uint8)
+
+
+def _morton(node: tuple[int, ...], bits: int) -> int:
+    return sum(((c >> b) & 1) << (3 * b + 2 - a) for a, c in enumerate(node) for b in range(bits))
+
+
+# --- compact maps ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quality", [False, True])
+@pytest.mark.parametrize(
+    "config",
+    [CompactConfig(), MappingConfig().smallest().compact, CompactConfig(bits=12, max_views=0)],
+)
+def test_compact_maps_are_small_and_come_back(
+    tmp_path: Path, config: CompactConfig, quality: bool
+) -> None:
+    made = town(quality=quality)
+    small = compacted(made, config)
+    assert_identical(small, compacted(small, config))
+    made.save(tmp_path / "plain.segmap")
+    small.save(tmp_path / "a.segmap")
+    loaded = SegmentMap.load(tmp_path / "a.segmap")
+    assert_identical(small, loaded)
+    loaded.save(tmp_path / "b.segmap")
+    assert (tmp_path / "a.segmap").read_bytes() == (tmp_path / "b.segmap").read_bytes()
+    sizes = [(tmp_path / f"{name}.segmap").stat().st_size for name in ("a", "plain")]
+    assert sizes[0] < 0.35 * sizes[1]
+
+
+def test_what_is_rounded_stays_near() -> None:
+    made, config = town(), CompactConfig(max_views=0)
+    small = compacted(made, config)
+    from scipy.spatial import cKDTree
+
+    _, rows = cKDTree(made.centroids).query(small.centroids)
+    assert len(np.unique(rows)) == len(made) == len(small)
+    assert np.abs(small.centroids - made.centroids[rows]).max() <= 1 / 128
+    error = np.abs(small.vectors - made.vectors[rows]).max(axis=0)
+    assert (error <= 3 * made.vectors.std(axis=0) / 2**config.bits).all()
+    assert np.abs(small.cloud - made.cloud).max() <= made.cloud_voxel / 4 + 1e-4
+    share = small.sizes / made.sizes[rows]
+    assert (share <= 1).all() and (share > 7 / 8).all()
+    for column in ("session", "stamps"):
+        assert np.array_equal(getattr(small, column), getattr(made, column)[rows])
+
+
+def test_the_best_views_of_an_object_stay() -> None:
+    made = town()
+    small = compacted(made, CompactConfig(max_views=2))
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(small.centroids)
+    assert len(small) < len(made) / 3
+    assert made.quality is not None and small.quality is not None
+    assert small.quality.mean() > made.quality.mean()
+    left = tree.query(made.centroids)[0]
+    assert left.max() < 0.6  # no object is lost
+
+
+def test_merging_compact_maps_keeps_what_is_the_same_once() -> None:
+    whole = compacted(town(), CompactConfig())
+    left, right = (whole.crop(ORIGIN[:2] + [x, 0.0], 50.0) for x in (-30.0, 30.0))
+    merged = left.merge(right)
+    assert len(merged) == len(np.unique(np.r_[_rows(left), _rows(right)], axis=0))
+    assert_identical(compacted(left.merge(left), CompactConfig()), compacted(left, CompactConfig()))
+
+
+def _rows(prior_map: SegmentMap) -> np.ndarray:
+    return np.column_stack([prior_map.centroids, prior_map.stamps, prior_map.vectors])
+
+
+@pytest.mark.slow
+def test_a_place_is_found_in_its_compact_map(plaza: Plaza, tmp_path: Path) -> None:
+    run = PlazaSequence(plaza)
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    for mapping in (config.mapping, config.mapping.smallest()):
+        site = build_map(run, config.model_copy(update={"mapping": mapping}))
+        site.save(tmp_path / "a.segmap")
+        result = Localizer(SegmentMap.load(tmp_path / "a.segmap")).localize(
+            plaza.scan(run.poses[7], seed=99)
+        )
+        assert result.localized
+        assert np.linalg.norm(result.T_map_sensor[:3, 3] - run.poses[7][:3, 3]) < 0.5
+
+
+# --- files that are damaged or forged -------------------------------------------------------------
+
+
+def test_damage_is_noticed(tmp_path: Path, packed: tuple[SegmentMap, bytes]) -> None:
+    data = packed[1]
+    end = header_end(data)
+    for length in [*range(0, end, 97), *range(end, len(data), 293), len(data) - 1]:
+        assert_refused(tmp_path / "cut.segmap", data[:length])
+    for position in [*range(0, end, 41), *range(end, len(data), 211)]:
+        flipped = bytearray(data)
+        flipped[position] ^= 1 << position % 8
+        assert_refused(tmp_path / "flipped.segmap", bytes(flipped))
+
+
+def _recipe(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
+    def change(header: dict[str, Any]) -> None:
+        recipes = json.loads(header["__metadata__"]["coding"])
+        recipes[name].update(values)
+        header["__metadata__"]["coding"] = json.dumps(recipes)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda h: h["__metadata__"].pop("coding"), "unreadable coding"),
+        (lambda h: h["__metadata__"].update(coding="{}"), "is to be packed"),
+        (lambda h: h["__metadata__"].update(coding="[" * 99_999), "unreadable coding"),
+        (lambda h: h["__metadata__"].update(segmap_version="1"), "is U8"),
+        (_recipe("cloud", shape=[2**40, 3]), "cannot hold"),
+        (_recipe("vectors", shape=[2**40, 7]), "cannot hold"),
+        (_recipe("vectors", shape=[-1, 7]), "unreadable coding"),
+        (_recipe("vectors", shape=[1, 7]), r"is F32 \(1, 7\), not F32|are? .*\(1,"),
+        (_recipe("vectors", width=3), "unreadable coding"),
+        (_recipe("vectors", width=2), "vectors: it does not inflate"),
+        (_recipe("vectors", low=[0]), "vectors: its coding is of another width"),
+        (_recipe("vectors", exponents=[150] * 7), "vectors: row"),
+        (_recipe("sizes", low=[2**40]), "sizes: it has numbers that are out of range"),
+        (_recipe("sizes", exponents=[40]), "sizes: it has numbers that are out of range"),
+        (_recipe("stamps", values=1), "stamps"),
+        (_recipe("stamps", values=2**39), "stamps: it is cut short"),
+        (_recipe("cloud", levels=22), "unreadable coding"),
+        (_recipe("cloud", levels=3), "cloud: the octree"),
+        (_recipe("cloud", nodes=3), "cloud"),
+        (_recipe("cloud", nodes=2**39), "cloud"),
+        (_recipe("cloud", bits=0), "cloud"),
+        (_recipe("cloud", low=[2**49, 0, 0]), "cloud: row 0"),
+        (_recipe("centroids", low=[2**51, 0, 0]), "centroids: row 0"),
+        (_recipe("trajectory", low=[0] * 16), "trajectory"),
+        (_recipe("cloud", kind="pickle"), "unreadable coding"),
+    ],
+)
+def test_forged_recipes_are_refused(
+    tmp_path: Path,
+    packed: tuple[SegmentMap, bytes],
+    change: Callable[[dict[str, Any]], None],
+    fault: str,
+) -> None:
+    assert_refused(tmp_path / "a.segmap", with_header(packed[1], change, sign=True), fault)
+
+
+def test_a_bomb_inflates_to_no_more_than_it_may(
+    tmp_path: Path, packed: tuple[SegmentMap, bytes]
+) -> None:
+    """A sound header over zeros that inflate to a thousand times their size."""
+    bomb = zlib.compress(bytes(1 << 26), 9)
+    assert len(bomb) < (1 << 26) // MOST_GROWTH
+    with pytest.raises(columns.CodingError, match="does not inflate to 1000 bytes"):
+        columns.inflated(bomb, 1000)
+
+    def swollen(header: dict[str, Any]) -> None:
+        _recipe("vectors", shape=[(1 << 26) // 7, 7])(header)
+
+    assert_refused(tmp_path / "a.segmap", with_header(packed[1], swollen, sign=True), "cannot hold")
+
+
+def test_what_lies_on_no_lattice_is_kept_as_it_is(tmp_path: Path) -> None:
+    made = town()
+    made.save(tmp_path / "a.segmap")
+    header = (tmp_path / "a.segmap").read_bytes()[8:]
+    assert b'"segmap_version":"1"' in header and b'"coding"' not in header
+    assert_identical(made, SegmentMap.load(tmp_path / "a.segmap"))
+    assert compacted(made, CompactConfig(enabled=False)) is made
+    assert prod(mapfile.read(tmp_path / "a.segmap").arrays["cloud"].shape) == made.cloud.size

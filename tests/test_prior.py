@@ -1,0 +1,112 @@
+"""Localization where it is known roughly where the sensor is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, ConfigError, Localizer, Prior, Reason, SegmentMap, build_map, geometry
+from segloc.cli.options import parsed_prior
+
+GEO = Config.preset("geo").model_copy(update={"threads": 1})
+AWAY = np.array([300.0, 40.0, 0.0])
+TRUE = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
+
+
+@pytest.fixture(scope="module")
+def once(plaza: Plaza) -> SegmentMap:
+    return build_map(PlazaSequence(plaza), GEO)
+
+
+@pytest.fixture(scope="module")
+def twice(once: SegmentMap) -> SegmentMap:
+    """The same place a second time, elsewhere."""
+    other = SegmentMap.empty(once.descriptor, once.fingerprint, once.dim, once.origin)
+    from segloc.types import Descriptors
+
+    other.add(
+        Descriptors(once.vectors, once.quality), once.centroids + AWAY, once.sizes,
+        session=1, stamp=0.0, cloud=once.cloud + once.origin + AWAY,
+    )  # fmt: skip
+    path = once.trajectory.copy()
+    path[:, :3, 3] += AWAY
+    other.add_trajectory(path)
+    both = once.merge(other)
+    both.metadata.update(once.metadata)
+    return both
+
+
+@pytest.mark.slow
+def test_a_prior_tells_two_places_apart_that_look_alike(plaza: Plaza, twice: SegmentMap) -> None:
+    localizer, scan = Localizer(twice), plaza.scan(TRUE, seed=77)
+    assert localizer.localize(scan).reason is Reason.AMBIGUOUS
+    for shift in (0 * AWAY, AWAY):
+        for near in [((3.0 + shift[0], 4.0 + shift[1]), 20.0), Prior(TRUE[:3, 3] + shift, 9.0)]:
+            found = localizer.localize(scan, near=near)
+            assert found.localized, found.message
+            assert np.linalg.norm(found.T_map_sensor[:3, 3] - TRUE[:3, 3] - shift) < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("position", "radius"),
+    [((150.0, 20.0), 40.0), ((5000.0, 0.0), 100.0), ((33.0, -2.0), 10.0), ((3, -2, 60.0), 15.0)],
+)
+def test_a_wrong_prior_is_named_and_no_pose_is_given(
+    plaza: Plaza, once: SegmentMap, position: Any, radius: float
+) -> None:
+    localizer, scan = Localizer(once), plaza.scan(TRUE, seed=77)
+    result = localizer.localize(scan, near=(position, radius))
+    assert not result.localized and result.reason is Reason.NOT_NEAR_PRIOR
+    assert f"within {radius:g} m of {position[0]:.0f}" in result.message
+    assert "\n" not in result.message
+    anywhere = localizer.localize(scan, near=Prior(position, radius, anywhere=True))
+    without = localizer.localize(scan)
+    assert anywhere.localized and np.array_equal(anywhere.T_map_sensor, without.T_map_sensor)
+
+
+@pytest.mark.slow
+def test_stages_that_compare_clouds_keep_to_the_prior(plaza: Plaza, twice: SegmentMap) -> None:
+    localizer = Localizer(twice)
+    query = localizer.describe(plaza.scan(TRUE, seed=77))
+    for near in (Prior((3.0, -2.0), 25.0), Prior(AWAY[:2] + (3.0, -2.0), 25.0)):
+        found = localizer.fallback.occupancy.candidates(query.scene, near)
+        assert found and all(near.holds(c.T_map_local) for c in found)
+        fits = np.linalg.norm(found[0].T_map_local[:2, 3] - np.asarray(near.position))
+        assert fits < 2.0
+        searched = localizer.search(query, near=near)
+        assert all(near.holds(c.T_map_local) for c in searched.candidates)
+        reach = near.radius_m + localizer.config.local_cloud.radius_m
+        rows = twice.centroids[searched.matches.map]
+        assert (near.distances(rows) <= reach).all()
+    everywhere = localizer.fallback.occupancy.candidates(query.scene)
+    places = np.stack([c.T_map_local[:3, 3] for c in everywhere])
+    assert (places[:, 0] < 150).any() and (places[:, 0] > 150).any()
+
+
+@pytest.mark.parametrize(
+    "near",
+    [
+        5.0, (1.0, 2.0, 3.0), ((1.0,), 5.0), (("a", "b"), 5.0), ((1.0, np.nan), 5.0),
+        ((1.0, 1e300), 5.0), ((0.0, 0.0), 0.0), ((0.0, 0.0), -1.0), ((0.0, 0.0), np.inf),
+        ((0.0, 0.0), "wide"), "here",
+    ],
+)  # fmt: skip
+def test_what_is_no_prior_is_refused(near: Any) -> None:
+    with pytest.raises(ConfigError, match="prior") as caught:
+        Prior.of(near)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_option_near() -> None:
+    prior = parsed_prior("10,-2.5", 30.0, False)
+    assert prior is not None and str(prior) == "within 30 m of 10, -2"
+    assert parsed_prior(None, 30.0, True) is None
+    for text in ("", "10", "1,2,3,4", "a,b", "nan,1"):
+        with pytest.raises(ConfigError, match=r"near|prior"):
+            parsed_prior(text, 30.0, False)
+    inside = geometry.yaw_transform(0.0, (10.0, 27.0, 99.0))
+    assert prior.holds(inside) and not Prior((10, -2.5, 0), 30.0).holds(inside)
