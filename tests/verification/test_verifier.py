@@ -300,9 +300,8 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
     prior_map = build_map(PlazaSequence(plaza, steps=6), Config.preset("geo"))
     scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
     rng = np.random.default_rng(0)
-    prior_map.vectors[:] += rng.normal(
-        0, 1.5, prior_map.vectors.shape
-    )  # the nearest is hardly ever right
+    # The nearest is hardly ever right:
+    prior_map.vectors[:] += rng.normal(0, 2.5, prior_map.vectors.shape)
     answers = []
     for escalation in (1, 80):
         matching = MatchingConfig(neighbours=1, escalation=escalation)
@@ -314,7 +313,8 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
         answers.append(Localizer(prior_map, config).localize(scan))
     lost, found = answers
     assert not lost.localized and lost.reason is Reason.TOO_FEW_INLIERS
-    assert found.localized and found.counts["proposed"] == 80 * found.counts["segments"]
+    assert found.localized
+    assert found.counts["proposed"] == min(80, len(prior_map)) * found.counts["segments"]
 
 
 def test_neighbours_grow_with_the_map_up_to_a_limit() -> None:

@@ -28,6 +28,7 @@ from . import (
     map_merge,
     map_update,
     odometry,
+    sample,
     simulate,
     view,
 )
@@ -37,7 +38,7 @@ _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 ORDER = (
-    *("demo", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
+    *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
     *("align", "evaluate", "simulate", "train", "config"),
 )
 """Verbs in the order in which they are met; those of other distributions follow."""
@@ -70,6 +71,7 @@ app.command("live")(live.live)
 app.command("export")(export.export)
 app.command("explain")(explain.explain)
 app.command("view")(view.view)
+app.command("sample")(sample.sample)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("odometry")(odometry.odometry)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
@@ -20,7 +19,7 @@ def info(
     config: ConfigFile = None,
 ) -> None:
     """Show what a recording is and what is wrong with it."""
-    from .doctor import examined
+    from .findings import examined, show_pose_files
 
     recording, found = examined(sequence, poses, select, topic, sample, config)
     show(recording, found)
@@ -31,7 +30,7 @@ def info(
 def show(recording: Examinable, examination: Examination) -> None:
     """Print a recording's facts as one table, and below what is wrong with it."""
     from .console import number, table
-    from .doctor import show_findings
+    from .findings import show_findings
 
     found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)
     first, last = int(recording.indices[0]), int(recording.indices[-1])
@@ -53,17 +52,3 @@ def show(recording: Examinable, examination: Examination) -> None:
     ]
     table(recording.name, ("", ""), rows)
     show_findings(examination)
-
-
-def show_pose_files(sequence: Path, recording: Examinable) -> None:
-    """Where a recording has no poses, print which files may be theirs."""
-    if recording.poses is None:
-        for name in pose_files(sequence.resolve()):
-            print(f"note: {name} beside the scans may be their poses: --poses {name}")
-
-
-def pose_files(sequence: Path) -> list[str]:
-    """Files that ``--poses`` finds by their names alone and that may be a recording's poses."""
-    inside = sorted(sequence.glob("*.tum")) if sequence.is_dir() else []
-    beside = [sequence.parent / f"{sequence.name}{end}" for end in (".tum", ".odometry.tum")]
-    return [path.name for path in (*inside, *beside) if path.is_file()]

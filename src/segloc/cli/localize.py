@@ -28,6 +28,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
+    from ..batch.score import Evaluation
     from ..localization import Localization
     from ..localizer import Localizer
     from ..prior import Prior
@@ -36,31 +37,31 @@ if TYPE_CHECKING:
     from .console import Update
 
 
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="A folder to write results to.")]
+Debug = Annotated[
+    bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
+]
+Json = Annotated[bool, typer.Option("--json", help="All of it on stdout, for programs.")]
+Truth = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
+]
+Metres = Annotated[float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")]
+Degrees = Annotated[float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")]
+
+
 def localize(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="A folder to write results to.")
-    ] = None,
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
-    ] = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="All of it on stdout, for programs.")
-    ] = False,
+    out: Out = None,
+    debug: Debug = False,
+    json: Json = False,
     poses: Poses = None,
     select: Select = None,
     every: Every = None,
-    truth: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
-    ] = None,
-    tolerance_m: Annotated[
-        float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")
-    ] = 3.0,
-    tolerance_deg: Annotated[
-        float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")
-    ] = 5.0,
+    truth: Truth = None,
+    tolerance_m: Metres = 3.0,
+    tolerance_deg: Degrees = 5.0,
     near: Near = None,
     radius: Radius = 50.0,
     anywhere: Anywhere = False,
@@ -77,23 +78,17 @@ def localize(
     With poses, a query is a cloud gathered over the path behind it; otherwise one scan. Prints the
     pose and how sure it is, or why there is none.
     """
-    from ..batch.run import localize_sequence
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
-    from ..errors import ConfigError
     from ..map.segment_map import SegmentMap
-    from .answers import show_answers
     from .console import busy, note, progress
     from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
-    from .results import check_folder, print_json, write_results
+    from .results import print_json, write_results
 
     check_every(every)
     prior_position = parsed_prior(near, radius, anywhere)
-    if debug and out is None:
-        raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
-    if out is not None:
-        check_folder(out)
+    _check_out(out, debug)
     with busy("Loading the map"):
         prior = SegmentMap.load(prior_map)
         localizer = open_localizer(prior, config, threads, weights)
@@ -106,41 +101,45 @@ def localize(
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     gap = localizer.config.local_cloud.max_gap_m
     positions = _positions(recording, truths, every, gap)
-    kept: dict[str, bytes] = {}
     with progress("Localizing") as update:
-        if debug:
-            results, kept = _in_detail(localizer, recording, positions, update, prior_position)
-        else:
-            results = localize_sequence(localizer, recording, positions, update, prior_position)
-    evaluation = Evaluation(
-        recording.indices[positions],
-        results,
-        prior.trajectory,
-        None if truths is None else truths[positions],
-        Tolerance(tolerance_m, tolerance_deg),
-    )
+        results, kept = _answers(localizer, recording, positions, update, debug, prior_position)
+    known = None if truths is None else truths[positions]
+    tolerance = Tolerance(tolerance_m, tolerance_deg)
+    indices = recording.indices[positions]
+    evaluation = Evaluation(indices, results, prior.trajectory, known, tolerance)
     if out is not None:
         write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}", kept)
-    title = f"{recording.name} in {prior_map.name}"
     if json:
         print_json(evaluation)
     else:
-        show_answers(evaluation, title)
-        if len(evaluation) > 1 or truths is not None:
-            show(evaluation.summary(), title)
+        _show_all(evaluation, f"{recording.name} in {prior_map.name}")
     if line := hint(recording, results, localizer.config.local_cloud):
         note(line)
 
 
-def _in_detail(
+def _check_out(out: Path | None, debug: bool) -> None:
+    from ..errors import ConfigError
+    from .results import check_folder
+
+    if out is not None:
+        check_folder(out)
+    elif debug:
+        raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
+
+
+def _answers(
     localizer: Localizer,
     recording: Scans,
     positions: Int64,
     update: Update,
+    debug: bool,
     near: Prior | None,
 ) -> tuple[list[Localization], dict[str, bytes]]:
-    """The answers, and files of what each stage made of each query."""
-    from ..batch.run import query_clouds
+    """The answers, and with ``debug`` files of what each stage made of each query."""
+    from ..batch.run import localize_sequence, query_clouds
+
+    if not debug:
+        return localize_sequence(localizer, recording, positions, update, near), {}
     from ..explanation import trace
     from ..explanation.results import DEBUG
     from ..explanation.seen import packed, seen
@@ -153,6 +152,15 @@ def _in_detail(
         kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
         update(len(results), len(positions))
     return results, kept
+
+
+def _show_all(evaluation: Evaluation, title: str) -> None:
+    """Each answer, and of several a summary."""
+    from .answers import show_answers
+
+    show_answers(evaluation, title)
+    if len(evaluation) > 1 or evaluation.truths is not None:
+        show(evaluation.summary(), title)
 
 
 def _positions(

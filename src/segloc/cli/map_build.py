@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,6 +22,16 @@ from .options import (
     check_every,
     load_config,
 )
+
+if TYPE_CHECKING:
+    from ..config import Config
+
+
+def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
+    """The configuration with what the options say of the map."""
+    mapping = config.mapping.smallest() if compact else config.mapping
+    mapping = mapping.model_copy(update={"level": level or mapping.level})
+    return config.model_copy(update={"mapping": mapping})
 
 
 def build(
@@ -63,17 +73,10 @@ def build(
     check_every(every)
     checked_target(out)
     settings = load_config(config, method, threads, weights)
-    mapping = settings.mapping.smallest() if compact else settings.mapping
-    mapping = mapping.model_copy(update={"level": level or mapping.level})
-    settings = settings.model_copy(update={"mapping": mapping})
+    settings = _mapped_so(settings, compact=compact, level=level)
+    mount = settings.local_cloud.mount
     recording = open_recording(
-        sequence,
-        poses,
-        select,
-        topic=topic,
-        deskew=deskew,
-        odometry=odometry,
-        mount=settings.local_cloud.mount,
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
     )
     if recording.poses is None:
         raise DatasetError(

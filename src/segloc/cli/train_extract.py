@@ -22,6 +22,11 @@ Lengths = Annotated[
     typer.Option("--length", metavar="METRES", help="Way a local cloud spans; 0: single scans."),
 ]
 
+Thin = Annotated[
+    int, typer.Option(min=1, metavar="COUNT", help="Simulate every so many firings only.")
+]
+Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes that simulate.")]
+
 
 def extract(
     out: Out,
@@ -41,9 +46,7 @@ def extract(
     sensors: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Simulated sensors to choose from.")
     ] = None,
-    thin: Annotated[
-        int, typer.Option(min=1, metavar="COUNT", help="Simulate every so many firings only.")
-    ] = 1,
+    thin: Thin = 1,
     drive: Annotated[float, typer.Option(metavar="METRES", help="Of a simulated drive.")] = 500.0,
     length: Lengths = None,
     every: Annotated[float, typer.Option(metavar="METRES", help="Between local clouds.")] = 10.0,
@@ -51,9 +54,7 @@ def extract(
         bool, typer.Option(help="Label by centroids alone, as the paper does.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, metavar="COUNT", help="Processes that simulate.")
-    ] = 2,
+    workers: Workers = 2,
     config: ConfigFile = None,
 ) -> None:
     """Cut recordings or simulated worlds into labelled segments.

@@ -200,10 +200,13 @@ def _time_problems(recording: Inspectable) -> list[str]:
     if (steps <= 0).any():
         problems.append(f"times do not rise behind scan {_number(recording, steps <= 0)}")
     long = steps > 3 * np.median(steps)
+    if recording.poses is not None:  # who stands still misses nothing
+        ways = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
+        long &= ways > 3 * np.median(ways)
     if long.any():
         problems.append(
-            f"{int(long.sum())} gaps in time, the longest {steps.max():.2f} s "
-            f"behind scan {int(recording.indices[steps.argmax()])}"
+            f"{int(long.sum())} gaps in time, the longest {steps[long].max():.2f} s "
+            f"behind scan {int(recording.indices[np.where(long, steps, 0.0).argmax()])}"
         )
     return problems
 

@@ -103,7 +103,11 @@ class Comparison:
                 shift = None
                 if first and result.T_map_sensor is not None:
                     self._truly[k, each] = result.T_map_sensor
-                elif found == "found" and (k, each) in self._truly:
+                elif (
+                    result.T_map_sensor is not None
+                    and found == "found"
+                    and (k, each) in self._truly
+                ):
                     errors = pose_errors(result.T_map_sensor[None], self._truly[k, each][None])
                     shift = float(errors[0][0])
                 records.append(
