@@ -29,6 +29,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "pictures.py": (3, "empty pictures, and their bytes"),
     "datasets": (4, "recordings: loaders, bags, packets, odometry"),
     "tracker.py": (4, "many queries over time"),
+    "tiles": (4, "maps in tiles: cut, fetched, searched"),
     "localizer.py": (5, "the method on one page"),
     "fallback.py": (5, "other candidates where segments say little"),
     "search.py": (5, "what passes between the stages of a query"),

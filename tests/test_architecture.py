@@ -27,7 +27,7 @@ LAYERS = (
     Layer("batch alignment training"),
     Layer("simulation pictures"),
     Layer("datasets"),
-    Layer("tracker"),
+    Layer("tracker tiles"),
     Layer("localizer answer fallback search", together=True),
     Layer("map.build map.update", together=True),
     Layer("config"),
@@ -64,6 +64,7 @@ PACKAGES = {
     "kiss_icp": "datasets.odometry",
     "embreex": "simulation",
     "matplotlib": "pictures batch",
+    "fsspec": "tiles",
     "typer": "cli",
     "rich": "cli",
 }

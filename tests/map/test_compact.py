@@ -15,42 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from samples.mapfiles import assert_identical, assert_refused, header_end, with_header
+from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, SegmentMap, _native, build_map
-from segloc.geometry import yaw_transform
 from segloc.map import columns, lattice
 from segloc.map import file as mapfile
 from segloc.map.coding import MOST_GROWTH
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
-from segloc.types import Descriptors
 
 ORIGIN = np.array([4e5, 5e6, 300.0])
-
-
-def town(count: int = 900, points: int = 6000, seed: int = 0, quality: bool = True) -> SegmentMap:
-    """Segments in small heaps, as views of objects are, and a cloud of some walls."""
-    rng = np.random.default_rng(seed)
-    made = SegmentMap.empty("geo", "f" * 16, 7, ORIGIN)
-    places = np.repeat(rng.uniform(-60, 60, (count // 9, 3)), 3, axis=0)
-    for view in range(3):
-        described = Descriptors(
-            (rng.normal(size=(len(places), 7)) * [1, 1, 1, 40, 0.02, 1, 1]).astype(np.float32),
-            rng.uniform(size=len(places)).astype(np.float32) if quality else None,
-        )
-        cloud = rng.uniform(-60, 60, (points // 3, 3))
-        cloud[:, 0] = np.round(cloud[:, 0] / 20) * 20 + 0.07
-        made.add(
-            described,
-            ORIGIN + places + rng.normal(0, 0.1, places.shape),
-            rng.integers(30, 9000, len(places)),
-            session=view // 2,
-            stamp=1.6e9 + view / 7,
-            cloud=ORIGIN + cloud,
-        )
-        made.add_trajectory(yaw_transform(view, (4e5 + view / 3, 5e6, 301.0))[None])
-    return made
 
 
 @pytest.fixture(scope="module")

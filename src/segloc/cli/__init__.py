@@ -21,6 +21,7 @@ from . import (
     map_build,
     map_info,
     map_merge,
+    map_tile,
     map_update,
     odometry,
     simulate,
@@ -53,6 +54,7 @@ maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)
 maps.command("update")(map_update.update)
+maps.command("tile")(map_tile.tile)
 
 
 def _add_plugins() -> None:

@@ -23,7 +23,7 @@ from .options import (
     Topic,
     Weights,
     check_every,
-    open_localizer,
+    opened_map,
     parsed_prior,
 )
 
@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 def localize(
     sequence: Recording,
-    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    prior_map: Annotated[
+        str,
+        typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles."),
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
     poses: Poses = None,
     select: Select = None,
@@ -62,7 +65,6 @@ def localize(
     from ..batch.run import localize_sequence
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
-    from ..map.segment_map import SegmentMap
     from .console import progress
     from .recording import levelled_poses, open_recording, place_of_sensor
     from .results import check_folder, write_results
@@ -70,8 +72,7 @@ def localize(
     check_every(every)
     prior_position = parsed_prior(near, radius, anywhere)
     check_folder(out)
-    prior = SegmentMap.load(prior_map)
-    localizer = open_localizer(prior, config, threads, weights)
+    localizer, prior, name = opened_map(prior_map, config, threads, weights)
     mount = localizer.config.local_cloud.mount
     recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -90,8 +91,8 @@ def localize(
         None if truths is None else truths[positions],
         Tolerance(tolerance_m, tolerance_deg),
     )
-    write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}")
-    show(evaluation.summary(), f"{recording.name} in {prior_map.name}")
+    write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}")
+    show(evaluation.summary(), f"{recording.name} in {name}")
 
 
 def _positions(

@@ -1,10 +1,10 @@
 r"""What compact maps lose: real queries in a map as it was measured, and in smaller ones.
 
-Every map of ``protocols.real`` is built once with all that was measured, and made compact in several
-ways. Queries of a place are localized in each; what is found is compared with what the whole map
-answers.
+Every map of ``protocols.real`` is built once with all that was measured, and made compact in
+several ways. Queries of a place are localized in each; what is found is compared with what the
+whole map answers.
 
-    python -m segloc_experiments.protocols.compact DATA OUT --only kitti --ways whole default compact
+    python -m segloc_experiments.protocols.compact DATA OUT --ways whole default compact
 """
 
 from __future__ import annotations
@@ -99,12 +99,12 @@ class Comparison:
                 found = outcome(result.T_map_sensor, truth)
                 path = localizers[each].prior_map.trajectory
                 near = distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M
-                shift = None
-                if first and result.T_map_sensor is not None:
-                    self._truly[k, each] = result.T_map_sensor
-                elif found == "found" and (k, each) in self._truly:
-                    errors = pose_errors(result.T_map_sensor[None], self._truly[k, each][None])
-                    shift = float(errors[0][0])
+                estimate, shift = result.T_map_sensor, None
+                if estimate is not None and first:
+                    self._truly[k, each] = estimate
+                elif estimate is not None and found == "found" and (k, each) in self._truly:
+                    metres, _ = pose_errors(estimate[None], self._truly[k, each][None])
+                    shift = float(metres[0])
                 records.append(
                     {"queries": name, "near": bool(near), "outcome": found, "shift_m": shift}
                 )
