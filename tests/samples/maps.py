@@ -54,10 +54,16 @@ def repeated(prior_map: SegmentMap, *shifts: ArrayLike) -> SegmentMap:
     return whole
 
 
-def town(count: int = 900, points: int = 6000, seed: int = 0, quality: bool = True) -> SegmentMap:
+def town(
+    count: int = 900,
+    points: int = 6000,
+    seed: int = 0,
+    quality: bool = True,
+    origin: ArrayLike = (4e5, 5e6, 300.0),
+) -> SegmentMap:
     """Segments in small heaps, as views of objects are, and a cloud of some walls."""
     rng = np.random.default_rng(seed)
-    origin = np.array([4e5, 5e6, 300.0])
+    origin = np.array(origin)
     made = SegmentMap.empty("geo", "f" * 16, 7, origin)
     places = np.repeat(rng.uniform(-60, 60, (count // 9, 3)), 3, axis=0)
     for view in range(3):
