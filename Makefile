@@ -29,7 +29,7 @@ quick: $(VENV)/.test
 
 # The quick tests of an installed wheel: with Python 3.10 and exactly the lowest versions that
 # pyproject.toml allows, and with Python 3.13 and the newest of everything.
-EXTRAS := io,sim,report,baselines,odometry,ros,packets
+EXTRAS := io,sim,report,baselines,odometry,ros,packets,tiles
 LOWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.10.*/bin/python) $(shell command -v python3.10))
 NEWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.13.*/bin/python) $(shell command -v python3.13))
 

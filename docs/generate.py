@@ -36,6 +36,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "scan_check.py": (4, "what a single scan says of a pose"),
     "hypotheses.py": (4, "a believed track, and candidates for another"),
     "views.py": (4, "what one query says of where a robot is"),
+    "tiles": (4, "maps in tiles: cut, fetched, searched"),
     "localizer.py": (5, "the method on one page"),
     "fallback.py": (5, "other candidates where segments say little"),
     "search.py": (5, "what passes between the stages of a query"),

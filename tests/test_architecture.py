@@ -28,6 +28,7 @@ LAYERS = (
     Layer("simulation diagnosis pictures"),
     Layer("datasets"),
     Layer("tracker scan_check hypotheses views", together=True),
+    Layer("tiles"),
     Layer("localizer answer fallback search", together=True),
     Layer("map.build map.update", together=True),
     Layer("config"),
@@ -65,6 +66,7 @@ PACKAGES = {
     "embreex": "simulation",
     "matplotlib": "pictures batch explanation",
     "viser": "explanation",
+    "fsspec": "tiles",
     "typer": "cli",
     "rich": "cli",
 }

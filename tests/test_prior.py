@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples.maps import repeated
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, ConfigError, Localizer, Prior, Reason, SegmentMap, build_map, geometry
@@ -24,19 +25,7 @@ def once(plaza: Plaza) -> SegmentMap:
 @pytest.fixture(scope="module")
 def twice(once: SegmentMap) -> SegmentMap:
     """The same place a second time, elsewhere."""
-    other = SegmentMap.empty(once.descriptor, once.fingerprint, once.dim, once.origin)
-    from segloc.types import Descriptors
-
-    other.add(
-        Descriptors(once.vectors, once.quality), once.centroids + AWAY, once.sizes,
-        session=1, stamp=0.0, cloud=once.cloud + once.origin + AWAY,
-    )  # fmt: skip
-    path = once.trajectory.copy()
-    path[:, :3, 3] += AWAY
-    other.add_trajectory(path)
-    both = once.merge(other)
-    both.metadata.update(once.metadata)
-    return both
+    return repeated(once, AWAY)
 
 
 @pytest.mark.slow

@@ -15,42 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from samples.mapfiles import assert_identical, assert_refused, header_end, with_header
+from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, SegmentMap, _native, build_map
-from segloc.geometry import yaw_transform
 from segloc.map import columns, lattice
 from segloc.map import file as mapfile
 from segloc.map.coding import MOST_GROWTH
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
-from segloc.types import Descriptors
 
 ORIGIN = np.array([4e5, 5e6, 300.0])
-
-
-def town(count: int = 900, points: int = 6000, seed: int = 0, quality: bool = True) -> SegmentMap:
-    """Segments in small heaps, as views of objects are, and a cloud of some walls."""
-    rng = np.random.default_rng(seed)
-    made = SegmentMap.empty("geo", "f" * 16, 7, ORIGIN)
-    places = np.repeat(rng.uniform(-60, 60, (count // 9, 3)), 3, axis=0)
-    for view in range(3):
-        described = Descriptors(
-            (rng.normal(size=(len(places), 7)) * [1, 1, 1, 40, 0.02, 1, 1]).astype(np.float32),
-            rng.uniform(size=len(places)).astype(np.float32) if quality else None,
-        )
-        cloud = rng.uniform(-60, 60, (points // 3, 3))
-        cloud[:, 0] = np.round(cloud[:, 0] / 20) * 20 + 0.07
-        made.add(
-            described,
-            ORIGIN + places + rng.normal(0, 0.1, places.shape),
-            rng.integers(30, 9000, len(places)),
-            session=view // 2,
-            stamp=1.6e9 + view / 7,
-            cloud=ORIGIN + cloud,
-        )
-        made.add_trajectory(yaw_transform(view, (4e5 + view / 3, 5e6, 301.0))[None])
-    return made
 
 
 @pytest.fixture(scope="module")
@@ -119,13 +94,8 @@ def _octree(cells: np.ndarray, levels: int) -> np.ndarray:
             node = tuple(c >> (levels - level) for c in cell)
             x, y, z = (c >> (levels - level - 1) & 1 for c in cell)
             nodes[node] = nodes.get(node, 0) | 1 << (4 * x + 2 * y + z)
-        order = sorted(nodes, key=lambda node: _morton(node, level))
-        rows += [nodes[node] for node in order]
+        rows += [nodes[node] for node in sorted(nodes)]
     return np.array(rows, np.uint8)
-
-
-def _morton(node: tuple[int, ...], bits: int) -> int:
-    return sum(((c >> b) & 1) << (3 * b + 2 - a) for a, c in enumerate(node) for b in range(bits))
 
 
 # --- compact maps ---------------------------------------------------------------------------------
@@ -175,7 +145,7 @@ def test_the_best_views_of_an_object_stay() -> None:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(small.centroids)
-    assert len(small) < len(made) / 3
+    assert len(small) < len(made) / 2
     assert made.quality is not None and small.quality is not None
     assert small.quality.mean() > made.quality.mean()
     left = tree.query(made.centroids)[0]
@@ -192,6 +162,17 @@ def test_merging_compact_maps_keeps_what_is_the_same_once() -> None:
 
 def _rows(prior_map: SegmentMap) -> np.ndarray:
     return np.column_stack([prior_map.centroids, prior_map.stamps, prior_map.vectors])
+
+
+def test_merged_maps_of_other_origins_are_packed_again(tmp_path: Path) -> None:
+    a, b = (
+        compacted(town(seed=seed, origin=(4e5 + seed / 3, 5e6, 300.0)), CompactConfig())
+        for seed in (0, 1)
+    )
+    merged = compacted(a.merge(b), CompactConfig())
+    assert len(merged) == len(a) + len(b)
+    merged.save(tmp_path / "a.segmap")
+    assert b'"segmap_version":"2"' in (tmp_path / "a.segmap").read_bytes()
 
 
 @pytest.mark.slow

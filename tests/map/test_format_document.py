@@ -98,6 +98,7 @@ def cloud_of(data: bytes, how: dict[str, Any], origin: Any, voxel: float) -> np.
     nodes, at = [(0, 0, 0)], 0
     for _ in range(how["levels"]):
         codes = data[at : at + len(nodes)]
+        nodes.sort()
         at += len(nodes)
         nodes = [
             (2 * x + (k >> 2), 2 * y + (k >> 1 & 1), 2 * z + (k & 1))

@@ -8,6 +8,7 @@ from functools import reduce
 from ..config import Config
 from ..errors import ConfigError
 from ..map.build import build_map
+from ..map.compact import compacted
 from ..map.segment_map import SegmentMap
 from ..types import Recording
 
@@ -41,4 +42,4 @@ def build_merged_map(
         maps.append(build_map(recording, config))
         if progress:
             progress(done + 1, len(recordings))
-    return reduce(SegmentMap.merge, maps)
+    return compacted(reduce(SegmentMap.merge, maps), config.mapping.compact)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -18,7 +18,24 @@ from ..stage_times import Clock, StageTimes
 from ..types import Float64, Int64, LocalCloud, Recording
 
 if TYPE_CHECKING:
-    from ..localizer import Localizer
+    from ..search import Query
+
+
+class Locates(Protocol):
+    """What localizes: a :class:`segloc.Localizer`, or one in tiles."""
+
+    @property
+    def config(self) -> Config: ...
+    @property
+    def clock(self) -> Clock: ...
+    def describe(self, scans: LocalCloud, times: StageTimes | None = None) -> Query: ...
+    def locate(
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
+    ) -> Localization: ...
 
 
 def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
@@ -44,7 +61,7 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
 
 
 def localize_sequence(
-    localizer: Localizer,
+    localizer: Locates,
     sequence: Recording,
     positions: Int64,
     progress: Callable[[int, int], None] | None = None,

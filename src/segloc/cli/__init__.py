@@ -26,6 +26,7 @@ from . import (
     map_build,
     map_info,
     map_merge,
+    map_tile,
     map_update,
     odometry,
     sample,
@@ -81,6 +82,7 @@ maps.command("build")(map_build.build)
 maps.command("info")(map_info.info)
 maps.command("merge")(map_merge.merge)
 maps.command("update")(map_update.update)
+maps.command("tile")(map_tile.tile)
 
 
 def _add_plugins() -> None:

@@ -23,7 +23,7 @@ from .options import (
     Topic,
     Weights,
     check_every,
-    open_localizer,
+    opened_map,
     parsed_prior,
 )
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ..localization import Localization
     from ..localizer import Localizer
     from ..prior import Prior
+    from ..tiles import TiledLocalizer
     from ..types import Float64, Int64
     from ..types import Recording as Scans
     from .console import Update
@@ -52,7 +53,10 @@ Degrees = Annotated[float, typer.Option(min=0, metavar="DEGREES", help="Turned f
 
 def localize(
     sequence: Recording,
-    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    prior_map: Annotated[
+        str,
+        typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles."),
+    ],
     out: Out = None,
     debug: Debug = False,
     json: Json = False,
@@ -80,7 +84,6 @@ def localize(
     """
     from ..batch.score import Evaluation, Tolerance
     from ..datasets import poses_at
-    from ..map.segment_map import SegmentMap
     from .console import busy, note, progress
     from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
@@ -90,8 +93,7 @@ def localize(
     prior_position = parsed_prior(near, radius, anywhere)
     _check_out(out, debug)
     with busy("Loading the map"):
-        prior = SegmentMap.load(prior_map)
-        localizer = open_localizer(prior, config, threads, weights)
+        localizer, prior, name = opened_map(prior_map, config, threads, weights)
     mount = localizer.config.local_cloud.mount
     recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -108,11 +110,11 @@ def localize(
     indices = recording.indices[positions]
     evaluation = Evaluation(indices, results, prior.trajectory, known, tolerance)
     if out is not None:
-        write_results(out, prior, evaluation, f"{recording.name} in {prior_map.stem}", kept)
+        write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)
     if json:
         print_json(evaluation)
     else:
-        _show_all(evaluation, f"{recording.name} in {prior_map.name}")
+        _show_all(evaluation, f"{recording.name} in {name}")
     if line := hint(recording, results, localizer.config.local_cloud):
         note(line)
 
@@ -128,7 +130,7 @@ def _check_out(out: Path | None, debug: bool) -> None:
 
 
 def _answers(
-    localizer: Localizer,
+    localizer: Localizer | TiledLocalizer,
     recording: Scans,
     positions: Int64,
     update: Update,
@@ -140,10 +142,14 @@ def _answers(
 
     if not debug:
         return localize_sequence(localizer, recording, positions, update, near), {}
+    from ..errors import ConfigError
     from ..explanation import trace
     from ..explanation.results import DEBUG
     from ..explanation.seen import packed, seen
+    from ..localizer import Localizer
 
+    if not isinstance(localizer, Localizer):
+        raise ConfigError("--debug needs a map file: what tiles hold is not kept")
     results, kept = [], {}
     clouds = query_clouds(recording, positions, localizer.config, localizer.clock)
     for index, (cloud, times) in zip(recording.indices[positions], clouds, strict=True):

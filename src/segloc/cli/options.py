@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
     from ..prior import Prior
+    from ..tiles import TiledLocalizer
 
 Value = TypeVar("Value")
 
@@ -130,6 +131,26 @@ def open_localizer(
     for line in localizer.notes:
         note(line)
     return localizer
+
+
+def opened_map(
+    where: str, path: Path | None, threads: int, weights: Path | None = None
+) -> tuple[Localizer | TiledLocalizer, SegmentMap, str]:
+    """A localizer in a map file or in tiles, the map (of tiles the thin one), and its name."""
+    from ..map.segment_map import SegmentMap
+    from ..tiles import TiledLocalizer, TiledMap
+    from .console import note
+
+    name = where.rstrip("/").rsplit("/", 1)[-1]
+    if "://" not in where and not Path(where).is_dir():
+        prior_map = SegmentMap.load(where)
+        return open_localizer(prior_map, path, threads, weights), prior_map, name
+    tiles = TiledMap(where)
+    settings = map_settings(tiles.coarse(), path, threads, weights)
+    localizer = TiledLocalizer(tiles, settings)
+    for line in localizer.notes:
+        note(line)
+    return localizer, localizer.prior_map, name
 
 
 def _with(config: Config, threads: int, weights: Path | None) -> Config:

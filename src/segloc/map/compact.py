@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any, Literal
 
 import numpy as np
@@ -157,7 +158,7 @@ def _rounded_cloud(prior_map: SegmentMap, bits: int) -> Float32:
 
 
 def _to_step(numbers: NDArray[Any], exponent: int) -> Float64:
-    rows = numbers.reshape(len(numbers), -1)
+    rows = numbers.reshape(len(numbers), prod(numbers.shape[1:]))
     return rounded(rows, np.full(rows.shape[1], exponent)).reshape(numbers.shape)
 
 

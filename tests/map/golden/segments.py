@@ -32,7 +32,8 @@ def golden(kind: str) -> SegmentMap:
             stamp=1.5e9 + 0.125 * view,
             cloud=np.array(ORIGIN) + np.stack([k + 0.125, k / 2 + inner, k / 4 + inner], axis=1),
         )
-        made.add_trajectory(yaw_transform(0.0, tuple(np.array(ORIGIN) + [2.0 * view, 0, 1]))[None])
+        pose = yaw_transform(0.0, tuple(np.array(ORIGIN) + [2.0 * view, 0, 1]))
+        made.add_trajectory((pose + 0.0 if kind == "packed" else pose)[None])  # without -0.0
     if kind in ("missed", "packed"):
         everything = np.ones(12, dtype=bool), np.ones(len(made.cloud), dtype=bool)
         return made.kept(*everything, np.arange(12) % 3)

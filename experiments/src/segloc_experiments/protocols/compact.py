@@ -98,18 +98,13 @@ class Comparison:
                 result = localizers[each].locate(query)
                 found = outcome(result.T_map_sensor, truth)
                 path = localizers[each].prior_map.trajectory
-                distances = distances_to_path(truth[None], path)
-                near = distances is not None and bool(distances[0] <= COVERAGE_RADIUS_M)
-                shift = None
-                if first and result.T_map_sensor is not None:
-                    self._truly[k, each] = result.T_map_sensor
-                elif (
-                    result.T_map_sensor is not None
-                    and found == "found"
-                    and (k, each) in self._truly
-                ):
-                    errors = pose_errors(result.T_map_sensor[None], self._truly[k, each][None])
-                    shift = float(errors[0][0])
+                near = distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M
+                estimate, shift = result.T_map_sensor, None
+                if estimate is not None and first:
+                    self._truly[k, each] = estimate
+                elif estimate is not None and found == "found" and (k, each) in self._truly:
+                    metres, _ = pose_errors(estimate[None], self._truly[k, each][None])
+                    shift = float(metres[0])
                 records.append(
                     {"queries": name, "near": bool(near), "outcome": found, "shift_m": shift}
                 )

@@ -1,0 +1,39 @@
+"""``segloc map tile``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def tile(
+    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    out: Annotated[
+        str, typer.Option(metavar="DIR_OR_URL", help="Where to; tiles that are the same stay.")
+    ],
+    size: Annotated[float, typer.Option(metavar="METRES", help="Edge of a tile's square.")] = 500.0,
+    margin: Annotated[
+        float, typer.Option(metavar="METRES", help="So far around it a tile reaches.")
+    ] = 60.0,
+) -> None:
+    """Cut a map into overlapping tiles with an index, for maps too large to hold at once.
+
+    `segloc localize --map DIR_OR_URL` opens the tiles that it needs.
+    """
+    from ..map.segment_map import SegmentMap
+    from ..tiles import cut_tiles
+    from .console import progress, table
+
+    whole = SegmentMap.load(prior_map)
+    with progress("Cutting") as update:
+        index = cut_tiles(whole, out, size_m=size, margin_m=margin, progress=update)
+    megabytes = sum(each.bytes for each in index.tiles) / 1e6
+    rows = [
+        ("tiles", f"{len(index.tiles)}, {index.size_m:g} m wide, {index.margin_m:g} m around"),
+        ("their files", f"{megabytes:.1f} MB"),
+        ("segments", f"{sum(each.segments for each in index.tiles)}"),
+        ("thin map of all", f"{index.coarse.segments} segments, {index.coarse.bytes / 1e6:.1f} MB"),
+    ]
+    table(out, ("", ""), rows)

@@ -1,0 +1,55 @@
+"""Maps put together of parts that share nothing, and along other paths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import MapMismatch
+from ..types import Float64
+from .merge import union_of_texts
+from .segment_map import SegmentMap
+from .voxel_cloud import VoxelCloud
+
+
+def along(prior_map: SegmentMap, path: Float64) -> SegmentMap:
+    """The same map with another path of (V, 4, 4) poses."""
+    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
+    named = prior_map.descriptor, prior_map.fingerprint
+    return SegmentMap(*named, prior_map.columns(), cloud, path, prior_map.metadata)
+
+
+def concatenated(parts: list[SegmentMap]) -> SegmentMap:
+    """Maps of one frame, one behind the other; rows of several are kept as often.
+
+    Raises
+    ------
+    MapMismatch
+        If they were made by different descriptors, or their clouds lie on different grids.
+    """
+    first = parts[0]
+    for part in parts[1:]:
+        if (part.descriptor, part.fingerprint) != (first.descriptor, first.fingerprint):
+            raise MapMismatch(
+                f"parts made by {first.descriptor!r} ({first.fingerprint}) and "
+                f"{part.descriptor!r} ({part.fingerprint}) are of no one map"
+            )
+        if part.cloud_voxel != first.cloud_voxel:
+            raise MapMismatch("the clouds of the parts have voxels of different sizes")
+    filled = [part for part in parts if len(part)] or [first]
+    columns = [part.columns() for part in filled]
+    if any(each.keys() != columns[0].keys() for each in columns):
+        raise MapMismatch("some parts have descriptor quality and some have none")
+    cloud = VoxelCloud(first.cloud, first.origin, first.cloud_voxel)
+    texts = dict(first.metadata)
+    for part in parts[1:]:
+        own = VoxelCloud(part.cloud, part.origin, part.cloud_voxel)
+        cloud.add_relative(own.moved_to(first.origin, first.cloud_voxel).points)
+        texts = union_of_texts(texts, part.metadata)
+    return SegmentMap(
+        first.descriptor,
+        first.fingerprint,
+        {name: np.concatenate([each[name] for each in columns]) for name in columns[0]},
+        cloud,
+        np.concatenate([part.trajectory for part in parts]),
+        texts,
+    )

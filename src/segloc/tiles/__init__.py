@@ -1,0 +1,11 @@
+"""Maps too large for one file: overlapping tiles in a folder or bucket, and localization in them.
+
+A tile is a map by itself. It owns the square that it covers, and holds what a sensor sees from
+there. ``tiles.json`` names the tiles; a thin map of all of them says which to look into.
+"""
+
+from .cut import cut_tiles
+from .localizer import TiledLocalizer
+from .tiled_map import TiledMap
+
+__all__ = ["TiledLocalizer", "TiledMap", "cut_tiles"]

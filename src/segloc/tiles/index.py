@@ -1,0 +1,134 @@
+"""``tiles.json``: which tiles there are, where they lie, and what their bytes must be."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, ValidationError
+
+from ..checks import MOST_METRES
+from ..errors import MapFormatError
+from ..prior import Prior
+from ..section import Section
+from ..types import Float64
+
+INDEX = "tiles.json"
+FORMAT_VERSION = 1
+"""Raised whenever an older reader would misread a newer file."""
+
+MOST_INDEX_BYTES = 64_000_000
+_MOST_FILE_BYTES = 1 << 36
+_DIGEST = r"^[0-9a-f]{32}$"
+_NAME = r"^[a-z0-9_.-]{1,100}$"  # one file beside the index, whatever a stranger wrote
+
+_Cell = Annotated[int, Field(ge=-(1 << 31), le=1 << 31)]
+
+
+class TileFile(Section):
+    """One file beside the index.
+
+    Attributes
+    ----------
+    file : str
+        Its name; it has the digest in it, so that a file is never replaced by another.
+    bytes : int
+    digest : str
+        BLAKE2b-128 of its bytes.
+    segments : int
+    """
+
+    file: str = Field(pattern=_NAME)
+    bytes: int = Field(ge=0, le=_MOST_FILE_BYTES)
+    digest: str = Field(pattern=_DIGEST)
+    segments: int = Field(ge=0)
+
+
+class Tile(TileFile):
+    """The map of one square.
+
+    Attributes
+    ----------
+    cell : (int, int)
+        Tile (i, j) owns x from ``i * size_m`` to ``(i + 1) * size_m``, and y likewise.
+    poses : int
+        Of the path, within the square.
+    """
+
+    cell: tuple[_Cell, _Cell]
+    poses: int = Field(ge=0)
+
+
+class TileIndex(Section):
+    """What ``tiles.json`` holds.
+
+    Attributes
+    ----------
+    size_m : float
+        Edge of a square.
+    margin_m : float
+        A tile holds what lies so far around its square, too.
+    coarse : TileFile
+        A thin map of all tiles, without clouds.
+    tiles : tuple of Tile
+    """
+
+    version: int = Field(ge=1)
+    size_m: float = Field(gt=0, le=MOST_METRES)
+    margin_m: float = Field(ge=0, le=MOST_METRES)
+    descriptor: str = Field(max_length=1000)
+    fingerprint: str = Field(max_length=1000)
+    coarse: TileFile
+    tiles: tuple[Tile, ...]
+
+    @classmethod
+    def parsed(cls, data: bytes, where: str) -> TileIndex:
+        """The index in some bytes.
+
+        Raises
+        ------
+        MapFormatError
+            If they are no such index, or one of a newer version; names ``where``.
+        """
+        try:
+            index = cls.model_validate_json(data)
+        except (ValidationError, RecursionError) as error:
+            first = error.errors()[0] if isinstance(error, ValidationError) else None
+            key = ".".join(str(part) for part in first["loc"])[:80] if first else ""
+            raise MapFormatError(f"{where}: no index of tiles ({key or 'no JSON'})") from error
+        if index.version > FORMAT_VERSION:
+            raise MapFormatError(f"{where}: written by a newer segloc (tiles {index.version})")
+        if len({tile.cell for tile in index.tiles}) < len(index.tiles):
+            raise MapFormatError(f"{where}: damaged: two tiles of one square")
+        return index
+
+    def near(self, prior: Prior) -> tuple[Tile, ...]:
+        """The tiles whose squares a sensor near a prior may be in."""
+        x, y = np.asarray(prior.position)[:2]
+        return tuple(t for t in self.tiles if self._distance(t, x, y) <= prior.radius_m)
+
+    def at(self, positions: Float64) -> tuple[Tile, ...]:
+        """The tiles that own (N, 2 or 3) positions, in their order, each once."""
+        by_cell = {tile.cell: tile for tile in self.tiles}
+        cells = map(tuple, cells_of(positions, self.size_m).tolist())
+        found = {cell: by_cell[cell] for cell in cells if cell in by_cell}
+        return tuple(found.values())
+
+    def _distance(self, tile: Tile, x: float, y: float) -> float:
+        low = [k * self.size_m for k in tile.cell]
+        beyond = [max(a - v, v - a - self.size_m, 0.0) for a, v in zip(low, (x, y), strict=True)]
+        return math.hypot(*beyond)
+
+
+def cells_of(positions: ArrayLike, size_m: float) -> NDArray[np.int64]:
+    """The squares that (N, 2 or 3) positions lie in, (N, 2)."""
+    cells: NDArray[np.int64] = np.floor(np.asarray(positions)[:, :2] / size_m).astype(np.int64)
+    return cells
+
+
+def digest_of(data: bytes) -> str:
+    """BLAKE2b-128, as hexadecimal digits."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()

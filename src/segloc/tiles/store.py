@@ -1,0 +1,227 @@
+"""Where tiles lie: a folder, or whatever fsspec can open; with a bounded cache on the disk."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from ..errors import MapFormatError, MissingDependency, SeglocError
+from ..files import replacing
+from .index import MOST_INDEX_BYTES, TileFile, digest_of
+
+Answer = TypeVar("Answer")
+
+
+class Store(Protocol):
+    """A place with files side by side.
+
+    Attributes
+    ----------
+    where : str
+        As it was named.
+    """
+
+    where: str
+
+    def read(self, name: str, most: int) -> bytes:
+        """A file of at most so many bytes; raises OSError."""
+        ...
+
+    def write(self, name: str, data: bytes) -> None:
+        """A file, whole or not at all."""
+        ...
+
+    def names(self) -> list[str]:
+        """Of all files."""
+        ...
+
+    def remove(self, name: str) -> None:
+        """A file that nobody needs any more."""
+        ...
+
+
+class Folder:
+    """A folder on a disk."""
+
+    def __init__(self, where: str) -> None:
+        self.where, self._path = where, Path(where)
+
+    def read(self, name: str, most: int) -> bytes:
+        with (self._path / name).open("rb") as stream:
+            return stream.read(most + 1)
+
+    def write(self, name: str, data: bytes) -> None:
+        self._path.mkdir(parents=True, exist_ok=True)
+        with replacing(self._path / name) as stream:
+            stream.write(data)
+
+    def names(self) -> list[str]:
+        return sorted(p.name for p in self._path.iterdir()) if self._path.is_dir() else []
+
+    def remove(self, name: str) -> None:
+        (self._path / name).unlink(missing_ok=True)
+
+
+class Remote:
+    """What a URL names, by fsspec."""
+
+    def __init__(self, where: str) -> None:
+        try:
+            from fsspec.core import url_to_fs
+        except ImportError as error:
+            raise MissingDependency("fsspec", "tiles", f"opening {where}") from error
+        try:
+            self._files, self._root = url_to_fs(where)
+        except (ImportError, ValueError) as error:
+            raise SeglocError(f"{where}: cannot be opened: {error}") from error
+        self.where = where
+
+    def read(self, name: str, most: int) -> bytes:
+        data: Any = self._files.cat_file(f"{self._root}/{name}", start=0, end=most + 1)
+        return bytes(data)
+
+    def write(self, name: str, data: bytes) -> None:
+        with suppress(NotImplementedError):
+            self._files.makedirs(self._root, exist_ok=True)
+        self._files.pipe_file(f"{self._root}/{name}", data)
+
+    def names(self) -> list[str]:
+        try:
+            found = self._files.ls(self._root, detail=False)
+        except FileNotFoundError:
+            return []
+        return sorted(str(path).rsplit("/", 1)[-1] for path in found)
+
+    def remove(self, name: str) -> None:
+        self._files.rm_file(f"{self._root}/{name}")
+
+
+def store_of(where: str | Path) -> Store:
+    """The folder or the URL of that name.
+
+    Raises
+    ------
+    MissingDependency
+        If it is a URL, and fsspec is not installed.
+    SeglocError
+        If nothing can open such a URL.
+    """
+    text = str(where)
+    if text.startswith("file://"):
+        text = text.removeprefix("file://")
+    return Remote(text) if "://" in text else Folder(text)
+
+
+class Reader:
+    """Reads the files of a store, and refuses those that are not what the index says.
+
+    Parameters
+    ----------
+    store : Store
+    cache : path, optional
+        A folder for copies of what was fetched; None: files of folders are read where they lie.
+    cache_bytes : int
+        So many bytes of copies are kept; those that were not used for longest go first.
+    timeout_s : float
+        A store that takes longer for a file has failed.
+    """
+
+    def __init__(
+        self, store: Store, cache: Path | None, cache_bytes: int, timeout_s: float
+    ) -> None:
+        self._store, self._cache = store, cache
+        self._cache_bytes, self._timeout_s = cache_bytes, timeout_s
+
+    def index(self, name: str) -> bytes:
+        """The bytes of the index.
+
+        Raises
+        ------
+        MapFormatError
+            If it cannot be read.
+        """
+        return self._fetched(name, MOST_INDEX_BYTES)
+
+    def tile(self, tile: TileFile) -> bytes:
+        """The bytes of a tile, from the cache or the store.
+
+        Raises
+        ------
+        MapFormatError
+            If the file is missing, takes too long, or is another than the index says; names it.
+        """
+        copy = None if self._cache is None else self._cache / tile.file
+        if copy is not None:
+            with suppress(OSError):
+                data = copy.read_bytes()
+                if digest_of(data) == tile.digest:
+                    os.utime(copy)
+                    return data
+        data = self._fetched(tile.file, tile.bytes)
+        if len(data) != tile.bytes or digest_of(data) != tile.digest:
+            raise MapFormatError(
+                f"{self._store.where}/{tile.file}: damaged: it is not the file of the index"
+            )
+        if copy is not None:
+            self._keep(copy, data)
+        return data
+
+    def _fetched(self, name: str, most: int) -> bytes:
+        where = f"{self._store.where}/{name}"
+        try:
+            return within(self._timeout_s, lambda: self._store.read(name, most))
+        except TimeoutError as error:
+            raise MapFormatError(f"{where}: no answer within {self._timeout_s:g} s") from error
+        except FileNotFoundError as error:
+            raise MapFormatError(f"{where}: no such file") from error
+        except Exception as error:  # of whatever library fsspec has for the URL
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise MapFormatError(f"{where}: cannot be read: {reason}") from error
+
+    def _keep(self, copy: Path, data: bytes) -> None:
+        """Put a copy into the cache; a full disk only costs the next query its copy."""
+        with suppress(OSError, SeglocError):
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(copy) as stream:
+                stream.write(data)
+            kept = sorted(
+                (path for path in copy.parent.iterdir() if path.suffix == ".segmap"),
+                key=lambda path: path.stat().st_mtime_ns,
+            )
+            excess = sum(path.stat().st_size for path in kept) - self._cache_bytes
+            for path in kept:
+                if excess <= 0 or path == copy:
+                    break
+                excess -= path.stat().st_size
+                path.unlink(missing_ok=True)
+
+
+def within(seconds: float, work: Callable[[], Answer]) -> Answer:
+    """What ``work`` returns or raises.
+
+    Raises
+    ------
+    TimeoutError
+        If it takes longer; it is then left to itself.
+    """
+    answers: list[Answer] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            answers.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if errors:
+        raise errors[0]
+    if not answers:
+        raise TimeoutError
+    return answers[0]

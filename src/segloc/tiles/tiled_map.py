@@ -1,0 +1,145 @@
+"""Tiles in a folder or bucket, opened: read when they are needed, and checked."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Lock
+
+from ..errors import MapFormatError, MapMismatch
+from ..map.parts import along, concatenated
+from ..map.segment_map import SegmentMap
+from .cut import chosen_rows
+from .index import INDEX, Tile, TileFile, TileIndex
+from .store import Folder, Reader, store_of
+
+CACHE_BYTES = 1 << 30
+TIMEOUT_S = 30.0
+MOST_RESIDENT = 16
+"""Tiles that are kept in memory."""
+
+
+class TiledMap:
+    """A map in tiles, which :func:`cut_tiles` wrote.
+
+    Parameters
+    ----------
+    where : path or URL
+        Of the folder of ``tiles.json``.
+    cache : path, optional
+        A folder for copies of tiles behind a URL; by default below the user's cache. Tiles in a
+        folder are read where they lie.
+    cache_bytes : int
+        The copies take so many bytes at most, and one tile.
+    timeout_s : float
+        A file that takes longer to come has failed.
+
+    Attributes
+    ----------
+    index : TileIndex
+    where : str
+
+    Raises
+    ------
+    MapFormatError
+        If there are no tiles, or their index is damaged.
+    MissingDependency
+        If it is a URL, and fsspec is not installed.
+
+    Notes
+    -----
+    Any number of threads may use it at once.
+    """
+
+    def __init__(
+        self,
+        where: str | Path,
+        *,
+        cache: str | Path | None = None,
+        cache_bytes: int = CACHE_BYTES,
+        timeout_s: float = TIMEOUT_S,
+    ) -> None:
+        store = store_of(where)
+        copies = None if isinstance(store, Folder) else Path(cache or _users_cache(store.where))
+        self.where = store.where
+        self._reader = Reader(store, copies, cache_bytes, timeout_s)
+        self.index = TileIndex.parsed(self._reader.index(INDEX), f"{store.where}/{INDEX}")
+        self._resident: OrderedDict[str, SegmentMap] = OrderedDict()
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        return len(self.index.tiles)
+
+    def __repr__(self) -> str:
+        return f"TiledMap({self.where!r}, {len(self)} tiles)"
+
+    def coarse(self) -> SegmentMap:
+        """The thin map of all tiles: no cloud, and the whole path."""
+        return self._loaded(self.index.coarse)
+
+    def tile(self, tile: Tile) -> SegmentMap:
+        """One tile.
+
+        Raises
+        ------
+        MapFormatError
+            If it is missing, damaged, or takes too long; names its file.
+        """
+        with self._lock:
+            if tile.file in self._resident:
+                self._resident.move_to_end(tile.file)
+                return self._resident[tile.file]
+        loaded = self._loaded(tile)
+        with self._lock:
+            self._resident[tile.file] = loaded
+            while len(self._resident) > MOST_RESIDENT:
+                self._resident.popitem(last=False)
+        return loaded
+
+    def together(self, tiles: Sequence[Tile]) -> SegmentMap:
+        """Some tiles as one map; what several of them hold is in it once.
+
+        Raises
+        ------
+        MapFormatError
+            If one of them cannot be had; names its file.
+        """
+        parts = []
+        for tile in tiles:
+            part = self.tile(tile)
+            others = [other for other in tiles if other.cell != tile.cell]
+            points = part.cloud[:, :2] + part.origin[:2]
+            rows = chosen_rows(part.centroids, tile, others, self.index)
+            kept = part.kept(rows, chosen_rows(points, tile, others, self.index))
+            path = part.trajectory
+            own = chosen_rows(path[:, :3, 3], tile, others, self.index)
+            parts.append(along(kept, path[own]))
+        return concatenated(parts)
+
+    def _loaded(self, file: TileFile) -> SegmentMap:
+        data = self._reader.tile(file)
+        where = f"{self.where}/{file.file}"
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / file.file
+            path.write_bytes(data)
+            try:
+                loaded = SegmentMap.load(path)
+            except MapFormatError as error:
+                raise MapFormatError(str(error).replace(str(path), where)) from error
+        if (loaded.descriptor, loaded.fingerprint) != (
+            self.index.descriptor,
+            self.index.fingerprint,
+        ):
+            raise MapMismatch(f"{where}: made by another descriptor than the index says")
+        return loaded
+
+
+def _users_cache(where: str) -> Path:
+    """A folder for copies of what a URL names."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    digest = hashlib.blake2b(where.encode(), digest_size=8).hexdigest()
+    return Path(base) / "segloc" / "tiles" / digest
