@@ -40,7 +40,7 @@ _CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 ORDER = (
     *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
-    *("align", "evaluate", "simulate", "train", "config"),
+    *("live", "align", "export", "evaluate", "simulate", "train", "config"),
 )
 """Verbs in the order in which they are met; those of other distributions follow."""
 

@@ -29,7 +29,8 @@ def export(
         float, typer.Option(min=1, metavar="METRES", help="Edge of Autoware's tiles.")
     ] = 20.0,
     epsg: Annotated[
-        int | None, typer.Option(min=1, help="The map's frame, for GeoJSON to name.")
+        int | None,
+        typer.Option(min=1, metavar="CODE", help="The map's frame, for GeoJSON to name."),
     ] = None,
     at: Annotated[
         str | None,

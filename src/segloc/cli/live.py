@@ -11,13 +11,16 @@ import typer
 
 from .options import (
     ConfigFile,
+    Degrees,
     Deskew,
     Level,
+    Metres,
     Odometry,
     Recording,
     Select,
     Threads,
     Topic,
+    Truth,
     Weights,
     open_localizer,
 )
@@ -34,18 +37,20 @@ def live(
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
     poses: Annotated[
         Path | None,
-        typer.Option(help="TUM or KITTI, in any frame: the odometry. By default the recording's."),
+        typer.Option(
+            metavar="FILE",
+            help="TUM or KITTI, in any frame: the odometry. By default the recording's.",
+        ),
     ] = None,
     select: Select = None,
-    truth: Annotated[
-        Path | None, typer.Option(help="True poses in the map's frame, to score against.")
-    ] = None,
-    tolerance_m: Annotated[float, typer.Option(min=0, help="Farther off is false.")] = 2.0,
-    tolerance_deg: Annotated[float, typer.Option(min=0, help="Turned further is false.")] = 10.0,
+    truth: Truth = None,
+    tolerance_m: Metres = 2.0,
+    tolerance_deg: Degrees = 10.0,
     rate: Annotated[
         float,
         typer.Option(
             min=0,
+            metavar="FACTOR",
             help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
         ),
     ] = 0.0,

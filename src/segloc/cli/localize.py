@@ -10,9 +10,11 @@ import typer
 from .options import (
     Anywhere,
     ConfigFile,
+    Degrees,
     Deskew,
     Every,
     Level,
+    Metres,
     Near,
     Odometry,
     Poses,
@@ -21,6 +23,7 @@ from .options import (
     Select,
     Threads,
     Topic,
+    Truth,
     Weights,
     check_every,
     opened_map,
@@ -43,12 +46,6 @@ Debug = Annotated[
     bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="All of it on stdout, for programs.")]
-Truth = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
-]
-Metres = Annotated[float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")]
-Degrees = Annotated[float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")]
 
 
 def localize(
@@ -105,9 +102,8 @@ def localize(
     positions = _positions(recording, truths, every, gap)
     with progress("Localizing") as update:
         results, kept = _answers(localizer, recording, positions, update, debug, prior_position)
-    known = None if truths is None else truths[positions]
+    known, indices = None if truths is None else truths[positions], recording.indices[positions]
     tolerance = Tolerance(tolerance_m, tolerance_deg)
-    indices = recording.indices[positions]
     evaluation = Evaluation(indices, results, prior.trajectory, known, tolerance)
     if out is not None:
         write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)

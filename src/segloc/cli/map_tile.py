@@ -9,7 +9,7 @@ import typer
 
 
 def tile(
-    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap")],
+    prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     out: Annotated[
         str, typer.Option(metavar="DIR_OR_URL", help="Where to; tiles that are the same stay.")
     ],

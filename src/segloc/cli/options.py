@@ -84,6 +84,13 @@ Anywhere = Annotated[
     bool, typer.Option("--anywhere", help="Search all of the map for what is not found near.")
 ]
 
+Truth = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
+]
+Metres = Annotated[float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")]
+Degrees = Annotated[float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")]
+
 
 def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | None:
     """The prior of --near and --radius."""
