@@ -14,6 +14,7 @@ pytest.importorskip("embreex")
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SAYS = {
     "localize": r"(scan \d+: x .*\n){6}",
+    "loops": r"drive.g2o: \d+ poses, \d+ loops, the last [01]\.\d\d m off\n\Z",
     "own_descriptor": r"found [5-8] of 8\n",
     "track": r"sure, by \d+ views\n\Z",
 }
