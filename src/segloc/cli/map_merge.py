@@ -21,12 +21,13 @@ def merge(
     """Merge maps of one place that share their frame; what they have in common is kept once."""
     from ..errors import ConfigError
     from ..map.segment_map import SegmentMap
+    from .console import busy
     from .map_info import show
     from .saving import writing
 
     if len(maps) < 2:
         raise ConfigError("merging needs two maps or more")
-    with writing(out):
+    with writing(out), busy("Merging"):
         prior_map = _merged([SegmentMap.load(path) for path in maps], maps, elsewhere)
         prior_map.save(out)
     show(prior_map, str(out))
