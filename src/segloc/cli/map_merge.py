@@ -23,12 +23,13 @@ def merge(
     from ..errors import ConfigError
     from ..map.compact import compacted
     from ..map.segment_map import SegmentMap
+    from .console import busy
     from .map_info import show
     from .saving import writing
 
     if len(maps) < 2:
         raise ConfigError("merging needs two maps or more")
-    with writing(out):
+    with writing(out), busy("Merging"):
         prior_map = _merged([SegmentMap.load(path) for path in maps], maps, elsewhere)
         prior_map = compacted(prior_map, map_config(prior_map).mapping.compact)
         prior_map.save(out)

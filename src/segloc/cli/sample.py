@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from ..simulation import SimulatedSequence
 
-SIZE_M, LENGTH_M = 220.0, 240.0
+SIZE_M, ELSEWHERE_SIZE_M, LENGTH_M = 180.0, 120.0, 160.0
 MAP_EVERY_M, QUERY_EVERY_M = 2.0, 10.0
 ELSEWHERE = 1000  # added to the seed: another town
 _COMMANDS = """
@@ -36,8 +36,7 @@ def sample(
     """Write a small simulated recording to map, and scans to find in it: no data to download.
 
     DIR/monday is a drive with an HDL-32E; DIR/tuesday are scans of another day by an OS1-64, in
-    autumn, with other cars, some of them taken where monday never was; DIR/elsewhere.npy is a scan
-    of another town.
+    autumn, with other cars, partly off monday's way; DIR/elsewhere.npy is a scan of another town.
     """
     from ..io import write_scan
     from ..simulation import record
@@ -60,7 +59,7 @@ def drives(seed: int) -> tuple[SimulatedSequence, SimulatedSequence, SimulatedSe
     from ..simulation import Conditions, car, hdl32e, os1_64, simulate_sessions
     from ..simulation.worlds.town import town
 
-    here, there = town(seed, size_m=SIZE_M), town(seed + ELSEWHERE, size_m=SIZE_M)
+    here, there = town(seed, size_m=SIZE_M), town(seed + ELSEWHERE, size_m=ELSEWHERE_SIZE_M)
     days = [Conditions(), Conditions(foliage=0.5, replaced=0.15)]
     monday = simulate_sessions(
         here,

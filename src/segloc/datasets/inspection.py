@@ -13,7 +13,7 @@ from ..errors import DatasetError
 from ..types import Float64, Int64, Scan
 from .recorded import times_fit
 from .signature import Signature, signature
-from .tracks import Track
+from .tracks import LONGEST_GAP_S, Track
 
 _FASTEST_M_S = 60.0
 _ODD_SIZE = 3.0  # times more or fewer points than the median
@@ -200,9 +200,9 @@ def _time_problems(recording: Inspectable) -> list[str]:
     if (steps <= 0).any():
         problems.append(f"times do not rise behind scan {_number(recording, steps <= 0)}")
     long = steps > 3 * np.median(steps)
-    if recording.poses is not None:  # who stands still misses nothing
+    if recording.poses is not None:  # who is slow for a moment misses nothing
         ways = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
-        long &= ways > 3 * np.median(ways)
+        long &= (ways > 3 * np.median(ways)) | (steps > LONGEST_GAP_S)
     if long.any():
         problems.append(
             f"{int(long.sum())} gaps in time, the longest {steps[long].max():.2f} s "
