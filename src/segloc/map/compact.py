@@ -18,7 +18,7 @@ from .voxel_cloud import VoxelCloud
 
 CENTROID_EXPONENT, QUALITY_EXPONENT = -6, -6
 """Centroids are kept to 1/64 m, qualities to 1/64."""
-SIZE_BITS = 4
+SIZE_BITS = 3
 """Numbers of points are kept to so many binary digits."""
 POSITION_EXPONENT, ROTATION_EXPONENT = -7, -12
 """Positions of the path are kept to 1/128 m, entries of its rotations to 1/4096."""

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..types import Float64, Int64
 from .voxel_cloud import VoxelCloud
 
 Array = NDArray[Any]
 Key = tuple[bytes, int]
+
+_SAME_M, _SAME_SHARE = 1.0, 0.5
 
 TEXT_SEPARATOR = "\n---\n"
 """Between the texts of maps that were merged."""
@@ -33,7 +36,7 @@ def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) ->
     names = sorted(mine.keys() - {"session", "missed"})
     my_row, their_row = (_rows([part[name] for name in names]) for part in (mine, theirs))
     twin = _twins(my_row, their_row)
-    theirs = {**theirs, "session": _renumbered(mine["session"], theirs["session"], twin)}
+    theirs = {**theirs, "session": _renumbered(mine, theirs, twin)}
     missed = mine["missed"].copy()
     np.maximum.at(missed, twin[twin >= 0], theirs["missed"][twin >= 0])
     mine = {**mine, "missed": missed}
@@ -83,14 +86,38 @@ def _twins(mine: list[Key], theirs: list[Key]) -> Int64:
     return np.array([index.get(key, -1) for key in theirs], dtype=np.int64)
 
 
-def _renumbered(mine: Array, theirs: Array, twin: Int64) -> Array:
-    free = _free_numbers(mine)
-    renumbered = np.empty_like(theirs)
-    for session in np.unique(theirs):
-        rows = theirs == session
+def _renumbered(mine: Mapping[str, Array], theirs: Mapping[str, Array], twin: Int64) -> Array:
+    numbers = theirs["session"]
+    free = _free_numbers(mine["session"])
+    renumbered = np.empty_like(numbers)
+    for session in np.unique(numbers):
+        rows = numbers == session
         twins = twin[rows & (twin >= 0)]
-        renumbered[rows] = mine[twins].min() if len(twins) else next(free)
+        known = len(twins) and _is_known(mine, theirs, rows, twin)
+        renumbered[rows] = mine["session"][twins].min() if known else next(free)
     return renumbered
+
+
+def _is_known(
+    mine: Mapping[str, Array], theirs: Mapping[str, Array], rows: Array, twin: Int64
+) -> bool:
+    """Whether twins are of one session, not of two that saw a place alike.
+
+    Rounded rows of two sessions may be the same by chance where their stamps are scan numbers. Of
+    one session, nearly all rows are the same that have the same stamp and lie at the same place.
+    """
+    stamps = np.unique(mine["stamps"])
+    again = rows & np.isin(theirs["stamps"], stamps)
+
+    def places(columns: Mapping[str, Array], chosen: Any) -> Float64:
+        views = np.searchsorted(stamps, columns["stamps"][chosen]) * (10.0 * _SAME_M)
+        found: Float64 = np.column_stack([columns["centroids"][chosen], views])
+        return found
+
+    tree = cKDTree(places(mine, slice(None)))
+    distances, _ = tree.query(places(theirs, again), distance_upper_bound=_SAME_M)
+    near = np.isfinite(distances)
+    return bool((twin[again][near] >= 0).mean() >= _SAME_SHARE)
 
 
 def _free_numbers(taken: Array) -> Iterator[int]:
