@@ -67,7 +67,7 @@ class Localizer:
         if not isinstance(prior_map, SegmentMap):
             raise ConfigError(
                 f"a Localizer needs a SegmentMap, not {type(prior_map).__name__}: "
-                "load one by SegmentMap.load(path)"
+                "load one by SegmentMap.load(path); tiles are for a segloc.tiles.TiledLocalizer"
             )
         config, self.notes = query_config(prior_map, config)
         threads = config.threads
