@@ -82,8 +82,9 @@ class Question:
 
     Attributes
     ----------
-    scans : Scans, LocalCloud or None
-        None where nothing is searched for: the track is only checked.
+    search : bool
+        Whether the place is searched for; otherwise the track is only checked.
+    scans : Scans or LocalCloud
     newest : Scan, LocalCloud or None
         What the track is checked by.
     T_odom_sensor : (4, 4) float64
@@ -95,7 +96,8 @@ class Question:
         Grows where the frame of the odometry changes: older answers are not taken.
     """
 
-    scans: Scans | LocalCloud | None
+    search: bool
+    scans: Scans | LocalCloud
     newest: Scan | LocalCloud | None
     T_odom_sensor: Pose
     T_map_odom: Pose | None
@@ -106,10 +108,9 @@ class Question:
 class Tracker:
     """Localizes a robot over successive queries.
 
-    A single query that passes all gates of verification is believed at once. A pose that is only
-    likely is kept: those on which views from different positions agree are believed. The newest
-    scan is compared with the map at the pose of the track, too. A track survives queries that find
-    nothing, for ``memory_m`` of travel, and ends once the map contradicts it twice in a row.
+    A query that passes all gates is believed at once. Poses that are only likely are kept until
+    views from different positions agree on one. A track survives queries that find nothing, for
+    ``memory_m`` of travel, and ends once the map contradicts it twice in a row.
 
     Parameters
     ----------
@@ -194,20 +195,18 @@ class Tracker:
         if not search and (track is None or self.travelled - self._checked < self.config.check_m):
             return None
         self._checked = self.travelled
-        cloud: Scans | LocalCloud | None = None
-        if search:
-            self._queried = self.travelled
-            cloud = scans if self.rolling is None else self.rolling.cloud()
+        cloud = self.rolling.cloud() if search and self.rolling is not None else scans
+        self._queried = self.travelled if search else self._queried
         expected = None if track is None else track.T_map_odom
-        return Question(cloud, newest_alone(scans, T), T, expected, self.travelled, self._epoch)
+        newest = newest_alone(scans, T)
+        return Question(search, cloud, newest, T, expected, self.travelled, self._epoch)
 
     def ask(self, question: Question, deadline_ms: float | None = None) -> View:
         """The second third, and nearly all of the work; it changes nothing in the tracker.
 
-        Where several places look alike, the query says nothing: such views agree with one another
-        at wrong places, too, all along a street.
+        Where places look alike it says nothing: such views agree at wrong places, too.
         """
-        if question.scans is None:
+        if not question.search:
             return self._checked_by(question, None)
         times = StageTimes(self.localizer.clock)
         query = self.localizer.describe(question.scans, times)
