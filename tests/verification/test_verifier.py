@@ -22,6 +22,8 @@ from segloc._native import PointIndex, VisibilityCheck
 from segloc.config import differences
 from segloc.errors import WeightsError
 from segloc.localization import Reason
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
 from segloc.matching import MatchingConfig
 from segloc.occupancy import OccupancyConfig
 from segloc.types import Descriptors, Float32, Float64, Int64, Pose
@@ -297,7 +299,9 @@ def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str
 
 
 def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) -> None:
-    prior_map = build_map(PlazaSequence(plaza, steps=6), Config.preset("geo"))
+    every_view = MappingConfig(compact=CompactConfig(enabled=False))
+    config = Config.preset("geo").model_copy(update={"mapping": every_view})
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
     scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
     rng = np.random.default_rng(0)
     # The nearest is hardly ever right:
