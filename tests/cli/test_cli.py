@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -212,6 +213,13 @@ def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_pa
     capsys.readouterr()
     assert run("--version") == 0
     assert re.fullmatch(r"segloc \d+\.\d+\.\d+\n", capsys.readouterr().out)
+    for order in (("--version", "--verbose"), ("--verbose", "--version")):
+        assert run(*order) == 0
+        first, python, machine, *others = capsys.readouterr().out.splitlines()
+        assert first.startswith("segloc ") and platform.python_version() in python
+        assert "cores" in machine and f"numpy {np.__version__}" in others
+        assert not any(line.startswith("pytest") for line in others)
+    assert run("--verbose") == 2
 
 
 @pytest.mark.slow

@@ -97,22 +97,29 @@ def _add_plugins() -> None:
 _add_plugins()
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        from .._native import __version__  # also proves that the native module loads
-
-        print(f"segloc {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
+@app.callback(invoke_without_command=True)
 def root(
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_print_version, is_eager=True, help="Print it."),
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print it.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="With --version: all that a report of a fault needs.")
     ] = False,
 ) -> None:
-    pass
+    if version:
+        _print_version(verbose)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        context.fail("Missing command.")
+
+
+def _print_version(verbose: bool) -> None:
+    from .._native import __version__  # also proves that the native module loads
+
+    print(f"segloc {__version__}")
+    if verbose:
+        from ..system import versions
+
+        print("\n".join(versions()))
 
 
 def main() -> None:
