@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test quick test-lowest test-newest fuzz evaluate lint wheel-check clean
+.PHONY: demo test quick test-lowest test-newest fuzz evaluate lint docs wheel-check clean
 .PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
 demo: $(VENV)/.demo
@@ -55,6 +55,11 @@ SECONDS ?= 60
 
 fuzz: $(VENV)/.fuzz
 	$(BIN)/python tests/fuzz/run.py $(SECONDS)
+
+# The documentation site, into build/site/html; a link that leads nowhere is an error.
+docs: $(VENV)/.dev
+	$(BIN)/python docs/site.py
+	$(BIN)/zensical build --strict --clean
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

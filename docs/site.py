@@ -1,0 +1,124 @@
+"""Gather the pages of the documentation site: those that are written, and those read off the code.
+
+python docs/site.py    # into build/site/pages; `make docs` then builds them
+
+Links to what is no page, such as source files, become plain text.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+import segloc
+from segloc.cli import app
+from segloc.config import Config
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ROOT / "build" / "site" / "pages"
+MOVED = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "SECURITY.md": "security.md",
+}
+LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
+
+
+def written() -> dict[Path, Path]:
+    """The pages and pictures that are kept, and where each goes."""
+    found = {ROOT / name: PAGES / page for name, page in MOVED.items()}
+    for path in sorted((ROOT / "docs").rglob("*")):
+        if path.suffix in (".md", ".png", ".svg", ".webp"):
+            found[path] = PAGES / path.relative_to(ROOT / "docs")
+    return found
+
+
+def relinked(text: str, page: Path, places: dict[Path, Path]) -> str:
+    """A page whose links lead to the places of the site."""
+
+    def link(match: re.Match[str]) -> str:
+        mark, label, target = match.groups()
+        if "://" in target or target.startswith(("#", "mailto:")):
+            return match[0]
+        path, hash_, anchor = target.partition("#")
+        goal = (page.parent / path).resolve()
+        goal = goal / "README.md" if goal.is_dir() else goal
+        if goal not in places:
+            return label
+        relative = os.path.relpath(places[goal], places[page].parent)
+        return f"{mark}[{label}]({relative}{hash_}{anchor})"
+
+    return LINK.sub(link, text)
+
+
+def commands(command: Any, name: str) -> Iterator[str]:
+    """A section for every verb: what it does, its arguments and options."""
+    if name != "segloc":
+        yield f"\n## {name}\n\n{command.help or ''}\n"
+    if hasattr(command, "commands"):
+        for verb in command.list_commands(None):
+            yield from commands(command.commands[verb], f"{name} {verb}")
+        return
+    yield "\n| argument or option | default | what |\n|---|---|---|\n"
+    for option in command.params:
+        if option.name != "help":
+            yield f"| {_names(option)} | {_default(option)} | {_cell(option.help or '')} |\n"
+
+
+def _names(option: Any) -> str:
+    value = "" if getattr(option, "is_flag", False) else f" {option.metavar or ''}"
+    names = option.opts if option.param_type_name == "option" else []
+    return f"`{_cell((', '.join(names) + value).strip())}`"
+
+
+def _default(option: Any) -> str:
+    if option.required:
+        return "needed"
+    default = option.default
+    empty = default is None or default is False or default == "" or callable(default)
+    return "" if empty else f"`{_cell(str(default))}`"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def configuration() -> str:
+    """Every key, with its default and what it means."""
+    text = Config.load(None, None).explained(True)
+    head = "# Configuration\n\nWhat `segloc config --all` prints: every key with its default.\n"
+    return f"{head}\n```yaml\n{text.rstrip()}\n```\n"
+
+
+def api() -> str:
+    """The public names, by their docstrings."""
+    names = sorted(name for name in segloc.__all__ if not name.startswith("_"))
+    sections = [f"\n::: segloc.{name}\n" for name in names]
+    return "# Python\n\nWhat `import segloc` brings.\n" + "".join(sections)
+
+
+def main() -> None:
+    shutil.rmtree(PAGES, ignore_errors=True)
+    places = written()
+    for source, goal in places.items():
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        if source.suffix == ".md":
+            goal.write_text(relinked(source.read_text("utf-8"), source, places), "utf-8")
+        else:
+            shutil.copy(source, goal)
+    root: Any = typer.main.get_command(app)
+    text = "# Commands\n\nEvery verb has `--help`.\n" + "".join(commands(root, "segloc"))
+    (PAGES / "commands.md").write_text(text, "utf-8")
+    (PAGES / "configuration.md").write_text(configuration(), "utf-8")
+    (PAGES / "api.md").write_text(api(), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
