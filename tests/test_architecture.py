@@ -67,6 +67,7 @@ PACKAGES = {
     "matplotlib": "pictures batch explanation",
     "viser": "explanation",
     "fsspec": "tiles",
+    "distributed": "processes",
     "typer": "cli",
     "rich": "cli",
 }

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
-from .errors import SeglocError
+from .errors import MissingDependency, SeglocError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -117,3 +117,39 @@ def in_parallel(
         finally:
             for future in futures:
                 future.cancel()  # after a fault the rest would be done in vain
+
+
+@contextmanager
+def cluster(address: str, timeout_s: float = 20.0) -> Iterator[Executor]:
+    """What runs tasks on a Dask cluster; a task whose worker is lost is done again.
+
+    Raises
+    ------
+    MissingDependency
+        If Dask is not installed.
+    SeglocError
+        If no scheduler answers there.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise MissingDependency("distributed", "cluster", "a Dask cluster") from error
+    try:
+        client = Client(address, timeout=timeout_s)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise SeglocError(f"{address}: no Dask scheduler answers there") from error
+    with client:
+        yield client.get_executor(pure=False, retries=3)
+
+
+@contextmanager
+def executing(workers: int, address: str | None) -> Iterator[Executor | None]:
+    """Several processes, or a cluster; None where this process is to do it."""
+    if address is not None:
+        with cluster(address) as executor:
+            yield executor
+    elif workers > 1:
+        with single_threaded_pool(workers) as pool:
+            yield pool
+    else:
+        yield None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +10,7 @@ import typer
 
 from .options import (
     Anywhere,
+    Cluster,
     ConfigFile,
     Degrees,
     Deskew,
@@ -25,13 +27,16 @@ from .options import (
     Topic,
     Truth,
     Weights,
+    Workers,
     check_every,
     opened_map,
     parsed_prior,
 )
 
 if TYPE_CHECKING:
-    from ..batch.score import Evaluation
+    from concurrent.futures import Executor
+
+    from ..batch.score import Evaluation, Tolerance
     from ..localization import Localization
     from ..localizer import Localizer
     from ..prior import Prior
@@ -73,22 +78,25 @@ def localize(
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
+    workers: Workers = 1,
+    cluster: Cluster = None,
 ) -> None:
     """Find a scan, or each of a recording, in a map: without an initial guess.
 
     With poses, a query is a cloud gathered over the path behind it; otherwise one scan. Prints the
     pose and how sure it is, or why there is none.
     """
-    from ..batch.score import Evaluation, Tolerance
+    from ..batch.score import Tolerance
     from ..datasets import poses_at
+    from ..processes import executing
     from .console import busy, note, progress
     from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
-    from .results import print_json, write_results
+    from .results import write_results
 
     check_every(every)
-    prior_position = parsed_prior(near, radius, anywhere)
-    _check_out(out, debug)
+    place = parsed_prior(near, radius, anywhere)
+    _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
         localizer, prior, name = opened_map(prior_map, config, threads, weights)
     mount = localizer.config.local_cloud.mount
@@ -98,24 +106,20 @@ def localize(
     recording = levelled_poses(recording, localizer.config.local_cloud, level)
     T = place_of_sensor(mount)
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
-    gap = localizer.config.local_cloud.max_gap_m
-    positions = _positions(recording, truths, every, gap)
-    with progress("Localizing") as update:
-        results, kept = _answers(localizer, recording, positions, update, debug, prior_position)
-    known, indices = None if truths is None else truths[positions], recording.indices[positions]
+    positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
+    asked = _Asked(localizer, prior_map, recording, positions, place)
+    with progress("Localizing") as update, executing(workers, cluster) as executor:
+        results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
-    evaluation = Evaluation(indices, results, prior.trajectory, known, tolerance)
+    evaluation = asked.scored(results, prior.trajectory, truths, tolerance)
     if out is not None:
         write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)
-    if json:
-        print_json(evaluation)
-    else:
-        _show_all(evaluation, f"{recording.name} in {name}")
+    _show_all(evaluation, f"{recording.name} in {name}", json)
     if line := hint(recording, results, localizer.config.local_cloud):
         note(line)
 
 
-def _check_out(out: Path | None, debug: bool) -> None:
+def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
     from ..errors import ConfigError
     from .results import check_folder
 
@@ -123,43 +127,76 @@ def _check_out(out: Path | None, debug: bool) -> None:
         check_folder(out)
     elif debug:
         raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
+    if debug and not alone:
+        raise ConfigError("--debug keeps more than workers hand back: leave one of them out")
 
 
-def _answers(
-    localizer: Localizer | TiledLocalizer,
-    recording: Scans,
-    positions: Int64,
-    update: Update,
-    debug: bool,
-    near: Prior | None,
-) -> tuple[list[Localization], dict[str, bytes]]:
-    """The answers, and with ``debug`` files of what each stage made of each query."""
-    from ..batch.run import localize_sequence, query_clouds
+@dataclass(frozen=True)
+class _Asked:
+    """Queries of a recording, and where they are localized."""
 
-    if not debug:
-        return localize_sequence(localizer, recording, positions, update, near), {}
+    localizer: Localizer | TiledLocalizer
+    where: str
+    recording: Scans
+    positions: Int64
+    near: Prior | None
+
+    def by(self, executor: Executor | None, update: Update) -> list[Localization]:
+        """The answers, made here or by others."""
+        from ..batch.parts import localize_parts
+        from ..batch.run import localize_sequence
+
+        recording, positions, near = self.recording, self.positions, self.near
+        if executor is None:
+            return localize_sequence(self.localizer, recording, positions, update, near)
+        config = self.localizer.config
+        return localize_parts(self.where, config, recording, positions, executor, update, near)
+
+    def scored(
+        self,
+        results: list[Localization],
+        path: Float64,
+        truths: Float64 | None,
+        tolerance: Tolerance,
+    ) -> Evaluation:
+        """The answers beside the truth, where it is known."""
+        from ..batch.score import Evaluation
+
+        known = None if truths is None else truths[self.positions]
+        indices = self.recording.indices[self.positions]
+        return Evaluation(indices, results, path, known, tolerance)
+
+
+def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
+    """The answers, and files of what each stage made of each query."""
+    from ..batch.run import query_clouds
     from ..errors import ConfigError
     from ..explanation import trace
     from ..explanation.results import DEBUG
     from ..explanation.seen import packed, seen
     from ..localizer import Localizer
 
+    localizer, recording = asked.localizer, asked.recording
     if not isinstance(localizer, Localizer):
         raise ConfigError("--debug needs a map file: what tiles hold is not kept")
     results, kept = [], {}
-    clouds = query_clouds(recording, positions, localizer.config, localizer.clock)
-    for index, (cloud, times) in zip(recording.indices[positions], clouds, strict=True):
-        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
+    clouds = query_clouds(recording, asked.positions, localizer.config, localizer.clock)
+    for index, (cloud, times) in zip(recording.indices[asked.positions], clouds, strict=True):
+        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, asked.near)
         results.append(found.result)
         kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
-        update(len(results), len(positions))
+        update(len(results), len(asked.positions))
     return results, kept
 
 
-def _show_all(evaluation: Evaluation, title: str) -> None:
+def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:
     """Each answer, and of several a summary."""
     from .answers import show_answers
+    from .results import print_json
 
+    if json:
+        print_json(evaluation)
+        return
     show_answers(evaluation, title)
     if len(evaluation) > 1 or evaluation.truths is not None:
         show(evaluation.summary(), title)

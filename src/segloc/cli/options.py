@@ -66,6 +66,16 @@ Threads = Annotated[
     int,
     typer.Option(min=0, metavar="COUNT", help="0: all cores. Results do not depend on it."),
 ]
+Workers = Annotated[
+    int, typer.Option(min=1, metavar="COUNT", help="Processes, with one thread each.")
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Do it on a Dask cluster, tcp://host:8786, whose workers see the same files.",
+    ),
+]
 MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
 Elsewhere = Annotated[
     bool, typer.Option("--elsewhere", help="What is added may be of another place in the frame.")

@@ -1,0 +1,115 @@
+"""A recording localized part by part, by whatever executes tasks: processes, or a cluster."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ..config import Config
+from ..errors import SeglocError
+from ..localization import Localization
+from ..localizer import Localizer
+from ..map.segment_map import SegmentMap
+from ..prior import Prior
+from ..tiles import TiledLocalizer, TiledMap
+from ..types import Int64, Recording
+from .run import localize_sequence
+
+QUERIES = 16
+"""Of a part: enough that windows of neighbouring queries share their work."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where queries are localized, in few bytes: each process opens it once a run.
+
+    Attributes
+    ----------
+    where : str
+        A map file, or the folder or URL of tiles.
+    config : Config
+    run : str
+        Another one for every run: maps may be replaced in between.
+    """
+
+    where: str
+    config: Config
+    run: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some queries of a recording: a task that can be done again, and gives the same."""
+
+    place: Place
+    recording: Recording
+    positions: Int64
+    near: Prior | None
+
+
+@lru_cache(maxsize=2)
+def _opened(place: Place) -> Localizer | TiledLocalizer:
+    if "://" not in place.where and not Path(place.where).is_dir():
+        return Localizer(SegmentMap.load(place.where), place.config)
+    return TiledLocalizer(TiledMap(place.where), place.config)
+
+
+def _localized(part: Part) -> list[Localization]:
+    localizer = _opened(part.place)
+    return localize_sequence(localizer, part.recording, part.positions, near=part.near)
+
+
+def localize_parts(
+    where: str,
+    config: Config,
+    recording: Recording,
+    positions: Int64,
+    executor: Executor,
+    progress: Callable[[int, int], None] | None = None,
+    near: Prior | None = None,
+) -> list[Localization]:
+    """Localize the scans at some positions of a recording, whoever does it.
+
+    Poses, confidences and reasons are those of :func:`segloc.batch.run.localize_sequence`, to the
+    last bit; each process uses one thread.
+
+    Parameters
+    ----------
+    where : str
+        A map file, or the folder or URL of tiles, that every process can open.
+    config : Config
+    recording : Recording
+        Can be pickled; its files are read where the tasks are done.
+    positions : (Q,) int64
+    executor : Executor
+        Of processes, threads, or a cluster.
+
+    Raises
+    ------
+    SeglocError
+        What localizing raises; and if a process was ended and its tasks are not done again.
+    """
+    place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
+    chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
+    parts = [Part(place, recording, chunk, near) for chunk in chunks]
+    futures = [executor.submit(_localized, part) for part in parts]
+    done = 0
+    try:
+        for future in as_completed(futures):
+            done += len(future.result())
+            if progress:
+                progress(done, len(positions))
+    except BrokenExecutor as error:
+        raise SeglocError(
+            "a worker process was ended, most likely because memory ran out: try fewer workers"
+        ) from error
+    finally:
+        for future in futures:
+            future.cancel()  # after a fault the rest would be done in vain
+    return [result for future in futures for result in future.result()]

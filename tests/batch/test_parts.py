@@ -1,0 +1,131 @@
+"""Queries localized part by part elsewhere are answered as they are here."""
+
+from __future__ import annotations
+
+import os
+import signal
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, Localization, Localizer, Prior, SeglocError, build_map
+from segloc.batch import parts
+from segloc.batch.parts import localize_parts
+from segloc.batch.run import localize_sequence
+from segloc.processes import cluster, executing, single_threaded_pool
+
+GEO = Config.preset("geo").model_copy(update={"threads": 1})
+COUNT = 24
+
+
+@pytest.fixture(scope="module")
+def place(plaza: Plaza, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("parts") / "plaza.segmap"
+    build_map(PlazaSequence(plaza, steps=6), GEO).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def drive(plaza: Plaza) -> PlazaSequence:
+    return PlazaSequence(plaza, steps=COUNT)
+
+
+@pytest.fixture(scope="module")
+def expected(place: Path, drive: PlazaSequence) -> list[Localization]:
+    from segloc import SegmentMap
+
+    return localize_sequence(Localizer(SegmentMap.load(place), GEO), drive, np.arange(COUNT))
+
+
+def same(found: list[Localization], expected: list[Localization]) -> bool:
+    pairs = zip(found, expected, strict=True)
+    return all(
+        np.array_equal(a.T_map_sensor, b.T_map_sensor)
+        if a.localized and b.localized
+        else (a.localized, a.message, a.confidence) == (b.localized, b.message, b.confidence)
+        for a, b in pairs
+    )
+
+
+def test_any_executor_gives_the_same(
+    place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parts, "QUERIES", 5)
+    said: list[tuple[int, int]] = []
+    assert any(each.localized for each in expected)
+    with ThreadPoolExecutor(2) as threads, single_threaded_pool(2) as processes:
+        for executor in (threads, processes):
+            found = localize_parts(
+                str(place), GEO, drive, np.arange(COUNT), executor, lambda *at: said.append(at)
+            )
+            assert same(found, expected)
+    assert said[-1] == (COUNT, COUNT)
+
+
+def test_parts_know_the_prior_and_their_faults(place: Path, drive: PlazaSequence) -> None:
+    far = Prior((500.0, 500.0), 20.0)
+    with ThreadPoolExecutor(1) as executor:
+        found = localize_parts(str(place), GEO, drive, np.arange(3), executor, near=far)
+        assert not any(each.localized for each in found)
+        assert localize_parts(str(place), GEO, drive, np.arange(0), executor) == []
+        with pytest.raises((SeglocError, OSError)):
+            localize_parts(str(place) + ".lost", GEO, drive, np.arange(3), executor)
+
+
+class Killing(Executor):
+    """Ends the process of every task."""
+
+    def __init__(self, pool: Executor) -> None:
+        self._pool = pool
+
+    def submit(self, fn: Any, /, *given: Any, **named: Any) -> Future[Any]:
+        return self._pool.submit(_die)
+
+
+def _die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_process_that_is_ended_is_said(place: Path, drive: PlazaSequence) -> None:
+    with (
+        single_threaded_pool(1) as pool,
+        pytest.raises(SeglocError, match="fewer workers"),
+    ):
+        localize_parts(str(place), GEO, drive, np.arange(3), Killing(pool))
+
+
+def test_who_does_it() -> None:
+    with executing(1, None) as nobody:
+        assert nobody is None
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(SeglocError, match="no Dask scheduler"),
+        cluster("tcp://127.0.0.1:1", timeout_s=1.0),
+    ):
+        pass
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_gives_the_same(
+    place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(parts, "QUERIES", 2)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as local:
+        pids = [worker.process.pid for worker in local.workers.values()]
+        with cluster(local.scheduler_address) as executor:
+
+            def kill_one(done: int, _: int) -> None:
+                if pids and done:
+                    os.kill(pids.pop(), signal.SIGKILL)
+                    pids.clear()
+
+            found = localize_parts(str(place), GEO, drive, np.arange(COUNT), executor, kill_one)
+    assert not pids and same(found, expected)
