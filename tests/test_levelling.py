@@ -150,7 +150,8 @@ def test_a_town_mapped_by_a_leaning_odometry() -> None:
     T_map_odom = np.array(json.loads(prior_map.metadata["T_map_odom"]))
     T_map_world = T_map_odom @ T_odom_world
     assert angle_deg(T_map_world[:3, :3] @ Z, Z) < 0.3
-    np.testing.assert_allclose(prior_map.trajectory, T_map_odom @ mapped.poses, atol=1e-9)
+    # A compact map keeps its path in steps of a centimetre or two, and of a thousandth.
+    np.testing.assert_allclose(prior_map.trajectory, T_map_odom @ mapped.poses, atol=0.02)
     assert "frame" not in build_map(drive, config).metadata
     again = simulate_session(world, 1, Route(nodes, 0.2, 9.0, 150.0), sensor, 1)
     localizer = Localizer(prior_map)
@@ -194,7 +195,7 @@ def test_the_command_line_says_that_a_map_leans(
     assert "tilted by 4.0 degrees, as walls show" in said
     assert "15 estimated; tilt" in run("info", str(folder))
     said = run("localize", str(folder), "--map", "level.segmap", "--out", "found", "--select", "7")
-    assert "1 estimated" in said
+    assert "localized at x" in said
     again = ("localize", str(folder), "--map", "level.segmap", "--poses", "poses.tum")
     again = (*again, "--select", "7:9", "--out", "found")
     assert "degrees off vertical: --level turns them" in run(*again)

@@ -379,7 +379,7 @@ def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
     code = (
         "import signal, sys; from segloc import cli, localizer\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "def stop(*_): signal.raise_signal(signal.SIGINT)\n"
+        "def stop(*_, **__): signal.raise_signal(signal.SIGINT)\n"
         "localizer.Localizer.locate = stop\n"
         "cli.main()"
     )

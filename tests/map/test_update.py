@@ -14,6 +14,8 @@ from segloc.alignment import Reposed
 from segloc.cli import main
 from segloc.errors import DatasetError, MapMismatch
 from segloc.io import Trajectory, write_scan, write_tum
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
 from segloc.map.update import UpdateConfig, update_map
 from segloc.map.visibility import visibility
 from segloc.simulation import (
@@ -30,7 +32,8 @@ from segloc.types import Descriptors, Float64
 
 pytestmark = pytest.mark.slow
 
-CONFIG = Config(threads=1)
+# With every view, so that there is much to count.
+CONFIG = Config(threads=1, mapping=MappingConfig(compact=CompactConfig(enabled=False)))
 REPLACED = Conditions(replaced=0.6)
 
 

@@ -21,6 +21,8 @@ from segloc.batch.report.study import Study, Table
 from segloc.batch.run import localize_sequence
 from segloc.descriptors import create
 from segloc.errors import ConfigError, DatasetError
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
 from segloc.simulation.suites import SUITES
 
 METHOD = "geo"
@@ -53,7 +55,8 @@ def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspa
     """Segments shared by all methods give what a map and a localizer of one method give."""
     opened = SuiteScenario(TINY, "small", 0).open()
     query_set = opened.query_sets["test_0"]
-    config = Config.preset(METHOD).model_copy(update={"threads": 1})
+    every_view = MappingConfig(compact=CompactConfig(enabled=False))  # as studies compare methods
+    config = Config.preset(METHOD).model_copy(update={"threads": 1, "mapping": every_view})
     localizer = Localizer(build_map(opened.map, config), config)
     expected = localize_sequence(localizer, query_set.recording, query_set.positions)
     (found,) = answered(workspace, scenarios(workspace), ready((METHOD,)))

@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from ..simulation import SimulatedSequence
 
-SIZE_M, ELSEWHERE_SIZE_M, LENGTH_M = 180.0, 120.0, 160.0
+SIZE_M, ELSEWHERE_SIZE_M, LENGTH_M = 180.0, 140.0, 160.0
 MAP_EVERY_M, QUERY_EVERY_M = 2.0, 10.0
 ELSEWHERE = 1000  # added to the seed: another town
 _COMMANDS = """

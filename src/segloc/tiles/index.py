@@ -111,11 +111,24 @@ class TileIndex(Section):
         return tuple(t for t in self.tiles if self._distance(t, x, y) <= prior.radius_m)
 
     def at(self, positions: Float64) -> tuple[Tile, ...]:
-        """The tiles that own (N, 2 or 3) positions, in their order, each once."""
+        """The tiles that own (N, 2 or 3) positions, in their order, each once.
+
+        Beside the path there may be no tile: then it is the nearest whose margin reaches there.
+        """
         by_cell = {tile.cell: tile for tile in self.tiles}
-        cells = map(tuple, cells_of(positions, self.size_m).tolist())
-        found = {cell: by_cell[cell] for cell in cells if cell in by_cell}
+        found: dict[tuple[int, int], Tile] = {}
+        for (x, y), cell in zip(positions[:, :2], cells_of(positions, self.size_m), strict=True):
+            own = by_cell.get((int(cell[0]), int(cell[1]))) or self._reaching(x, y)
+            if own is not None:
+                found[own.cell] = own
         return tuple(found.values())
+
+    def _reaching(self, x: float, y: float) -> Tile | None:
+        """The nearest tile whose margin reaches a place."""
+        nearest = min(self.tiles, key=lambda tile: self._distance(tile, x, y), default=None)
+        if nearest is None or self._distance(nearest, x, y) > self.margin_m:
+            return None
+        return nearest
 
     def _distance(self, tile: Tile, x: float, y: float) -> float:
         low = [k * self.size_m for k in tile.cell]
