@@ -7,7 +7,6 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ..localization import Localization
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..tiles import TiledLocalizer, TiledMap
+from ..tiles import TiledLocalizer, TiledMap, holds_tiles
 from ..types import Int64, Recording
 from .run import localize_sequence
 
@@ -55,9 +54,9 @@ class Part:
 
 @lru_cache(maxsize=2)
 def _opened(place: Place) -> Localizer | TiledLocalizer:
-    if "://" not in place.where and not Path(place.where).is_dir():
-        return Localizer(SegmentMap.load(place.where), place.config)
-    return TiledLocalizer(TiledMap(place.where), place.config)
+    if holds_tiles(place.where):
+        return TiledLocalizer(TiledMap(place.where), place.config)
+    return Localizer(SegmentMap.load(place.where), place.config)
 
 
 def _localized(part: Part) -> list[Localization]:

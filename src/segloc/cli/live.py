@@ -150,11 +150,10 @@ def _lines(recording: Scans, played: Replay) -> list[str]:
 
 def _poses(recording: Scans, played: Replay) -> bytes:
     """T_map_sensor by the scans' times, or else by their numbers."""
-    from tempfile import TemporaryDirectory
-
     import numpy as np
 
-    from ..io import Trajectory, write_tum
+    from ..io import Trajectory
+    from .results import tum_bytes
 
     found = {
         position: T
@@ -166,14 +165,12 @@ def _poses(recording: Scans, played: Replay) -> bytes:
     keys = recording.stamps if recording.stamps is not None else recording.indices
     track = np.array([found[k] for k in rows], dtype=np.float64).reshape(-1, 4, 4)
     remark = "" if timed else "no times: the first column holds the scans' numbers"
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "poses.tum"
-        write_tum(path, Trajectory(np.asarray(keys, dtype=np.float64)[rows], track), remark)
-        return path.read_bytes()
+    return tum_bytes(Trajectory(np.asarray(keys, dtype=np.float64)[rows], track), remark)
 
 
 def _show(facts: dict[str, Any], title: str) -> None:
     from .console import number, table
+    from .results import error_rows
 
     taken = f"{facts['scans']}, {facts['dropped']} dropped"
     rows = [("scans", taken), ("travelled", number(facts["travelled_m"], "m", 1))]
@@ -181,10 +178,7 @@ def _show(facts: dict[str, Any], title: str) -> None:
     rows.append(("first fix after", number(facts["first_fix_m"], "m", 1)))
     if facts["false_m"] is not None:
         rows.append(("false track", number(facts["false_m"], "m", 1)))
-        for kind, unit in (("translation", "m"), ("rotation", "deg")):
-            spread = facts[f"{kind}_error_{unit}"]
-            pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"
-            rows.append((f"{kind} error, median / 95 %", pair))
+        rows += error_rows(facts)
     for name, key in (("a scan", "latency_ms"), ("a query or check", "query_ms")):
         times = facts[key]
         pair = f"{number(times['p50'], 'ms', 1)} / {number(times['p99'], 'ms', 1)}"

@@ -226,6 +226,7 @@ def _positions(
 def show(summary: dict[str, Any], title: str) -> None:
     """Print a summary as one table."""
     from .console import number, table
+    from .results import error_rows
 
     sources = ", ".join(f"{count} {name}" for name, count in summary["attitude"].items())
     rows = [("queries", str(summary["queries"])), ("roll and pitch", sources or "-")]
@@ -234,10 +235,7 @@ def show(summary: dict[str, Any], title: str) -> None:
         rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
         found = f"{summary['within_coverage_correct']} of {summary['within_coverage']}"
         rows.append(("correct, of those within map coverage", found))
-        for kind, unit in (("translation", "m"), ("rotation", "deg")):
-            spread = summary[f"{kind}_error_{unit}"]
-            pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"
-            rows.append((f"{kind} error, median / 95 %", pair))
+        rows += error_rows(summary)
     rows.append(("not localized", str(summary["not_localized"])))
     rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]
     rows.append(("time of a query, median", number(summary["ms"]["total"], "ms", 1)))

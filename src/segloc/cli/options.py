@@ -155,11 +155,11 @@ def opened_map(
 ) -> tuple[Localizer | TiledLocalizer, SegmentMap, str]:
     """A localizer in a map file or in tiles, the map (of tiles the thin one), and its name."""
     from ..map.segment_map import SegmentMap
-    from ..tiles import TiledLocalizer, TiledMap
+    from ..tiles import TiledLocalizer, TiledMap, holds_tiles
     from .console import note
 
     name = where.rstrip("/").rsplit("/", 1)[-1]
-    if "://" not in where and not Path(where).is_dir():
+    if not holds_tiles(where):
         prior_map = SegmentMap.load(where)
         return open_localizer(prior_map, path, threads, weights), prior_map, name
     tiles = TiledMap(where)

@@ -6,13 +6,13 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import MissingDependency, SeglocError
 from ..io import Trajectory, write_tum
-from .console import note
+from .console import note, number
 from .saving import write_together
 
 if TYPE_CHECKING:
@@ -58,14 +58,29 @@ def print_json(evaluation: Evaluation) -> None:
 def _contents(evaluation: Evaluation) -> dict[str, bytes]:
     lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
     summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
+    return {
+        "poses.tum": tum_bytes(*_trajectory(evaluation)),
+        "localizations.jsonl": "".join(lines).encode(),
+        "summary.json": summary.encode(),
+    }
+
+
+def tum_bytes(trajectory: Trajectory, remark: str) -> bytes:
+    """What a file of poses holds."""
     with TemporaryDirectory() as folder:
-        poses = Path(folder) / "poses.tum"
-        write_tum(poses, *_trajectory(evaluation))
-        return {
-            "poses.tum": poses.read_bytes(),
-            "localizations.jsonl": "".join(lines).encode(),
-            "summary.json": summary.encode(),
-        }
+        path = Path(folder) / "poses.tum"
+        write_tum(path, trajectory, remark)
+        return path.read_bytes()
+
+
+def error_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Rows of a table: how far off and how far turned the poses are."""
+    rows = []
+    for kind, unit in (("translation", "m"), ("rotation", "deg")):
+        spread = summary[f"{kind}_error_{unit}"]
+        pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"
+        rows.append((f"{kind} error, median / 95 %", pair))
+    return rows
 
 
 def _trajectory(evaluation: Evaluation) -> tuple[Trajectory, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,31 +62,10 @@ def drives(seed: int) -> tuple[SimulatedSequence, SimulatedSequence, SimulatedSe
 
     here, there = town(seed, size_m=SIZE_M), town(seed + ELSEWHERE, size_m=ELSEWHERE_SIZE_M)
     days = [Conditions(), Conditions(foliage=0.5, replaced=0.15)]
-    monday = simulate_sessions(
-        here,
-        hdl32e(700),
-        days[:1],
-        length_m=LENGTH_M,
-        spacing_m=MAP_EVERY_M,
-        seed=seed,
-        platform=car(),
-    )[0]
-    tuesday = simulate_sessions(
-        here,
-        os1_64(512),
-        days,
-        length_m=LENGTH_M,
-        spacing_m=QUERY_EVERY_M,
-        seed=seed,
-        platform=car(),
-    )[1]
-    elsewhere = simulate_sessions(
-        there,
-        os1_64(512),
-        days[:1],
-        length_m=QUERY_EVERY_M,
-        spacing_m=QUERY_EVERY_M,
-        seed=seed,
-        platform=car(),
+    driven = partial(simulate_sessions, seed=seed, platform=car())
+    monday = driven(here, hdl32e(700), days[:1], length_m=LENGTH_M, spacing_m=MAP_EVERY_M)[0]
+    tuesday = driven(here, os1_64(512), days, length_m=LENGTH_M, spacing_m=QUERY_EVERY_M)[1]
+    elsewhere = driven(
+        there, os1_64(512), days[:1], length_m=QUERY_EVERY_M, spacing_m=QUERY_EVERY_M
     )[0]
     return monday, tuesday, elsewhere

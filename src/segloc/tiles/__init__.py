@@ -6,6 +6,7 @@ there. ``tiles.json`` names the tiles; a thin map of all of them says which to l
 
 from .cut import cut_tiles
 from .localizer import TiledLocalizer
+from .store import holds_tiles
 from .tiled_map import TiledMap
 
-__all__ = ["TiledLocalizer", "TiledMap", "cut_tiles"]
+__all__ = ["TiledLocalizer", "TiledMap", "cut_tiles", "holds_tiles"]

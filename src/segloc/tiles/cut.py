@@ -120,12 +120,9 @@ def part_of(
     prior_map: SegmentMap, cell: tuple[int, int], size_m: float, margin_m: float
 ) -> SegmentMap:
     """What lies in a square, or no farther from it than a margin along either axis."""
-    low = np.array(cell) * size_m - margin_m
-    high = np.array(cell) * size_m + size_m + margin_m
 
     def inside(positions: Float64) -> Bools:
-        xy = positions[:, :2]
-        return np.asarray(((xy >= low) & (xy < high)).all(axis=1), dtype=bool)
+        return _in_square(positions, cell, size_m, margin_m)
 
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
     kept = prior_map.kept(inside(prior_map.centroids), inside(points))
@@ -178,17 +175,20 @@ def chosen_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileI
     A tile has a right to what lies in its square; of tiles that hold something only in their
     margins, the first does.
     """
-    own = _in_box(positions, tile, index, 0.0)
+    own = _in_square(positions, tile.cell, index.size_m)
     keep = np.ones(len(positions), dtype=bool)
     for other in others:
-        keep &= own | ~_in_box(positions, other, index, 0.0)
+        keep &= own | ~_in_square(positions, other.cell, index.size_m)
         if other.cell < tile.cell:
-            keep &= own | ~_in_box(positions, other, index, index.margin_m)
+            keep &= own | ~_in_square(positions, other.cell, index.size_m, index.margin_m)
     return keep
 
 
-def _in_box(positions: Float64, tile: Tile, index: TileIndex, margin_m: float) -> Bools:
-    low = np.array(tile.cell) * index.size_m - margin_m
+def _in_square(
+    positions: Float64, cell: tuple[int, int], size_m: float, margin_m: float = 0.0
+) -> Bools:
+    """Which of (N, 2 or 3) positions lie in a square, or no farther from it than a margin."""
+    low = np.array(cell) * size_m - margin_m
+    high = np.array(cell) * size_m + size_m + margin_m
     xy = positions[:, :2]
-    high = np.array(tile.cell) * index.size_m + index.size_m + margin_m
     return np.asarray(((xy >= low) & (xy < high)).all(axis=1), dtype=bool)

@@ -100,6 +100,11 @@ class Remote:
         self._files.rm_file(f"{self._root}/{name}")
 
 
+def holds_tiles(where: str) -> bool:
+    """Whether a place is one of tiles, a folder or a URL, and no map file."""
+    return "://" in where or Path(where).is_dir()
+
+
 def store_of(where: str | Path) -> Store:
     """The folder or the URL of that name.
 
