@@ -29,4 +29,4 @@ class OccupancyConfig(Section):
         le=10**8,
         description="columns of the query times widest windows at most; bounds the time",
     )
-    max_candidates: int = Field(16, ge=1, le=1000, description="candidates a storey")
+    max_candidates: int = Field(48, ge=1, le=1000, description="candidates a storey")

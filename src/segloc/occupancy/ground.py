@@ -15,7 +15,7 @@ _GROUND_M = 4.0  # edge of the cells in which the map's ground is kept
 _NEAREST_GROUND = 4
 _FLOOR_M, _FLOOR_SLOPE = 0.5, 0.15  # by which the ground may differ from that below the path
 _FLOOR_RADIUS_M, _FLOOR_BINS = 5.0, 40  # where the floor is looked for: so near, so many decimetres
-_FLOOR_SAMPLE = 100_000
+_FLOOR_COLUMN_M = 0.5
 
 
 class Ground:
@@ -54,11 +54,14 @@ class Ground:
 
 
 def _mounted(cloud: Float32, path: Float64) -> float:
-    """How high above its floor the mapping sensor was: most that lies below it lies there."""
-    cloud = cloud[:: len(cloud) // _FLOOR_SAMPLE + 1]
-    gap, station = nearest_of(path[:, :2], cloud[:, :2])
-    near = gap < _FLOOR_RADIUS_M
-    drop = path[station[near], 2] - cloud[near, 2]
+    """How high above its floor the mapping sensor was: most columns near it end there below."""
+    near = nearest_of(path[:, :2], cloud[:, :2])[0] < _FLOOR_RADIUS_M
+    cloud = cloud[near]
+    order = np.argsort(cloud[:, 2], kind="stable")
+    columns = cells_of(cloud[order, :2], _FLOOR_COLUMN_M)
+    _, lowest = np.unique(columns[:, 0] * (1 << 32) + columns[:, 1], return_index=True)
+    ends = cloud[order[lowest]]
+    drop = path[nearest_of(path[:, :2], ends[:, :2])[1], 2] - ends[:, 2]
     counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
     return float(edges[counts.argmax()] + 0.05)
 

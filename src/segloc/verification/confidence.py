@@ -16,8 +16,8 @@ from ..section import Section
 from .evidence import Evidence, Score
 
 FEATURES = (
-    *("seen", "inliers", "inliers_over_rival"),
-    *("overlap_over_rival", "seen_over_rival", "walls"),
+    *("seen", "in_view", "overlap", "walls", "ground"),
+    *("inliers", "inliers_over_rival", "overlap_over_rival", "seen_over_rival"),
 )
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 
@@ -37,6 +37,7 @@ class Chance(Section):
     judged: float = Field(
         gt=0, description="the overlap counts as much as so many judged map points"
     )
+    most_judged: int = Field(ge=1, description="more judged map points than this say no more")
 
 
 class ConfidenceModel(Section):
@@ -78,21 +79,25 @@ class ConfidenceModel(Section):
     def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
 
-        What is seen; how many segments agree, and what that says against those elsewhere; how much
-        more the clouds overlap, and is seen, than at the rival at which they agree best; and how
-        well the walls fit that fit worst.
-        What is not known says what chance would, or the overlap.
+        What is seen, and of how much: a small room is like others. How much of the cloud overlaps,
+        of the walls that fit worst, and of the ground. How many segments agree, and what that says
+        against those elsewhere; how much more the clouds overlap, and is seen, than at the rival at
+        which they agree best. What is not known says what chance would, or the overlap.
         """
         score, chance = evidence.score, self.chance
         seen = _logit(score.expected_seen(chance.judged))
         rival_overlap, rival_seen = self._rival(evidence)
+        overlap = _logit(score.overlap)
         return (
             seen,
+            math.log(chance.judged + min(score.judged, chance.most_judged)),
+            overlap,
+            overlap if score.walls is None else _logit(score.walls),
+            overlap if score.ground is None else _logit(score.ground),
             math.log1p(min(score.inliers, chance.most_inliers)),
             min(evidence.inlier_evidence, self.max_inlier_evidence),
-            _logit(score.overlap) - rival_overlap,
+            overlap - rival_overlap,
             seen - rival_seen,
-            _logit(score.overlap if score.walls is None else score.walls),
         )
 
     def _rival(self, evidence: Evidence) -> tuple[float, float]:

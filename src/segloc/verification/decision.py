@@ -19,13 +19,15 @@ OUTDONE, AGAINST = 0.5, 0.25
 """A rival is no equal where this share of all directions speaks against it, and no more than this
 share of those for it. One thing that has moved speaks in one direction. Set by hand."""
 
-
 SUPPORTED_FIT = 0.7
 """However many segments agree with a rival, it is no equal where the clouds fit so much worse. Set
 by hand."""
 GROUND_FITS = 0.4
 """With less of the ground on that of the map a pose is wrong; at right ones of real recordings at
 least half of it is. Set by hand."""
+WALLS_FIT, CLOUD_FITS = 0.05, 0.35
+"""A pose is wrong where walls of some direction fit nowhere, and less of the cloud than this does.
+Set by hand."""
 
 
 def decide(
@@ -42,9 +44,12 @@ def decide(
     best, p = evidence.score, model.probability(evidence)
     if rival := equal_rival(evidence, model, config):
         reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
-    elif (share := ground_fit(best)) < GROUND_FITS:
+    elif (share := best.ground) is not None and share < GROUND_FITS:
         reason = Reason.TOO_UNCERTAIN
         message = f"the ground rises and falls otherwise there: {share:.0%} of it fits"
+    elif best.overlap < CLOUD_FITS and best.walls is not None and best.walls < WALLS_FIT:
+        reason = Reason.TOO_UNCERTAIN
+        message = f"walls stand elsewhere there: {best.walls:.0%} of those of one direction fit"
     elif p < config.min_confidence:
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, config.min_confidence)}: {compared(evidence)}"
@@ -93,8 +98,8 @@ def equal_rival(
             and rival.overlap > SUPPORTED_FIT * best.overlap
         )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
-        fits = fits and not is_outdone(rival, best)
-        if (supported or fits) and model.standalone(rival) >= RIVAL_STANDING * alone:
+        stands = model.standalone(rival) >= RIVAL_STANDING * alone
+        if (supported or fits) and stands and not is_outdone(rival, best):
             return rival
     return None
 
@@ -115,12 +120,6 @@ def is_outdone(rival: Score, best: Score) -> bool:
     against = sum(_speaks_against(b, a) for a, b in pairs)
     for_it = sum(_speaks_against(a, b) for a, b in pairs)
     return bool(pairs) and against >= OUTDONE * len(pairs) and for_it <= AGAINST * against
-
-
-def ground_fit(score: Score) -> float:
-    """The share of the ground that fits, where it is known."""
-    ground = score.details.fit.ground if isinstance(score, RefinedScore) else None
-    return 1.0 if ground is None else ground
 
 
 def _speaks_against(overlap: float, other: float) -> bool:

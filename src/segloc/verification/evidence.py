@@ -96,6 +96,11 @@ class Score:
         return None
 
     @property
+    def ground(self) -> float | None:
+        """Share of the query's ground that lies on the map's, in [0, 1]; None where unknown."""
+        return None
+
+    @property
     def support(self) -> float:
         """What candidates are ranked by."""
         return self.inliers * self.overlap
@@ -150,6 +155,10 @@ class RefinedScore(Score):
     @property
     def walls(self) -> float | None:
         return self.details.fit.walls
+
+    @property
+    def ground(self) -> float | None:
+        return self.details.fit.ground
 
 
 @dataclass(frozen=True)

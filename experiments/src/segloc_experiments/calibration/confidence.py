@@ -204,7 +204,7 @@ class Calibration:
         prior_map = build_map(world.mapped, self.config)
         places: list[Place] = [(self.localizer(prior_map), True, EVERY_M)]
         if not world.alike:
-            half = build_map(_first_half(world.mapped), self.config)
+            half = build_map(first_half(world.mapped), self.config)
             places.append((self.localizer(half), True, EVERY_M))
             places.append((self.localizer(mirrored(prior_map)), False, ELSEWHERE_EVERY_M))
         if before is not None:
@@ -216,7 +216,8 @@ class Calibration:
         return prior_map
 
 
-def _first_half(drive: SimulatedSequence) -> SimulatedSequence:
+def first_half(drive: SimulatedSequence) -> SimulatedSequence:
+    """The first half of a drive's scans."""
     last = drive.indices[len(drive) // 2 - 1]
     return drive.select(Selection(((0, int(last)),)))
 

@@ -11,15 +11,7 @@ from scipy.optimize import minimize
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
 
-COLUMNS = (
-    "seen, logit",
-    "inliers, logarithm",
-    "inliers, log-likelihood over a rival's",
-    "overlap, logit over a rival's",
-    "seen, logit over a rival's",
-    "worst wall, logit",
-    "inliers",
-)
+COLUMNS = (*FEATURES, "inliers")
 INLIERS, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
 """Columns of a row: the features come first. EQUAL: whether a rival explains the query as well."""
 BELIEVED = VerificationConfig().min_confidence

@@ -4,8 +4,10 @@ Simulated worlds of every kind of the calibration, from other seeds (streets, es
 meadows, forests, and warehouses and offices seen by a sensor in a hand that tilts), are each mapped
 in one session and queried in another: accumulated, single, and single and thinned. All queries of a
 world are localized in the mirror image of its own map, where it has one that differs from it, and
-in the maps and mirror images of all worlds before it. What has been counted is kept, one line a
-world, so that a run goes on where the last one ended.
+in the maps and mirror images of all worlds before it; and, beside these, in its own map and in that
+of the first half of its path, where an answer more than 2 m off is false. What has been counted is
+kept, one line a world, so that a run goes on where the last one ended. Runs of different seeds can
+work at once; ``--report`` adds up what they counted.
 
     python -m segloc_experiments.protocols.wrong_maps --worlds 42 --maps maps --out wrong_maps.jsonl
 """
@@ -20,28 +22,35 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap, build_map
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import Sequence
 from segloc.search import Query
+from segloc.types import Pose
 
-from ..calibration.confidence import KINDS, SimulatedWorld, thinned, views, worlds
+from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
 from ..intervals import wilson
 from ..script import head, parser, row
 
-Kinds = dict[str, list[Query]]
+RIGHT_M = 2.0
+HOME = {-2: "own", -1: "half"}
+"""Maps of the world itself."""
+
+Kinds = dict[str, list[tuple[Query, Pose]]]
 
 
 def queries(localizer: Localizer, drive: Sequence, every_m: float) -> Kinds:
-    """The queries along a drive, by what they are made of."""
+    """The queries along a drive, by what they are made of, and where the sensor was."""
     found: Kinds = {"accumulated": [], "single": [], "thinned": []}
+    assert drive.poses is not None
     along = views(drive, every_m, localizer.config.local_cloud)
-    for n, (_, accumulated, scan) in enumerate(along):
-        found["accumulated"].append(localizer.describe(accumulated))
-        found["single"].append(localizer.describe(scan.points))
-        found["thinned"].append(localizer.describe(thinned(scan, n)))  # without its pose, too
+    for n, (i, accumulated, scan) in enumerate(along):
+        made = {"accumulated": accumulated, "single": scan.points, "thinned": thinned(scan, n)}
+        for kind, scans in made.items():  # single ones without their poses
+            found[kind].append((localizer.describe(scans), drive.poses[i]))
     return found
 
 
@@ -52,34 +61,39 @@ class WrongMaps:
         self._config = Config.preset("profile").model_copy(update={"threads": 1})
         self._folder, self._out, self._every_m = folder, out, every_m
         folder.mkdir(parents=True, exist_ok=True)
-        lines = out.read_text("utf-8").splitlines() if out.exists() else []
-        self.records: list[dict[str, Any]] = [json.loads(line) for line in lines]
+        self.records = _read(out) if out.exists() else []
         self._maps: list[Localizer] = []
 
     def add(self, world: SimulatedWorld) -> None:
         """Count a world's queries in all maps before it, unless that was done; keep its map."""
-        own = self._map(world)
+        own = self._localizer(self._map(world))
+        mirror = self._localizer(mirrored(own.prior_map))
         if not any(record["world"] == world.name for record in self.records):
-            places = [*self._maps, *([] if world.alike else [self._localizer(mirrored(own))])]
-            if places:
-                self._count(world, places)
-        self._maps += [self._localizer(own), self._localizer(mirrored(own))]
+            self._count(world, own, [*self._maps, *([] if world.alike else [mirror])])
+        self._maps += [own, mirror]
 
-    def _count(self, world: SimulatedWorld, places: list[Localizer]) -> None:
+    def _count(self, world: SimulatedWorld, own: Localizer, places: list[Localizer]) -> None:
+        half = self._localizer(build_map(first_half(world.mapped), self._config))
         counts: Counter[str] = Counter()
+        at_home: Counter[str] = Counter()
         false: list[dict[str, Any]] = []
         start = time.process_time()
         for sensor, drive in world.queries.items():
-            for kind, made in queries(places[0], drive, self._every_m).items():
-                for k, place in enumerate(track(places, f"{world.name}, {sensor}, {kind}")):
-                    for n, query in enumerate(made):
+            for kind, made in queries(own, drive, self._every_m).items():
+                here = track([own, half, *places], f"{world.name}, {sensor}, {kind}")
+                for k, place in enumerate(here, -2):
+                    for n, (query, truth) in enumerate(made):
                         answer = place.locate(query)
-                        counts[kind] += 1
-                        if answer.localized:
+                        verdict = _judged(answer.T_map_sensor, truth if k < 0 else None)
+                        if k < 0:
+                            at_home[f"{HOME[k]}, {verdict}"] += 1
+                        else:
+                            counts[kind] += 1
+                        if verdict == "false":
                             where = {"sensor": sensor, "kind": kind, "query": n, "map": k}
                             false.append({**where, "confidence": round(answer.confidence, 4)})
-        record = {"world": world.name, "maps": len(places), "counts": counts, "false": false}
-        record["seconds"] = round(time.process_time() - start)
+        record = {"world": world.name, "maps": len(places), "counts": counts, "own": at_home}
+        record |= {"false": false, "seconds": round(time.process_time() - start)}
         self.records.append(record)
         with self._out.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(record) + "\n")
@@ -94,18 +108,38 @@ class WrongMaps:
         return Localizer(place, self._config)
 
 
+def _judged(T_map_sensor: Pose | None, truth: Pose | None) -> str:
+    if T_map_sensor is None:
+        return "refused"
+    if truth is None:
+        return "false"
+    return "right" if np.linalg.norm((T_map_sensor - truth)[:3, 3]) < RIGHT_M else "false"
+
+
 def report(records: list[dict[str, Any]]) -> None:
     """A row for each kind of world, and the rate that so many queries bound."""
-    print(head("world", "accumulated", "single", "thinned", "false"))
+    kinds = ("accumulated", "single", "thinned")
+    print(head("world", *kinds, "false", "own map: right", "false", "half map: right", "false"))
     total = false = 0
     for name in KINDS:
         here = [r for r in records if r["world"].split()[0] == name]
         counts: Counter[str] = sum((Counter(r["counts"]) for r in here), Counter())
-        wrong = sum(len(r["false"]) for r in here)
-        print(row(name, *(counts[kind] for kind in ("accumulated", "single", "thinned")), wrong))
+        own: Counter[str] = sum((Counter(r["own"]) for r in here), Counter())
+        wrong = sum(each["map"] >= 0 for r in here for each in r["false"])
+        home = [_home(own, place) for place in ("own", "half")]
+        print(row(name, *(counts[kind] for kind in kinds), wrong, *home[0], *home[1]))
         total, false = total + counts.total(), false + wrong
     if total:
         print(f"{false} false of {total}: at most {100 * wilson(false, total)[1]:.3f} %")
+
+
+def _home(counts: Counter[str], place: str) -> tuple[str, int]:
+    of = sum(counts[f"{place}, {verdict}"] for verdict in ("right", "false", "refused"))
+    return f"{counts[f'{place}, right']} of {of}", counts[f"{place}, false"]
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
 def chosen(first_seed: int, number: int) -> Iterator[SimulatedWorld]:
@@ -121,7 +155,11 @@ def main() -> None:
     options.add_argument("--every", type=float, default=10.0, metavar="METRES")
     options.add_argument("--maps", type=Path, default=Path("wrong_maps"))
     options.add_argument("--out", type=Path, default=Path("wrong_maps.jsonl"))
+    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs counted")
     args = options.parse_args()
+    if args.report:
+        report([r for path in args.report for r in _read(path)])
+        return
     counted = WrongMaps(args.maps, args.out, args.every)
     for world in chosen(args.first_seed, args.worlds):
         counted.add(world)
