@@ -47,9 +47,8 @@ def row(wheel: Path, extras: str) -> str:
         seconds(sys.executable, "-m", "venv", "--without-pip", venv)
         python = venv / "bin" / "python"
         bare = size(venv)
-        install = seconds(
-            *pip, "--python", python, "install", "--no-index", "--find-links", files, wanted
-        )
+        into = [*pip, "--python", python, "install", "--no-index", "--find-links", files]
+        install = seconds(*into, wanted)
         taken = size(venv) - bare
         start = least(python, "-c", "pass")
         times = [least(python, "-c", "import segloc") - start]
@@ -66,10 +65,9 @@ def main() -> None:
     parser.add_argument("wheel", type=Path)
     parser.add_argument("extras", nargs="*", help="sets, each joined by commas")
     given = parser.parse_args()
-    print(
-        "| installed | download | on disk | install | `import segloc` | with `Localizer` | `--help` |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    columns = ("download", "on disk", "install", "`import segloc`", "with `Localizer`", "`--help`")
+    print("| installed |", " | ".join(columns), "|")
+    print("|---" * (len(columns) + 1) + "|")
     for extras in ["", *given.extras]:
         print(row(given.wheel, extras), flush=True)
 

@@ -77,7 +77,7 @@ def real(folder: Path) -> tuple[Path, Path, Pose]:
 
 
 def refuses(method: str) -> None:
-    """Without segloc-experiments, a method that is there to be compared with says what is missing."""
+    """A method that is there to be compared with says what brings its weights."""
     try:
         _ = create(method).pruner
     except WeightsError as error:

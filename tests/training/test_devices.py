@@ -21,7 +21,8 @@ from segloc.training.parallel import Group
 with Group("cpu") as group:
     torch.manual_seed(0)
     model = torch.nn.Sequential(torch.nn.Linear(3, 2), torch.nn.BatchNorm1d(2))
-    model(torch.full((4, 3), float(group.rank)) + torch.arange(4.0)[:, None]).square().sum().backward()
+    x = torch.full((4, 3), float(group.rank)) + torch.arange(4.0)[:, None]
+    model(x).square().sum().backward()
     model[1].running_mean += group.rank
     own = [model[0].weight.grad.clone(), model[1].running_mean.clone()]
     group.average_gradients(model)
