@@ -125,7 +125,7 @@ wheel-check:
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) experiments >> $(WHEEL)/log
 	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
 	case $(WHEEL)/segloc-*.whl in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
-	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "experiments|kitti00|benchmarks|segmap.safetensors|forest"
+	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "experiments|kitti00|benchmarks|(segmap|forest).safetensors"
 	test $$(stat -c %s $(WHEEL)/segloc-*.whl) -lt $(MOST_BYTES)
 	$(call try_wheel,$(WHEEL_PYTHON),$(WHEEL)/venv)
 	case $(WHEEL)/segloc-*.whl in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest) ;; esac
