@@ -55,7 +55,7 @@ void sampling(Isa isa) {
     farthest_points(points.data(), 4, n, n, isa, 2, order.data());
     farthest_points(points.data(), 4, n, n, Isa::portable, 1, portable.data());
     CHECK(order == portable);
-    digest("fps", order);
+    digest(isa, "fps", order);
   }
   const std::vector<int64_t> offsets = {0, 0, 1, 4, 300, 6000};
   const auto points = random_floats(3 * 6000, -5.0f, 5.0f, 8);

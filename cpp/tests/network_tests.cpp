@@ -39,7 +39,7 @@ void voxel_network(Isa isa) {
   network.describe(shapes.voxels.data(), shapes.offsets.data(), shapes.scales.data(), kSegments, 2,
                    vectors.data());
   CHECK(all_finite(vectors));
-  digest("voxel_shapes", shapes.voxels);
+  digest(isa, "voxel_shapes", shapes.voxels);
   digest(isa, "voxel_network", vectors);
   tensors.erase("fc2.bias");
   CHECK_THROWS(VoxelNetwork(tensors, isa));
