@@ -7,6 +7,7 @@ SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .PHONY: demo test quick test-lowest test-newest fuzz evaluate lint docs wheel-check clean
+.PHONY: cross-check
 .PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
 demo: $(VENV)/.demo
@@ -39,8 +40,14 @@ define test_installed
 	$(1) -m venv build/$(2)
 	build/$(2)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade $(3) \
 	  ".[$(EXTRAS),test-tools]"
-	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) tests
+	build/$(2)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps ./experiments
+	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) $(if $(filter smoke,$(TESTS)),$(SMOKE),$(TESTS))
 endef
+
+# What test-lowest and test-newest run: all, or paths, or TESTS=smoke, for which a minute is enough.
+TESTS ?= tests
+SMOKE := tests/test_localizer.py tests/test_pose.py tests/test_matching.py tests/test_segmentation.py \
+  tests/map/test_file.py tests/io tests/descriptors tests/datasets/ros
 
 test-lowest:
 	mkdir -p build
@@ -103,20 +110,40 @@ fuzz-native: $(VENV)/.dev
 	  build/fuzz/$${name}_fuzzer -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 \
 	  -verbosity=0 -artifact_prefix=build/fuzz/$$name- build/fuzz/corpus/$$name cpp/fuzz/seeds/$$name; done
 
-# The wheel must install and localize where there is nothing else: no torch, no compiler, no plotting,
-# no laboratory. The wheel of the experiments adds its verbs.
-wheel-check: $(BIN)/python
-	rm -rf build/wheel && mkdir -p build/wheel
-	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
-	$(PYTHON) -m venv build/wheel/venv
-	build/wheel/venv/bin/python -m pip install --quiet --disable-pip-version-check build/wheel/*.whl
-	cd build/wheel && venv/bin/segloc --version
-	cd build/wheel && venv/bin/python ../../tests/wheel_smoke.py
-	! $(BIN)/python -m zipfile -l build/wheel/segloc-*.whl | grep -E "experiments|kitti00|benchmarks"
-	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel ./experiments
-	build/wheel/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps build/wheel/segloc_experiments-*.whl
-	cd build/wheel && venv/bin/segloc bench --help > /dev/null && venv/bin/segloc evaluate roc --help > /dev/null
-	ls -l build/wheel/*.whl
+# The wheels. segloc's is built from its source distribution alone, must be small, and must install
+# and localize where there is nothing else: no torch, no compiler, no plotting, no laboratory. Built
+# by Python 3.12 it is for all later ones: it is audited, and tried on the newest too. The wheel of
+# the experiments adds weights and verbs.
+WHEEL := build/wheel
+WHEEL_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.12.*/bin/python) $(shell command -v python3.12) $(PYTHON))
+MOST_BYTES := 15000000
+wheel-check:
+	rm -rf $(WHEEL) && mkdir -p $(WHEEL)
+	$(WHEEL_PYTHON) -m venv $(WHEEL)/tools
+	$(WHEEL)/tools/bin/python -m pip install --quiet --disable-pip-version-check build auditwheel abi3audit
+	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) . > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
+	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) experiments >> $(WHEEL)/log
+	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
+	case $(WHEEL)/segloc-*.whl in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
+	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "experiments|kitti00|benchmarks|(segmap|forest).safetensors"
+	test $$(stat -c %s $(WHEEL)/segloc-*.whl) -lt $(MOST_BYTES)
+	$(call try_wheel,$(WHEEL_PYTHON),$(WHEEL)/venv)
+	case $(WHEEL)/segloc-*.whl in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest) ;; esac
+	ls -l $(WHEEL)/*.whl $(WHEEL)/*.tar.gz
+
+# Of a Python and a folder: the wheels in an environment of their own, first that of segloc alone.
+define try_wheel
+	$(1) -m venv $(2) && \
+	  $(2)/bin/python -m pip install --quiet --disable-pip-version-check $(WHEEL)/segloc-*.whl && \
+	  $(2)/bin/segloc --version && $(2)/bin/python tests/wheel_smoke.py && \
+	  $(2)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps $(WHEEL)/segloc_experiments-*.whl && \
+	  $(2)/bin/segloc bench --help > /dev/null && $(2)/bin/segloc evaluate roc --help > /dev/null && \
+	  $(2)/bin/python tests/wheel_smoke.py segmap segmatch-esf nsm
+endef
+
+# The kernels compiled for aarch64, Windows and macOS, and run where an emulator is at hand.
+cross-check:
+	.ci/cross
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

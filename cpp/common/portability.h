@@ -8,6 +8,10 @@
 #include <cstddef>
 #include <cstdint>
 
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
+
 // Loops over registers must be unrolled completely, or their arrays live in memory.
 #define SEGLOC_UNROLL _Pragma("GCC unroll 16")
 
@@ -16,9 +20,6 @@
 
 // A vector type of so many bytes, with operators for each of its values.
 #define SEGLOC_VECTOR(type, name, bytes) typedef type name __attribute__((vector_size(bytes)))
-
-// Whether this processor has a feature, as "avx2".
-#define SEGLOC_CPU_HAS(feature) (__builtin_cpu_init(), __builtin_cpu_supports(feature) != 0)
 
 namespace segloc {
 
@@ -34,10 +35,31 @@ static inline size_t count_bits(uint32_t bits) {
 }
 
 static inline void prefetch(const void* address) { __builtin_prefetch(address); }
+static inline void prefetch_to_write(const void* address) { __builtin_prefetch(address, 1); }
 
 static inline void copy_bytes(void* to, const void* from, size_t count) {
   __builtin_memcpy(to, from, count);
 }
 static inline void clear_bytes(void* to, size_t count) { __builtin_memset(to, 0, count); }
+
+#if defined(__x86_64__)
+// What the processor has and the system saves. Asked of the processor itself, since the compilers'
+// own question needs a run-time library that clang-cl does not link.
+struct CpuFeatures {
+  bool avx2, fma, avx512f, avx512dq, avx512bw, avx512vl;
+};
+
+static inline CpuFeatures cpu_features() {
+  uint32_t a = 0, b = 0, c = 0, d = 0, saved = 0, high = 0;
+  if (!__get_cpuid(1, &a, &b, &c, &d)) return {};
+  const bool fma = (c >> 12 & 1) != 0, asks = (c >> 27 & 1) != 0;
+  if (!asks || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return {};
+  __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
+  const bool ymm = (saved & 0x06) == 0x06, zmm = (saved & 0xe6) == 0xe6;
+  const auto has = [b](int bit) { return (b >> bit & 1) != 0; };
+  return {ymm && has(5),  ymm && fma,     zmm && has(16),
+          zmm && has(17), zmm && has(30), zmm && has(31)};
+}
+#endif
 
 }  // namespace segloc

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #include <stdexcept>
 #include <vector>
@@ -28,7 +29,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     for (const segloc::PoseHypothesis& pose :
          segloc::consensus(query.data(), index.size(), map.data(), index.data(), index.data(),
                            index.size(), options, 1)) {
-      if (!std::isfinite(pose.yaw + pose.t[0] + pose.t[1] + pose.t[2])) __builtin_trap();
+      if (!std::isfinite(pose.yaw + pose.t[0] + pose.t[1] + pose.t[2])) std::abort();
     }
   } catch (const std::invalid_argument&) {
   }

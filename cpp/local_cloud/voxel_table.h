@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/portability.h"
+
 namespace segloc {
 
 // A coordinate in units of 1 / 4096 of a voxel's edge. The cell is what is left of it without the
@@ -92,10 +94,8 @@ class VoxelTable {
 
   // For a voxel that is soon to be added to, or removed from.
   void prefetch(std::uint64_t key) const {
-#if defined(__GNUC__)
-    __builtin_prefetch(&keys_[home(key)]);
-    __builtin_prefetch(&sums_[home(key)], 1);
-#endif
+    segloc::prefetch(&keys_[home(key)]);
+    prefetch_to_write(&sums_[home(key)]);
   }
 
   std::size_t size() const { return used_; }

@@ -4,7 +4,7 @@
 // kernels instantiate nothing from the standard library.
 //
 // Needs the vector extensions of GCC or Clang. On processors other than x86 the generic section
-// becomes whatever the compiler has (NEON on aarch64).
+// becomes whatever the compiler has: NEON on aarch64, with the bits of SSE2.
 #pragma once
 
 #include <cstddef>
@@ -16,6 +16,8 @@
 #include <immintrin.h>
 #elif defined(__SSE2__)
 #include <emmintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
 #endif
 
 #ifndef SEGLOC_ISA
@@ -111,7 +113,11 @@ inline Vec count_before(Vec count, Vec v, Vec x, Vec i, Vec j) {
 SEGLOC_VECTOR(float, Vec, 16);
 SEGLOC_VECTOR(int32_t, IntVec, 16);
 constexpr int kWidth = 4;
+#if defined(__aarch64__)
+constexpr int kRegisters = 32;
+#else
 constexpr int kRegisters = 16;
+#endif
 
 inline Vec load(const float* p) {
   Vec a;
@@ -137,9 +143,15 @@ inline uint32_t bits(IntVec mask) {
 #else
 inline Vec min(Vec a, Vec b) { return select(a < b, a, b); }
 inline Vec max(Vec a, Vec b) { return select(a > b, a, b); }
+#if defined(__aarch64__)
+inline uint32_t bits(IntVec mask) {
+  return vaddvq_u32(reinterpret_cast<uint32x4_t>(mask & IntVec{1, 2, 4, 8}));
+}
+#else
 inline uint32_t bits(IntVec mask) {
   return (mask[0] & 1) | (mask[1] & 2) | (mask[2] & 4) | (mask[3] & 8);
 }
+#endif
 #endif
 inline Vec fma(Vec a, Vec b, Vec c) { return a * b + c; }
 inline uint32_t equal(Vec a, Vec b) { return bits(a == b); }

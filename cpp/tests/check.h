@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "simd/kernels.h"
+#include "tests/digests.h"
 
 #define CHECK(condition)                                                                 \
   do {                                                                                   \

@@ -4,6 +4,7 @@
 #include <thread>
 
 #include "common/parallel.h"
+#include "common/portability.h"
 #include "common/processors.h"
 #include "tests/check.h"
 
@@ -54,6 +55,20 @@ void processors() {
   CHECK(resolve_threads(7) == 7 && resolve_threads(2'000'000'000) == 256);
 }
 
+// What the processor says of itself is what the compiler's library makes of it.
+void instruction_set_tests() {
+#if defined(__x86_64__) && !defined(__clang__)  // whose library need not be there
+  __builtin_cpu_init();
+  const CpuFeatures features = cpu_features();
+  CHECK(features.avx2 == (__builtin_cpu_supports("avx2") != 0));
+  CHECK(features.fma == (__builtin_cpu_supports("fma") != 0));
+  CHECK(features.avx512f == (__builtin_cpu_supports("avx512f") != 0));
+  CHECK(features.avx512dq == (__builtin_cpu_supports("avx512dq") != 0));
+  CHECK(features.avx512bw == (__builtin_cpu_supports("avx512bw") != 0));
+  CHECK(features.avx512vl == (__builtin_cpu_supports("avx512vl") != 0));
+#endif
+}
+
 }  // namespace
 }  // namespace segloc
 
@@ -61,4 +76,5 @@ void common_tests() {
   segloc::threads();
   segloc::callers();
   segloc::processors();
+  segloc::instruction_set_tests();
 }

@@ -27,6 +27,9 @@ void hand_made() {
     CHECK(all_finite(shape));
     gestalt(points.data(), kOffsets.data(), kSegments, 2.0, 2, rings.data());
     CHECK(all_finite(rings));
+    digest("moments", values);
+    digest("esf", shape);
+    digest("gestalt", rings);
   }
 }
 
@@ -40,6 +43,7 @@ void profiles() {
       shape_profiles(points.data(), heights.data(), kClouds, count, 1, one.data());
       shape_profiles(points.data(), heights.data(), kClouds, count, 3, two.data());
       CHECK(one == two && all_finite(one));
+      digest("profile", one);
     }
   }
 }
@@ -51,6 +55,7 @@ void sampling(Isa isa) {
     farthest_points(points.data(), 4, n, n, isa, 2, order.data());
     farthest_points(points.data(), 4, n, n, Isa::portable, 1, portable.data());
     CHECK(order == portable);
+    digest(isa, "fps", order);
   }
   const std::vector<int64_t> offsets = {0, 0, 1, 4, 300, 6000};
   const auto points = random_floats(3 * 6000, -5.0f, 5.0f, 8);
@@ -58,6 +63,7 @@ void sampling(Isa isa) {
     std::vector<float> out(5 * 256 * 3, NAN);
     prepare_segments(points.data(), offsets.data(), 5, 256, alignment, isa, 2, out.data());
     CHECK(all_finite(out));
+    digest(isa, "prepare", out);
   }
 }
 

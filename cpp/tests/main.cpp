@@ -1,5 +1,8 @@
 // One function for each room of the library.
 #include <cstdio>
+#include <cstring>
+
+#include "tests/digests.h"
 
 void callers_tests();
 void common_tests();
@@ -15,7 +18,7 @@ void segmentation_tests();
 void training_tests();
 void verification_tests();
 
-int main() {
+int main(int count, char** arguments) {
   common_tests();
   descriptors_tests();
   io_tests();
@@ -29,6 +32,7 @@ int main() {
   training_tests();
   verification_tests();
   callers_tests();
+  if (count > 1 && std::strcmp(arguments[1], "--digests") == 0) segloc::print_digests();
   std::puts("kernel tests: 13 passed, 0 failed");
   return 0;
 }

@@ -18,6 +18,8 @@ void search(Isa isa) {
       std::vector<float> distances(5 * columns);
       nearest_descriptors(queries.data(), 5, database.data(), count, dim, columns, isa, 2,
                           indices.data(), distances.data());
+      digest(isa, "knn", indices);
+      digest(isa, "knn", distances);
       for (std::size_t i = 1; i < columns; ++i) CHECK(distances[i - 1] <= distances[i]);
     }
   }
@@ -45,6 +47,7 @@ void forests() {
   forest.predict(features.data(), 333, 2, apart.data());
   forest.predict_pairs(task, layout, 2, together.data());
   CHECK(apart == together);
+  digest("forest", apart);
   child[3] = 2;
   CHECK_THROWS(Forest(arrays, 7));
   child[3] = 5;

@@ -39,6 +39,8 @@ void voxel_network(Isa isa) {
   network.describe(shapes.voxels.data(), shapes.offsets.data(), shapes.scales.data(), kSegments, 2,
                    vectors.data());
   CHECK(all_finite(vectors));
+  digest(isa, "voxel_shapes", shapes.voxels);
+  digest(isa, "voxel_network", vectors);
   tensors.erase("fc2.bias");
   CHECK_THROWS(VoxelNetwork(tensors, isa));
 }
@@ -69,6 +71,7 @@ void perceptron(Isa isa) {
   network.run(input.data(), 70, 3, two.data());
   network.run(input.data() + 69 * 19, 1, 1, alone.data());
   CHECK(one == two && all_finite(one));
+  digest(isa, "perceptron", one);
   CHECK(std::equal(alone.begin(), alone.end(), one.begin() + 69 * 5));
   tensors.erase("hidden.0.weight");
   CHECK_THROWS(Perceptron(tensors, 6.0f, isa));
@@ -138,6 +141,7 @@ void inference(Isa isa) {
   network.describe(prepared.data(), 7, 3, two.data(), quality.data());
   CHECK(one == two);
   CHECK(all_finite(one));
+  digest(isa, "network", one);
   for (const float v : quality) CHECK(v >= 0.0f && v <= 1.0f);
   network.describe(prepared.data(), 0, 2, one.data(), quality.data());
   Tensors wrong = random.tensors();

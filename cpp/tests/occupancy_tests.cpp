@@ -25,6 +25,9 @@ void finds_what_it_was_made_of() {
     limits.count = 3;
     const auto poses = area.search(columns.data(), slices.data(), n, limits);
     CHECK(poses.size() <= limits.count);
+    for (const PlanarPose& pose : poses) {
+      digest("pose_search", std::vector<double>{pose.yaw, pose.x, pose.y});
+    }
     for (const PlanarPose& pose : poses) CHECK(pose.score <= n);
     if (n < 17 || n > 300) continue;  // one place only explains all columns, or all do
     CHECK(poses[0].score >= n - n / 8 && std::fabs(poses[0].yaw) < 1e-9);

@@ -54,6 +54,10 @@ void poses() {
                                  consensus_options(), 2);
     const auto sampled =
         prosac(query.data(), map.data(), index.data(), index.data(), n, prosac_options());
+    for (const PoseHypothesis& pose : found) {
+      digest("consensus", std::vector<double>{pose.yaw, pose.t[0], pose.t[1], pose.t[2]});
+    }
+    for (const SampledHypothesis& pose : sampled) digest("prosac", pose.T.t);
     if (n < 200) continue;
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
     CHECK(std::fabs(found[0].t[0] - 5e6) < 0.5 && std::fabs(sampled[0].T.t[0] - 5e6) < 0.5);

@@ -19,6 +19,8 @@ void registration() {
                      two = align(surface, surface, start, {}, 2);
     CHECK(one.T.t == two.T.t && one.T.R == two.T.R && one.H == two.H);
     CHECK(one.inliers <= n && std::isfinite(one.error));
+    digest("gicp", one.T.t);
+    digest("gicp", one.H);
     if (n < 1000) continue;
     for (const double t : one.T.t) CHECK(std::fabs(t) < 0.05);
     start.t = {1e9, 0, 0};

@@ -14,10 +14,14 @@ void clouds() {
     const auto points = random_floats(3 * n, -20.0f, 20.0f, 1);
     const auto voxels = voxel_grid(points.data(), n, 1.5);
     CHECK(voxels.size() % 3 == 0 && voxels.size() <= 3 * n && (n == 0 || !voxels.empty()));
-    CHECK(heights_above_ground(points.data(), n, {}).size() == n);
+    const auto heights = heights_above_ground(points.data(), n, {});
+    CHECK(heights.size() == n);
+    digest("voxel_grid", voxels);
+    digest("ground", heights);
     CHECK(plane_normals(points.data(), n, {}).size() <= 3 * n);
     const Clusters all = euclidean_clusters(points.data(), n, 1.0, 1, n);
     CHECK(all.points.size() == n && std::size_t(all.offsets.back()) == n);
+    digest("clusters", all.points);
     const Clusters one = euclidean_clusters(points.data(), n, 1000.0, 1, n);
     CHECK(one.offsets.size() == (n == 0 ? 1u : 2u));
   }

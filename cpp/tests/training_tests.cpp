@@ -37,6 +37,8 @@ void applied(Isa isa, std::size_t K, std::size_t lifted, std::size_t inputs) {
       all.insert(all.end(), part->begin(), part->end());
   }
   CHECK(gradients[0] == gradients[1] && all_finite(gradients[0]));
+  digest(isa, "apply", output);
+  digest(isa, "apply_backward", gradients[0]);
 }
 
 void column_maps(Isa isa, std::size_t K, std::size_t count) {
@@ -53,6 +55,8 @@ void column_maps(Isa isa, std::size_t K, std::size_t count) {
   columns_backward(x.data(), weight.data(), output.data(), count, K, grad_x.data(),
                    grad_weight.data(), isa, 2);
   CHECK(all_finite(grad_x) && all_finite(grad_weight));
+  digest(isa, "columns", output);
+  digest(isa, "columns", grad_weight);
 }
 
 void norm(Isa isa, std::size_t rows, std::size_t columns, bool activate) {
@@ -68,6 +72,7 @@ void norm(Isa isa, std::size_t rows, std::size_t columns, bool activate) {
                     grad_bias.data(), isa, 2);
   for (const Floats* each : {&output, &mean, &variance, &gradient, &grad_weight, &grad_bias}) {
     CHECK(all_finite(*each));
+    digest(isa, "elu_norm", *each);
   }
 }
 

@@ -11,7 +11,6 @@ import importlib
 from typing import TYPE_CHECKING
 
 from ._native import __version__
-from .config import Config
 from .errors import (
     ConfigError,
     DatasetError,
@@ -23,21 +22,22 @@ from .errors import (
     SeglocError,
     WeightsError,
 )
-from .geometry import ros_covariance
-from .localization import Localization, Localized, NotLocalized, Reason
-from .localizer import Localizer
-from .map.build import build_map
-from .map.segment_map import SegmentMap
-from .prior import Prior
-from .rolling_cloud import RollingCloud
-from .tracker import Tracker
-from .types import LocalCloud, Scan
 
 if TYPE_CHECKING:
     from .alignment import LoopDetector, align_sessions
+    from .config import Config
     from .datasets import open_sequence
+    from .geometry import ros_covariance
     from .live import LiveLocalizer
+    from .localization import Localization, Localized, NotLocalized, Reason
+    from .localizer import Localizer
+    from .map.build import build_map
+    from .map.segment_map import SegmentMap
     from .map.update import update_map
+    from .prior import Prior
+    from .rolling_cloud import RollingCloud
+    from .tracker import Tracker
+    from .types import LocalCloud, Scan
 
 __all__ = [
     "Config",
@@ -72,16 +72,34 @@ __all__ = [
 ]
 
 _LATER = {
+    "Config": "config",
     "LiveLocalizer": "live",
+    "LocalCloud": "types",
+    "Localization": "localization",
+    "Localized": "localization",
+    "Localizer": "localizer",
     "LoopDetector": "alignment",
+    "NotLocalized": "localization",
+    "Prior": "prior",
+    "Reason": "localization",
+    "RollingCloud": "rolling_cloud",
+    "Scan": "types",
+    "SegmentMap": "map.segment_map",
+    "Tracker": "tracker",
     "align_sessions": "alignment",
+    "build_map": "map.build",
     "open_sequence": "datasets",
+    "ros_covariance": "geometry",
     "update_map": "map.update",
 }
-"""Imported when it is first used."""
+"""Imported when it is first used: NumPy, SciPy and Pydantic take a second on a slow machine."""
 
 
 def __getattr__(name: str) -> object:
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f".{_LATER[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

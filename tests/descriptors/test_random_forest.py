@@ -18,6 +18,7 @@ from segloc.descriptors.random_forest import (
     PairForest,
     Trees,
     save_forest,
+    shipped_forest,
 )
 from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import ConfigError, WeightsError
@@ -109,11 +110,18 @@ def test_a_file_keeps_the_forest(tmp_path: Path) -> None:
     path = tmp_path / "f.safetensors"
     save_forest(path, STUMP, Plain.layout, Plain.fingerprint, {"data": "none"})
     forest = PairForest.load(path, Plain())
-    assert forest is not None and forest.card == {"data": "none"}
+    assert forest.card == {"data": "none"}
     query, prior_map = np.array([[1.0]], np.float32), np.array([[1.4], [1.6]], np.float32)
     pairs = np.array([0, 0]), np.array([0, 1])
     np.testing.assert_allclose(forest.probability(query, prior_map, *pairs), [0.9, 0.1])
-    assert PairForest.load(tmp_path / "none", Plain()) is None
+    with pytest.raises(WeightsError, match="no such file"):
+        PairForest.load(tmp_path / "none", Plain())
+
+
+def test_without_its_forest_a_method_describes_and_says_what_to_install() -> None:
+    plain = Plain()
+    with pytest.raises(WeightsError, match=r"plain-forest.* pip install segloc-experiments"):
+        _ = plain.pruner
 
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
@@ -149,9 +157,7 @@ def test_shipped_forests_are_small_and_tell_where_they_come_from() -> None:
         assert isinstance(descriptor.pruner, PairForest)
         card = descriptor.pruner.card
         assert card["data"] and card["licence"] and card["figures"]["auc"] > 0.7
-    weights = Path(_native.__file__).parent / "weights"
-    for path in weights.glob("*-forest.safetensors"):
-        assert path.stat().st_size < 1_000_000
+        assert shipped_forest(method).stat().st_size < 1_000_000
 
 
 def test_training_learns_and_repeats(tmp_path: Path) -> None:

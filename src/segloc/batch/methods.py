@@ -69,8 +69,7 @@ def ready(names: tuple[str, ...] | None = None) -> Methods:
         try:
             fingerprints[name] = fingerprint(name)
         except WeightsError as error:
-            missing = "no such file" in str(error)
-            left_out[name] = "its weights are not shipped" if missing else str(error)
+            left_out[name] = str(error)
     if not fingerprints:
         raise ConfigError(f"none of {', '.join(chosen)} has its weights")
     return Methods(fingerprints, left_out)

@@ -108,16 +108,14 @@ class PairForest(Pruner):
         return self._forest.predict_pairs(query, mapped, rows, columns, self.layout.row, threads)
 
     @staticmethod
-    def load(path: Path, descriptor: Descriptor) -> PairForest | None:
-        """Read and check the forest of a descriptor; None if there is no such file.
+    def load(path: Path, descriptor: Descriptor) -> PairForest:
+        """Read and check the forest of a descriptor.
 
         Raises
         ------
         WeightsError
-            If the file is damaged, no forest, or was made for another descriptor.
+            If the file is missing, damaged, no forest, or was made for another descriptor.
         """
-        if not path.exists():
-            return None
         file = read_weights(path, _KIND, _DTYPES)
         made_for = file.settings.get("descriptor")
         if made_for != descriptor.fingerprint:
@@ -134,6 +132,8 @@ class ForestDescriptor(Descriptor):
     ----------
     threads : int
         0 is all cores; results do not depend on it.
+    weights : Path, optional
+        A forest in place of the shipped one.
 
     Attributes
     ----------
@@ -143,14 +143,31 @@ class ForestDescriptor(Descriptor):
     Raises
     ------
     WeightsError
-        If the shipped forest is damaged.
+        If ``weights`` is missing or damaged.
     """
 
     layout: Layout
 
     def __init__(self, threads: int = 0, weights: Path | None = None) -> None:
         self._threads = threads
-        self.pruner = PairForest.load(weights or shipped_forest(self.name), self)
+        self._forest: Pruner | None = PairForest.load(weights, self) if weights else None
+
+    @property
+    def pruner(self) -> Pruner:
+        """The forest, read when it is first asked for: to describe, or to grow one, needs none.
+
+        Raises
+        ------
+        WeightsError
+            If the shipped forest is not installed, or is damaged.
+        """
+        if self._forest is None:
+            self._forest = PairForest.load(shipped_forest(self.name), self)
+        return self._forest
+
+    @pruner.setter
+    def pruner(self, forest: Pruner) -> None:
+        self._forest = forest
 
 
 def save_forest(
@@ -165,5 +182,5 @@ def save_forest(
 
 
 def shipped_forest(method: str) -> Path:
-    """Path of the forest that comes with the package for a method."""
+    """Path of the forest of a method, where it is installed; see :func:`shipped_weights`."""
     return shipped_weights(f"{method}-forest.safetensors")

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from ..files import replacing
 from ..tensor_file import TensorFile, TensorFileError
 
 _VERSION = "2"
+_EXPERIMENTS = "segloc_experiments"
+"""Brings the weights of methods that are there to be compared with."""
 _OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionError, LookupError)
 """By what NumPy and the networks refuse contents; TypeError: a dtype that NumPy has not."""
 
@@ -110,8 +113,21 @@ def read_weights(
 
 
 def shipped_weights(file: str) -> Path:
-    """Path of a weights file that comes with the package."""
-    return Path(__file__).resolve().parent.parent / "weights" / file
+    """Path of a weights file that comes with segloc, or with segloc-experiments.
+
+    Raises
+    ------
+    WeightsError
+        If neither has it.
+    """
+    folders = [Path(__file__).resolve().parent.parent]
+    if spec := find_spec(_EXPERIMENTS):
+        folders += [Path(folder) for folder in spec.submodule_search_locations or ()]
+    for folder in folders:
+        path = folder / "weights" / file
+        if path.is_file():
+            return path
+    raise WeightsError(f"{file} is not part of segloc: pip install segloc-experiments")
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:

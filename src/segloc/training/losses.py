@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 
 import torch
 from torch import Tensor
 from torch.nn import functional
+
+Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+def in_float32(loss: Loss) -> Loss:
+    """A loss in single precision, whatever the network runs in.
+
+    Under autocast even float32 descriptors would be multiplied in bfloat16, whose 8 bits lose the
+    differences between distances.
+    """
+
+    @wraps(loss)
+    def whole(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
+        with torch.autocast(x.device.type, enabled=False):
+            return loss(x.float(), same, different)
+
+    return whole
 
 
 def squared_distances(x: Tensor) -> Tensor:
@@ -84,14 +102,15 @@ def multi_similarity(
     return (pull(-alpha, positive) + pull(beta, negative))[valid].mean()
 
 
-LOSSES: dict[str, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
-    "info_nce": info_nce,
-    "triplet": hard_triplet,
-    "esm": ratio_triplet,
-    "multi_similarity": multi_similarity,
+LOSSES: dict[str, Loss] = {
+    "info_nce": in_float32(info_nce),
+    "triplet": in_float32(hard_triplet),
+    "esm": in_float32(ratio_triplet),
+    "multi_similarity": in_float32(multi_similarity),
 }
 
 
+@in_float32
 def pair_match(logits: Tensor, same: Tensor, different: Tensor) -> Tensor:
     """Cross-entropy of FC4 over all pairs of a batch, both kinds weighted alike.
 
