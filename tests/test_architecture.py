@@ -30,7 +30,7 @@ LAYERS = (
     Layer("tracker scan_check hypotheses views", together=True),
     Layer("tiles"),
     Layer("localizer answer fallback search", together=True),
-    Layer("map.build map.update", together=True),
+    Layer("map.build map.sessions map.update", together=True),
     Layer("config"),
     Layer(
         "local_cloud scan_window rolling_cloud levelling segmentation matching pose occupancy "

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from ..config import Config
-from ..errors import SeglocError
 from ..localization import Localization
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
+from ..processes import as_finished
 from ..tiles import TiledLocalizer, TiledMap, holds_tiles
 from ..types import Int64, Recording
 from .run import localize_sequence
@@ -97,18 +97,9 @@ def localize_parts(
     place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
     parts = [Part(place, recording, chunk, near) for chunk in chunks]
-    futures = [executor.submit(_localized, part) for part in parts]
-    done = 0
-    try:
-        for future in as_completed(futures):
-            done += len(future.result())
-            if progress:
-                progress(done, len(positions))
-    except BrokenExecutor as error:
-        raise SeglocError(
-            "a worker process was ended, most likely because memory ran out: try fewer workers"
-        ) from error
-    finally:
-        for future in futures:
-            future.cancel()  # after a fault the rest would be done in vain
-    return [result for future in futures for result in future.result()]
+    found: dict[int, list[Localization]] = {}
+    for number, results in as_finished(_localized, parts, executor):
+        found[number] = results
+        if progress:
+            progress(sum(map(len, found.values())), len(positions))
+    return [result for number in sorted(found) for result in found[number]]

@@ -99,6 +99,8 @@ def localize(
     _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
         localizer, prior, name = opened_map(prior_map, config, threads, weights)
+    if cluster is not None:
+        sequence = sequence.absolute()
     mount = localizer.config.local_cloud.mount
     recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount

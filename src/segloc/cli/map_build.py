@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import (
+    Cluster,
     ConfigFile,
     Deskew,
     Every,
     Level,
     MapOut,
     Odometry,
-    Poses,
-    Recording,
-    Select,
+    PosesOfEach,
+    SelectOfEach,
     Threads,
     Topic,
     Weights,
+    Workers,
     check_every,
+    each,
     load_config,
 )
 
 if TYPE_CHECKING:
     from ..config import Config
+    from ..datasets import Sequence
 
 
 def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
@@ -35,13 +39,16 @@ def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
 
 
 def build(
-    sequence: Recording,
+    sequences: Annotated[
+        list[Path],
+        typer.Argument(metavar="SEQUENCE...", help="Recordings whose poses share a frame."),
+    ],
     out: MapOut,
     method: Annotated[
         str | None, typer.Option(metavar="NAME", help="How segments are described.")
     ] = None,
-    poses: Poses = None,
-    select: Select = None,
+    poses: PosesOfEach = None,
+    select: SelectOfEach = None,
     every: Every = None,
     topic: Topic = None,
     deskew: Deskew = True,
@@ -54,39 +61,51 @@ def build(
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
+    workers: Workers = 1,
+    cluster: Cluster = None,
     unchecked: Annotated[
         bool, typer.Option("--unchecked", help="Build it even where scans and poses do not fit.")
     ] = False,
 ) -> None:
-    """Build a map from a recording with poses.
+    """Build a map from recordings with poses.
 
-    What `segloc doctor` finds wrong with its scans or poses is refused: the map would be smeared.
+    Several are mapped one by one, here or by --workers or on a --cluster, and then merged.
+    What `segloc doctor` finds wrong with scans or poses is refused: the map would be smeared.
     """
-    from ..errors import DatasetError
     from ..files import checked_target
-    from ..map.build import build_map
+    from ..map.sessions import build_merged_map
+    from ..processes import executing
     from .console import note, progress
     from .map_info import show
-    from .recording import check_fit, open_recording
+    from .recording import check_fit
     from .saving import writing
 
     check_every(every)
     checked_target(out)
     settings = load_config(config, method, threads, weights)
     settings = _mapped_so(settings, compact=compact, level=level)
-    mount = settings.local_cloud.mount
-    recording = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+    _check_level(sequences, settings)
+    if cluster is not None:
+        sequences = [path.absolute() for path in sequences]
+    count = len(sequences)
+    named = zip(
+        sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
     )
-    if recording.poses is None:
-        raise DatasetError(
-            f"{sequence}: a map needs a pose for every scan: name a file by --poses, "
-            "or use --odometry"
-        )
+    recordings = [_opened(*row, topic, deskew, odometry, settings) for row in named]
     if not unchecked:
-        check_fit(recording, sequence, settings.local_cloud)
-    with progress("Building the map") as update:
-        prior_map = build_map(recording, settings, every_m=every, progress=update)
+        for recording, path in zip(recordings, sequences, strict=True):
+            check_fit(recording, path, settings.local_cloud)
+    with progress("Building the map") as update, executing(workers, cluster) as executor:
+        several = executor is not None or count > 1
+        prior_map = build_merged_map(
+            recordings,
+            settings,
+            update if several else None,
+            every_m=every,
+            views=None if several else update,
+            executor=executor,
+            folder=out.absolute().parent,
+        )
     with writing(out):
         prior_map.save(out)
     show(prior_map, str(out))
@@ -95,3 +114,34 @@ def build(
             f"the map's frame is {frame}, and scans that are levelled by themselves fit it badly; "
             "--level builds it level"
         )
+
+
+def _opened(
+    path: Path,
+    poses: Path | None,
+    select: str | None,
+    topic: str | None,
+    deskew: bool,
+    odometry: bool,
+    settings: Config,
+) -> Sequence:
+    """A recording that a map can be built of."""
+    from ..errors import DatasetError
+    from .recording import open_recording
+
+    mount = settings.local_cloud.mount
+    recording = open_recording(
+        path, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+    )
+    if recording.poses is None:
+        raise DatasetError(
+            f"{path}: a map needs a pose for every scan: name a file by --poses, or use --odometry"
+        )
+    return recording
+
+
+def _check_level(sequences: list[Path], settings: Config) -> None:
+    from ..errors import ConfigError
+
+    if settings.mapping.level and len(sequences) > 1:
+        raise ConfigError("--level turns each recording by itself, and several share a frame")
