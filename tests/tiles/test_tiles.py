@@ -16,7 +16,7 @@ from segloc import Config, Localizer, Prior, Reason, SegmentMap, build_map, geom
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.parts import along
-from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
+from segloc.tiles import TiledMap, cut_tiles
 from segloc.tiles.index import INDEX
 from segloc.tiles.store import Folder, within
 
@@ -232,7 +232,7 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     plaza: Plaza, site: SegmentMap, tmp_path: Path
 ) -> None:
     cut_tiles(site, tmp_path, size_m=50.0)
-    localizer, scan = TiledLocalizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
+    localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     found, whole = localizer.localize(scan), Localizer(site).localize(scan)
     assert found.localized and np.allclose(found.T_map_sensor, whole.T_map_sensor, atol=0.02)
     near = localizer.localize(scan, near=((5.0, 0.0), 20.0))
@@ -243,14 +243,14 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     assert anywhere.localized
     (tmp_path / localizer.tiles.index.tiles[0].file).unlink()
     with pytest.raises(MapFormatError, match="tile_"):
-        TiledLocalizer(TiledMap(tmp_path)).localize(scan)
+        Localizer(TiledMap(tmp_path)).localize(scan)
 
 
 @pytest.mark.slow
 def test_ambiguity_spans_tiles(plaza: Plaza, site: SegmentMap, tmp_path: Path) -> None:
     many = repeated(site, *AWAY)
     index = cut_tiles(many, tmp_path, size_m=200.0)
-    localizer, scan = TiledLocalizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
+    localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     assert len(index.tiles) > 10
     assert localizer.localize(scan).reason is Reason.AMBIGUOUS
     for shift in AWAY:

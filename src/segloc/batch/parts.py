@@ -16,7 +16,7 @@ from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..processes import as_finished
-from ..tiles import TiledLocalizer, TiledMap, holds_tiles
+from ..tiles import TiledMap, holds_tiles
 from ..types import Int64, Recording
 from .run import localize_sequence
 
@@ -53,10 +53,10 @@ class Part:
 
 
 @lru_cache(maxsize=2)
-def _opened(place: Place) -> Localizer | TiledLocalizer:
-    if holds_tiles(place.where):
-        return TiledLocalizer(TiledMap(place.where), place.config)
-    return Localizer(SegmentMap.load(place.where), place.config)
+def _opened(place: Place) -> Localizer:
+    tiled = holds_tiles(place.where)
+    prior_map = TiledMap(place.where) if tiled else SegmentMap.load(place.where)
+    return Localizer(prior_map, place.config)
 
 
 def _localized(part: Part) -> list[Localization]:

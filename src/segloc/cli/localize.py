@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from ..localization import Localization
     from ..localizer import Localizer
     from ..prior import Prior
-    from ..tiles import TiledLocalizer
     from ..types import Float64, Int64
     from ..types import Recording as Scans
     from .console import Update
@@ -137,7 +136,7 @@ def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
 class _Asked:
     """Queries of a recording, and where they are localized."""
 
-    localizer: Localizer | TiledLocalizer
+    localizer: Localizer
     where: str
     recording: Scans
     positions: Int64
@@ -176,10 +175,9 @@ def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[
     from ..explanation import trace
     from ..explanation.results import DEBUG
     from ..explanation.seen import packed, seen
-    from ..localizer import Localizer
 
     localizer, recording = asked.localizer, asked.recording
-    if not isinstance(localizer, Localizer):
+    if localizer.tiles is not None:
         raise ConfigError("--debug needs a map file: what tiles hold is not kept")
     results, kept = [], {}
     clouds = query_clouds(recording, asked.positions, localizer.config, localizer.clock)

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
     from ..prior import Prior
-    from ..tiles import TiledLocalizer
 
 Value = TypeVar("Value")
 
@@ -152,10 +151,11 @@ def open_localizer(
 
 def opened_map(
     where: str, path: Path | None, threads: int, weights: Path | None = None
-) -> tuple[Localizer | TiledLocalizer, SegmentMap, str]:
+) -> tuple[Localizer, SegmentMap, str]:
     """A localizer in a map file or in tiles, the map (of tiles the thin one), and its name."""
+    from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
-    from ..tiles import TiledLocalizer, TiledMap, holds_tiles
+    from ..tiles import TiledMap, holds_tiles
     from .console import note
 
     name = where.rstrip("/").rsplit("/", 1)[-1]
@@ -164,7 +164,7 @@ def opened_map(
         return open_localizer(prior_map, path, threads, weights), prior_map, name
     tiles = TiledMap(where)
     settings = map_settings(tiles.coarse(), path, threads, weights)
-    localizer = TiledLocalizer(tiles, settings)
+    localizer = Localizer(tiles, settings)
     for line in localizer.notes:
         note(line)
     return localizer, localizer.prior_map, name
