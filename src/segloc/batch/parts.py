@@ -18,7 +18,7 @@ from ..prior import Prior
 from ..processes import as_finished
 from ..tiles import TiledMap, holds_tiles
 from ..types import Int64, Recording
-from .run import localize_sequence
+from .run import Priors, each_prior, localize_sequence
 
 QUERIES = 16
 """Of a part: enough that windows of neighbouring queries share their work."""
@@ -49,7 +49,7 @@ class Part:
     place: Place
     recording: Recording
     positions: Int64
-    near: Prior | None
+    near: tuple[Prior | None, ...]
 
 
 @lru_cache(maxsize=2)
@@ -71,7 +71,7 @@ def localize_parts(
     positions: Int64,
     executor: Executor,
     progress: Callable[[int, int], None] | None = None,
-    near: Prior | None = None,
+    near: Priors = None,
 ) -> list[Localization]:
     """Localize the scans at some positions of a recording, whoever does it.
 
@@ -96,7 +96,11 @@ def localize_parts(
     """
     place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
-    parts = [Part(place, recording, chunk, near) for chunk in chunks]
+    priors, parts, done = each_prior(near, len(positions)), [], 0
+    for chunk in chunks:
+        own = tuple(priors[done : done + len(chunk)])
+        parts.append(Part(place, recording, chunk, own))
+        done += len(chunk)
     found: dict[int, list[Localization]] = {}
     for number, results in as_finished(_localized, parts, executor):
         found[number] = results

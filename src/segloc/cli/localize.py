@@ -15,6 +15,7 @@ from .options import (
     Degrees,
     Deskew,
     Every,
+    Gnss,
     Level,
     Metres,
     Near,
@@ -36,10 +37,10 @@ from .options import (
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from ..batch.run import Priors
     from ..batch.score import Evaluation, Tolerance
     from ..localization import Localization
     from ..localizer import Localizer
-    from ..prior import Prior
     from ..types import Float64, Int64
     from ..types import Recording as Scans
     from .console import Update
@@ -70,6 +71,7 @@ def localize(
     near: Near = None,
     radius: Radius = 50.0,
     anywhere: Anywhere = False,
+    gnss: Gnss = False,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -89,6 +91,7 @@ def localize(
     from ..datasets import poses_at
     from ..processes import executing
     from .console import busy, note, progress
+    from .gnss import gnss_priors
     from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
     from .results import write_results
@@ -108,7 +111,8 @@ def localize(
     T = place_of_sensor(mount)
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
-    asked = _Asked(localizer, prior_map, recording, positions, place)
+    priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
+    asked = _Asked(localizer, prior_map, recording, positions, priors)
     with progress("Localizing") as update, executing(workers, cluster) as executor:
         results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
@@ -140,7 +144,7 @@ class _Asked:
     where: str
     recording: Scans
     positions: Int64
-    near: Prior | None
+    near: Priors
 
     def by(self, executor: Executor | None, update: Update) -> list[Localization]:
         """The answers, made here or by others."""
@@ -170,7 +174,7 @@ class _Asked:
 
 def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
     """The answers, and files of what each stage made of each query."""
-    from ..batch.run import query_clouds
+    from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
     from ..explanation import trace
     from ..explanation.results import DEBUG
@@ -181,8 +185,10 @@ def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[
         raise ConfigError("--debug needs a map file: what tiles hold is not kept")
     results, kept = [], {}
     clouds = query_clouds(recording, asked.positions, localizer.config, localizer.clock)
-    for index, (cloud, times) in zip(recording.indices[asked.positions], clouds, strict=True):
-        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, asked.near)
+    priors = each_prior(asked.near, len(asked.positions))
+    indices = recording.indices[asked.positions]
+    for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
+        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
         results.append(found.result)
         kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
         update(len(results), len(asked.positions))

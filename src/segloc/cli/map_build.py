@@ -11,10 +11,12 @@ from .options import (
     Cluster,
     ConfigFile,
     Deskew,
+    Epsg,
     Every,
     Level,
     MapOut,
     Odometry,
+    Origin,
     PosesOfEach,
     SelectOfEach,
     Threads,
@@ -24,6 +26,7 @@ from .options import (
     check_every,
     each,
     load_config,
+    parsed_georeference,
 )
 
 if TYPE_CHECKING:
@@ -54,6 +57,8 @@ def build(
     deskew: Deskew = True,
     odometry: Odometry = False,
     level: Level = False,
+    epsg: Epsg = None,
+    origin: Origin = None,
     compact: Annotated[
         bool,
         typer.Option("--compact", help="As small as it can be; docs/formats.md has its losses."),
@@ -73,6 +78,7 @@ def build(
     What `segloc doctor` finds wrong with scans or poses is refused: the map would be smeared.
     """
     from ..files import checked_target
+    from ..georeference import KEY
     from ..map.sessions import build_merged_map
     from ..processes import executing
     from .console import note, progress
@@ -84,7 +90,8 @@ def build(
     checked_target(out)
     settings = load_config(config, method, threads, weights)
     settings = _mapped_so(settings, compact=compact, level=level)
-    _check_level(sequences, settings)
+    where = parsed_georeference(epsg, origin)
+    _check_level(sequences, settings, where is not None)
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
     count = len(sequences)
@@ -106,6 +113,8 @@ def build(
             executor=executor,
             folder=out.absolute().parent,
         )
+    if where is not None:
+        prior_map.metadata[KEY] = where.to_text()
     with writing(out):
         prior_map.save(out)
     show(prior_map, str(out))
@@ -140,8 +149,10 @@ def _opened(
     return recording
 
 
-def _check_level(sequences: list[Path], settings: Config) -> None:
+def _check_level(sequences: list[Path], settings: Config, georeferenced: bool) -> None:
     from ..errors import ConfigError
 
     if settings.mapping.level and len(sequences) > 1:
         raise ConfigError("--level turns each recording by itself, and several share a frame")
+    if settings.mapping.level and georeferenced:
+        raise ConfigError("--level turns the frame, which then is not that of --epsg any more")
