@@ -1,4 +1,4 @@
-"""Where a map's frame lies on the globe: a projected frame by its EPSG code, and an origin in it."""
+"""Where a map lies on the globe: in a projected frame, named by its EPSG code, at an origin."""
 
 from __future__ import annotations
 

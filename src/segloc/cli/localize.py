@@ -90,19 +90,16 @@ def localize(
     from ..batch.score import Tolerance
     from ..datasets import poses_at
     from ..processes import executing
-    from .console import busy, note, progress
+    from .console import busy, progress
     from .gnss import gnss_priors
-    from .hints import hint
     from .recording import levelled_poses, open_recording, place_of_sensor
-    from .results import write_results
 
     check_every(every)
     place = parsed_prior(near, radius, anywhere)
     _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
         localizer, prior, name = opened_map(prior_map, config, threads, weights)
-    if cluster is not None:
-        sequence = sequence.absolute()
+    sequence = sequence.absolute() if cluster else sequence
     mount = localizer.config.local_cloud.mount
     recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -117,11 +114,7 @@ def localize(
         results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
     evaluation = asked.scored(results, prior.trajectory, truths, tolerance)
-    if out is not None:
-        write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)
-    _show_all(evaluation, f"{recording.name} in {name}", json)
-    if line := hint(recording, results, localizer.config.local_cloud):
-        note(line)
+    _tell(asked, evaluation, name, out, kept, json)
 
 
 def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
@@ -193,6 +186,28 @@ def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[
         kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
         update(len(results), len(asked.positions))
     return results, kept
+
+
+def _tell(
+    asked: _Asked,
+    evaluation: Evaluation,
+    name: str,
+    out: Path | None,
+    kept: dict[str, bytes],
+    json: bool,
+) -> None:
+    """Write and show the answers, and a hint where there is one."""
+    from .console import note
+    from .hints import hint
+    from .results import write_results
+
+    recording, localizer = asked.recording, asked.localizer
+    if out is not None:
+        title = f"{recording.name} in {Path(name).stem}"
+        write_results(out, localizer.prior_map, evaluation, title, kept)
+    _show_all(evaluation, f"{recording.name} in {name}", json)
+    if line := hint(recording, evaluation.results, localizer.config.local_cloud):
+        note(line)
 
 
 def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:

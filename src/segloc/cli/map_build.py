@@ -32,6 +32,7 @@ from .options import (
 if TYPE_CHECKING:
     from ..config import Config
     from ..datasets import Sequence
+    from ..georeference import Georeference
 
 
 def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
@@ -78,19 +79,12 @@ def build(
     What `segloc doctor` finds wrong with scans or poses is refused: the map would be smeared.
     """
     from ..files import checked_target
-    from ..georeference import KEY
-    from ..map.sessions import build_merged_map
-    from ..processes import executing
-    from .console import note, progress
-    from .map_info import show
-    from .recording import check_fit
-    from .saving import writing
 
     check_every(every)
     checked_target(out)
+    where = parsed_georeference(epsg, origin)
     settings = load_config(config, method, threads, weights)
     settings = _mapped_so(settings, compact=compact, level=level)
-    where = parsed_georeference(epsg, origin)
     _check_level(sequences, settings, where is not None)
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
@@ -100,10 +94,28 @@ def build(
     )
     recordings = [_opened(*row, topic, deskew, odometry, settings) for row in named]
     if not unchecked:
-        for recording, path in zip(recordings, sequences, strict=True):
-            check_fit(recording, path, settings.local_cloud)
+        _check_fit(recordings, sequences, settings)
+    _build(recordings, settings, out, every, workers, cluster, where)
+
+
+def _build(
+    recordings: list[Sequence],
+    settings: Config,
+    out: Path,
+    every: float | None,
+    workers: int,
+    cluster: str | None,
+    where: Georeference | None,
+) -> None:
+    from ..georeference import KEY
+    from ..map.sessions import build_merged_map
+    from ..processes import executing
+    from .console import note, progress
+    from .map_info import show
+    from .saving import writing
+
     with progress("Building the map") as update, executing(workers, cluster) as executor:
-        several = executor is not None or count > 1
+        several = executor is not None or len(recordings) > 1
         prior_map = build_merged_map(
             recordings,
             settings,
@@ -123,6 +135,13 @@ def build(
             f"the map's frame is {frame}, and scans that are levelled by themselves fit it badly; "
             "--level builds it level"
         )
+
+
+def _check_fit(recordings: list[Sequence], paths: list[Path], settings: Config) -> None:
+    from .recording import check_fit
+
+    for recording, path in zip(recordings, paths, strict=True):
+        check_fit(recording, path, settings.local_cloud)
 
 
 def _opened(

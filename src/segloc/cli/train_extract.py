@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from ..training.extract import ExtractConfig
     from ..training.labels import LabelCounts
     from ..training.shards import Session
-    from ..training.worlds import WorldSpec
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
 Lengths = Annotated[
@@ -81,23 +80,14 @@ def extract(
     values = {"lengths_m": lengths, "every_m": every, "seed": seed, "label": rule}
     settings = validated(ExtractConfig, values, "extraction")
     if simulate is not None:
-        from ..training.worlds import draw_worlds
-
         chosen = tuple(sensors.split(",")) if sensors else ()
-        done = _simulate(
-            out.absolute(),
-            draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin),
-            settings,
-            workers,
-            cluster,
-            config,
-        )
+        drawn = {"length_m": drive, "sensors": chosen, "thin": thin}
+        done = _simulate(out.absolute(), simulate, drawn, settings, workers, cluster, config)
     else:
         named = _Recordings(sequences or [], poses or [], select or [], topic, place, sensor)
         alone = register or len(named.rows) == 1  # each is aligned with those before it
-        done = named.collect(
-            out.absolute(), settings, register, config, 1 if alone else workers, cluster
-        )
+        means = (1 if alone else workers, cluster)
+        done = named.collect(out.absolute(), settings, register, config, *means)
     if not done:
         note("nothing was extracted")
         return
@@ -106,7 +96,8 @@ def extract(
 
 def _simulate(
     out: Path,
-    worlds: list[WorldSpec],
+    simulate: str,
+    drawn: dict[str, Any],
     settings: ExtractConfig,
     workers: int,
     cluster: str | None,
@@ -114,7 +105,10 @@ def _simulate(
 ) -> list[Session]:
     from ..processes import executing
     from ..training.collect import collect_worlds
+    from ..training.worlds import draw_worlds
     from .options import load_config
+
+    worlds = draw_worlds(simulate, settings.seed, **drawn)
 
     segmentation = load_config(config, None, 1).segmentation
     with executing(1, cluster) as executor:

@@ -100,7 +100,8 @@ def write_geojson(
     """A feature for each session, its coordinates in degrees, or else as they are.
 
     RFC 7946 has no frame but WGS 84. They are in degrees where the map is georeferenced, or by
-    ``place``. Otherwise coordinates are the map's metres, and ``epsg`` names their frame by the member "crs" of GeoJSON 2008, which GDAL and QGIS heed.
+    ``place``. Otherwise coordinates are the map's metres, and ``epsg`` names their frame by the
+    member "crs" of GeoJSON 2008, which GDAL and QGIS heed.
     """
     if epsg is not None and place is not None:
         raise ConfigError("--epsg and --at exclude each other")
