@@ -210,14 +210,25 @@ class Reader:
                 if digest_of(data) == tile.digest:
                     os.utime(copy)
                     return data
-        data = self._fetched(tile.file, tile.bytes)
-        if len(data) != tile.bytes or digest_of(data) != tile.digest:
-            raise MapFormatError(
-                f"{self._store.where}/{tile.file}: damaged: it is not the file of the index"
-            )
+        data = self._checked(tile)
         if copy is not None:
             self._keep(copy, data)
         return data
+
+    def _checked(self, tile: TileFile) -> bytes:
+        """The bytes of a tile; what a store cuts short or breaks off is asked for once more."""
+        for last in (False, True):
+            try:
+                data = self._fetched(tile.file, tile.bytes)
+            except MapFormatError as error:
+                if last or isinstance(error.__cause__, (TimeoutError, FileNotFoundError)):
+                    raise
+                continue
+            if len(data) == tile.bytes and digest_of(data) == tile.digest:
+                return data
+        raise MapFormatError(
+            f"{self._store.where}/{tile.file}: damaged: it is not the file of the index"
+        )
 
     def _fetched(self, name: str, most: int) -> bytes:
         where = f"{self._store.where}/{name}"
