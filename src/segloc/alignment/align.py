@@ -70,7 +70,7 @@ def align_sessions(
     stage: Stage | None = None,
     *,
     executor: Executor | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
 ) -> Alignment:
     """Bring sessions of one place into one frame.
 

@@ -57,7 +57,7 @@ class Bench:
 
 @contextmanager
 def bench(
-    config: Config, settings: AlignConfig, executor: Executor | None, folder: Path | None
+    config: Config, settings: AlignConfig, executor: Executor | None, folder: str | Path | None
 ) -> Iterator[Bench]:
     """A bench in memory; for an executor one in a folder, which is removed at the end."""
     if executor is None:

@@ -39,7 +39,7 @@ def build_merged_map(
     every_m: float | None = None,
     views: Progress | None = None,
     executor: Executor | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
 ) -> SegmentMap:
     """A map of several sessions whose poses share a frame.
 
@@ -97,7 +97,7 @@ def _mapped(task: _Task, views: Progress | None = None) -> SegmentMap | Path:
 
 
 @contextmanager
-def _parts_in(folder: Path | None) -> Iterator[Path]:
+def _parts_in(folder: str | Path | None) -> Iterator[Path]:
     try:
         with TemporaryDirectory(prefix=".segloc-parts-", dir=folder) as made:
             yield Path(made)
