@@ -88,7 +88,7 @@ def update_tiles(
         counts.append(counted)
         return updated
 
-    own = config or Config()
+    own = config or map_config(TiledMap(where).coarse())
     reach_m = max(own.local_cloud.radius_m, settings.visibility.range_m)
     return _changed(store_of(where), poses[:, :2, 3], reach_m, change), counts[0]
 
