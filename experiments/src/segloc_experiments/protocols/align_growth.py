@@ -95,6 +95,8 @@ def main() -> None:
     options = parser(__doc__)
     options.add_argument("--lengths", type=float, nargs="+", default=[500.0, 1000.0, 2000.0])
     options.add_argument("--sessions", type=int, default=6)
+    options.add_argument("--every", type=float, default=6.0, help="metres between submaps")
+    options.add_argument("--part", type=float, default=200.0, help="metres of a part")
     options.add_argument("--thin", type=int, default=8, help="every n-th firing of the sensor")
     options.add_argument("--seed", type=int, default=5)
     options.add_argument("--every-part", action="store_true")
@@ -104,9 +106,11 @@ def main() -> None:
     print(head("searched", "km in all", *times, *good, "peak MB"), flush=True)
     for length_m in args.lengths:
         drives = drives_of(length_m, args.sessions, args.thin, args.seed)
-        report("parts that are voted for", drives, AlignConfig(), args.seed)
+        settings = AlignConfig(every_m=args.every, part_m=args.part)
+        report("parts that are voted for", drives, settings, args.seed)
         if args.every_part:
-            report("every part", drives, AlignConfig(searched_parts=10**6), args.seed)
+            all_parts = settings.model_copy(update={"searched_parts": 10**6})
+            report("every part", drives, all_parts, args.seed)
 
 
 if __name__ == "__main__":
