@@ -164,4 +164,4 @@ def test_fixes_of_a_bag(kind: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no topic of GNSS fixes /other"):
         read_fixes(path, "/other")
     with pytest.raises(DatasetError, match="no bag"):
-        read_fixes(tmp_path)
+        read_fixes(tmp_path / "scans")
