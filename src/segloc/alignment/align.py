@@ -26,7 +26,7 @@ from .loops import Chain, Loop, Progress, edges_of
 from .session_graph import SessionGraph
 from .spread import spread
 from .submaps import Session
-from .tasks import Described, Stage, bench, describe_all, find_loops, tie
+from .tasks import Described, Stage, describe_all, find_loops, opened_workspace, tie
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def align_sessions(
         raise ConfigError("there is no session to align")
     sessions = [_session(k, recording, settings) for k, recording in enumerate(recordings)]
     chain = Chain.of(sessions, settings.part_m)
-    with bench(config, settings, executor, folder) as own:
+    with opened_workspace(config, settings, executor, folder) as own:
         describe_all(own, _tasks(recordings, sessions, settings), stage)
         with stage("Looking for loops") as update:
             found = find_loops(own, chain, update)

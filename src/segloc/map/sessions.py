@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from ..config import Config
-from ..errors import ConfigError, SeglocError
+from ..errors import ConfigError
+from ..files import folder_in
 from ..processes import all_of
 from ..types import Recording
 from .build import build_map
@@ -74,7 +73,7 @@ def build_merged_map(
     """
     if not recordings:
         raise ConfigError("there is no session to map")
-    with _parts_in(folder if executor else None) as parts:
+    with folder_in(folder if executor else None, ".segloc-parts-") as parts:
         own = config.model_copy(update={"threads": 1}) if executor else config
         files = [parts / f"{k}.segmap" if executor else None for k in range(len(recordings))]
         tasks = [
@@ -94,15 +93,6 @@ def _mapped(task: _Task, views: Progress | None = None) -> SegmentMap | Path:
         return prior_map
     prior_map.save(task.out)
     return task.out
-
-
-@contextmanager
-def _parts_in(folder: str | Path | None) -> Iterator[Path]:
-    try:
-        with TemporaryDirectory(prefix=".segloc-parts-", dir=folder) as made:
-            yield Path(made)
-    except FileNotFoundError as error:
-        raise SeglocError(f"{folder}: cannot be written: there is no such folder") from error
 
 
 def _merged(maps: Sequence[SegmentMap]) -> SegmentMap:

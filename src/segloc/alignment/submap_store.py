@@ -20,7 +20,7 @@ from .submaps import Submap
 _SUBMAPS_AT_HAND, _MAPS_AT_HAND = 256, 2
 
 
-class Shelf(Protocol):
+class SubmapStore(Protocol):
     """Submaps by their number, maps by their name."""
 
     def put(self, number: int, submap: Submap) -> None:
@@ -38,7 +38,7 @@ class Shelf(Protocol):
         ...
 
 
-class MemoryShelf:
+class MemoryStore:
     """For tasks of this process."""
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class MemoryShelf:
 
 
 @dataclass(frozen=True)
-class FolderShelf:
+class FolderStore:
     """For tasks of several processes or machines, which all see the folder; no bit is lost.
 
     Raises
