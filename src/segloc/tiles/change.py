@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -155,22 +156,25 @@ def _cell(row: NDArray[np.int64]) -> Cell:
 
 
 def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
-    """The squares that come within reach of places, along either axis."""
-    found: set[Cell] = set()
-    steps = range(-1, 2) if reach_m < size_m else range(-int(reach_m // size_m) - 1, 3)
-    for cell in map(_cell, np.unique(cells_of(places, size_m), axis=0)):
-        own = places[(cells_of(places, size_m) == cell).all(axis=1)]
-        for di in steps:
-            for dj in steps:
-                other = cell[0] + di, cell[1] + dj
-                if in_square(own, other, size_m, reach_m).any():
-                    found.add(other)
-    return found
+    """The squares that come within reach of places: of the boxes around those of each square."""
+    cells, square = np.unique(cells_of(places, size_m), axis=0, return_inverse=True)
+    low, high = np.full((len(cells), 2), np.inf), np.full((len(cells), 2), -np.inf)
+    np.minimum.at(low, square.reshape(-1), places[:, :2])
+    np.maximum.at(high, square.reshape(-1), places[:, :2])
+    first = np.floor((low - reach_m) / size_m).astype(np.int64)
+    last = np.floor((high + reach_m) / size_m).astype(np.int64)
+    return {
+        (i, j)
+        for (i0, j0), (i1, j1) in zip(first.tolist(), last.tolist(), strict=True)
+        for i in range(i0, i1 + 1)
+        for j in range(j0, j1 + 1)
+    }
 
 
 def _around(cells: list[Cell], index: TileIndex) -> set[Cell]:
     """Squares that share something with what some tiles hold."""
-    steps = range(-1, 2) if index.margin_m <= index.size_m else range(-21, 22)
+    most = math.ceil(index.margin_m / index.size_m)
+    steps = range(-most, most + 1)
     return {(i + di, j + dj) for i, j in cells for di in steps for dj in steps}
 
 
