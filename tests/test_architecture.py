@@ -30,7 +30,7 @@ LAYERS = (
     Layer("tracker scan_check hypotheses views", together=True),
     Layer("tiles"),
     Layer("localizer answer fallback search", together=True),
-    Layer("map.build map.update", together=True),
+    Layer("map.build map.sessions map.update", together=True),
     Layer("config"),
     Layer(
         "local_cloud scan_window rolling_cloud levelling segmentation matching pose occupancy "
@@ -42,7 +42,10 @@ LAYERS = (
     Layer("io"),
     Layer("motion processes reposed system files tensor_file stage_times yamlfile"),
     Layer("locks"),
-    Layer("geometry types localization prior checks section errors budget _native", together=True),
+    Layer(
+        "georeference geometry types localization prior checks section errors budget _native",
+        together=True,
+    ),
 )
 """Top to bottom. A room is a module or a package; the longest name that fits is a module's room."""
 
@@ -67,6 +70,7 @@ PACKAGES = {
     "matplotlib": "pictures batch explanation",
     "viser": "explanation",
     "fsspec": "tiles",
+    "pyproj": "georeference",
     "distributed": "processes",
     "typer": "cli",
     "rich": "cli",

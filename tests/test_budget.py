@@ -14,7 +14,7 @@ from samples import io as samples
 from segloc import budget, geometry
 from segloc.errors import ConfigError, DatasetError
 from segloc.io import read_scan, read_trajectory
-from segloc.processes import process_pool
+from segloc.processes import ProcessPool
 
 CLOUD = samples.cloud(40)
 FILES = samples.samples(CLOUD)
@@ -37,7 +37,7 @@ def test_every_format_keeps_to_the_limit(
 
 def test_workers_keep_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(budget.OPTION, "39")
-    with process_pool(1) as pool:
+    with ProcessPool(1) as pool:
         assert pool.submit(budget.most_points).result() == 39
 
 

@@ -76,7 +76,7 @@ def test_what_is_no_scan_is_told_what_to_do(
 @pytest.mark.parametrize("prior_map", ["site.segmap", None, 3, {}])
 def test_a_localizer_needs_a_map(prior_map: Any) -> None:
     with pytest.raises(
-        ConfigError, match=r"needs a SegmentMap, not .*: load one by SegmentMap.load"
+        ConfigError, match=r"needs a SegmentMap or a TiledMap, not .*: see SegmentMap.load"
     ):
         Localizer(prior_map)
 

@@ -20,6 +20,7 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 from .errors import SeglocError
@@ -87,6 +88,21 @@ def checked_target(path: Path) -> Path:
     if not target.parent.is_dir():
         raise SeglocError(f"{path}: cannot be written: there is no folder {target.parent}")
     return target
+
+
+@contextmanager
+def folder_in(parent: str | Path | None, prefix: str) -> Iterator[Path]:
+    """A folder for a while, in another; by default in the system's for temporary files.
+
+    Raises
+    ------
+    SeglocError
+        If there is no such other.
+    """
+    if parent is not None and not Path(parent).is_dir():
+        raise SeglocError(f"{parent}: cannot be written: there is no such folder")
+    with TemporaryDirectory(prefix=prefix, dir=parent) as made:
+        yield Path(made).absolute()
 
 
 def _remove_stale(target: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from .answer import answer
 from .config import Config, query_config
@@ -24,12 +24,34 @@ from .types import LocalCloud
 from .verification import QueryCloud, Verifier
 
 
+class TileSearch(Protocol):
+    """Searches the tiles of a map that a query may be in."""
+
+    def locate(
+        self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
+    ) -> Localization: ...
+
+
+class InTiles(Protocol):
+    """A map in tiles, which says itself how it is searched: a :class:`segloc.tiles.TiledMap`."""
+
+    def coarse(self) -> SegmentMap:
+        """The thin map of all tiles."""
+        ...
+
+    def search(self, coarse: Localizer) -> TileSearch:
+        """The search in tiles, by the settings of a localizer in the thin map of all."""
+        ...
+
+
 class Localizer:
     """Finds the pose of the sensor in a prior map, with no initial guess.
 
     Parameters
     ----------
-    prior_map : SegmentMap
+    prior_map : SegmentMap or TiledMap
+        Of a map in tiles those are fetched and searched as one that a query may be in: near its
+        prior, or else where most of it agrees with a thin map of all tiles.
     config : Config, optional
         By default the one that the map was built with.
     clock : callable
@@ -37,6 +59,9 @@ class Localizer:
 
     Attributes
     ----------
+    prior_map : SegmentMap
+        Of tiles the thin map of all.
+    tiles : TiledMap or None
     notes : tuple of str
         In what the configuration differs from the one that the map was built with, and from the
         one that the confidence was fitted under.
@@ -50,6 +75,8 @@ class Localizer:
         descriptor.
     ConfigError
         If it is given something else than a map.
+    MapFormatError
+        If the thin map of all tiles cannot be read.
 
     Notes
     -----
@@ -59,16 +86,15 @@ class Localizer:
 
     def __init__(
         self,
-        prior_map: SegmentMap,
+        prior_map: SegmentMap | InTiles,
         config: Config | None = None,
         *,
         clock: Clock = time.perf_counter,
     ) -> None:
-        if not isinstance(prior_map, SegmentMap):
-            raise ConfigError(
-                f"a Localizer needs a SegmentMap, not {type(prior_map).__name__}: "
-                "load one by SegmentMap.load(path); tiles are for a segloc.tiles.TiledLocalizer"
-            )
+        self.tiles = None if isinstance(prior_map, SegmentMap) else _tiles(prior_map)
+        if self.tiles is not None:
+            prior_map = self.tiles.coarse()
+        assert isinstance(prior_map, SegmentMap)
         config, self.notes = query_config(prior_map, config)
         threads = config.threads
         self.prior_map, self.config, self.clock = prior_map, config, clock
@@ -96,10 +122,23 @@ class Localizer:
             threads=threads,
         )
         self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
+        self._tile_search = None if self.tiles is None else self.tiles.search(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
-        return _restored, (self.prior_map, self.config, self.clock)
+        return _restored, (self.tiles or self.prior_map, self.config, self.clock)
+
+    def in_one_piece(self) -> Localizer:
+        """This localizer, if its map is not in tiles.
+
+        Raises
+        ------
+        ConfigError
+            If it is: what is asked of it needs the whole map.
+        """
+        if self.tiles is not None:
+            raise ConfigError("this needs a map in one piece: a file, and not tiles")
+        return self
 
     def localize(
         self,
@@ -130,6 +169,10 @@ class Localizer:
             found".
         ConfigError
             If ``near`` is no prior.
+        MapFormatError
+            If a tile that is needed is missing, damaged, or takes too long to come; names its
+            file. Nothing is answered from the others alone: they could not tell whether the place
+            is ambiguous.
         """
         times, prior = StageTimes(self.clock), Prior.of(near)
         return self.locate(self.describe(scans, times), times, deadline_ms, prior)
@@ -156,6 +199,8 @@ class Localizer:
     ) -> Localization:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self.clock)
+        if self._tile_search is not None:
+            return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
         counts = counted(query, found)
         return answer(query.cloud, found.verdict, counts, times.with_total(), found.near)
@@ -173,7 +218,13 @@ class Localizer:
         those do not settle it, the clouds are compared all over the map. In a map too large for
         that, segments are first tried again with more neighbours; the better of the verdicts
         counts.
+
+        Raises
+        ------
+        ConfigError
+            If the map is in tiles: these are localized in, one after another.
         """
+        self.in_one_piece()
         times = times or StageTimes(self.clock)
         cloud = self.verifier.query(query.scene)
         found = self._by_segments(query, cloud, times, deadline_ms, near)
@@ -235,5 +286,14 @@ def counted(query: Query, found: Search) -> dict[str, int]:
     }
 
 
-def _restored(prior_map: SegmentMap, config: Config, clock: Clock) -> Localizer:
+def _tiles(given: InTiles) -> InTiles:
+    if not (callable(getattr(given, "coarse", None)) and callable(getattr(given, "search", None))):
+        raise ConfigError(
+            f"a Localizer needs a SegmentMap or a TiledMap, not {type(given).__name__}: see "
+            "SegmentMap.load(path) and segloc.tiles.TiledMap(place)"
+        )
+    return given
+
+
+def _restored(prior_map: SegmentMap | InTiles, config: Config, clock: Clock) -> Localizer:
     return Localizer(prior_map, config, clock=clock)

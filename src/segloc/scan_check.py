@@ -48,7 +48,7 @@ class ScanCheck:
     """
 
     def __init__(self, localizer: Localizer, config: ScanCheckConfig | None = None) -> None:
-        self._localizer, self.config = localizer, config or ScanCheckConfig()
+        self._localizer, self.config = localizer.in_one_piece(), config or ScanCheckConfig()
 
     def scene(self, scan: Scan | LocalCloud) -> tuple[LocalCloud, Segmentation]:
         """A scan as it is compared."""

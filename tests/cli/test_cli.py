@@ -277,6 +277,33 @@ def test_nothing_to_map(
             "--out", tmp_path / "out.segmap")  # fmt: skip
 
 
+@pytest.mark.slow
+def test_several_recordings_make_one_map_whoever_does_it(
+    toy: Toy, tmp_path: Path, refused: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    build = ["map", "build", toy.run_1, toy.run_2, "--poses", "poses.tum", "--every", 10]
+    where = ["--epsg", 25832, "--origin", "691600,5336000"]
+    here, there, tiles = tmp_path / "here.segmap", tmp_path / "there.segmap", tmp_path / "tiles"
+    assert run(*build, *where, "--threads", 2, "--out", here) == 0
+    assert run(*build, *where, "--workers", 2, "--out", there) == 0
+    assert here.read_bytes() == there.read_bytes()
+    assert files(tmp_path) == ["here.segmap", "there.segmap"]
+    capsys.readouterr()
+    assert run("map", "info", here) == 0
+    assert "EPSG:25832" in capsys.readouterr().out
+    refused("--level turns", *build, "--level", "--out", there)
+    refused("--origin needs --epsg", *build, "--origin", "1,2", "--out", there)
+    refused("--origin is E,N", *build, "--epsg", 25832, "--origin", "1", "--out", there)
+    refused("no bag", "localize", toy.run_2, "--map", here, "--gnss")
+    refused("--gnss needs a map", "localize", toy.run_2, "--map", toy.map, "--gnss")
+    assert run("map", "tile", toy.map, "--size", 50, "--out", tiles) == 0
+    update = ["map", "update", tiles, toy.run_2, "--poses", toy.run_2 / "poses.tum", "--out"]
+    refused("tiles change where they lie", *update, tmp_path / "other")
+    assert run(*update, tiles) == 0
+    assert run("map", "merge", tiles, here, "--out", tiles) == 0
+    assert "tiles changed" in capsys.readouterr().out
+
+
 def test_maps_that_cannot_be_used(toy: Toy, tmp_path: Path, refused: Callable[..., None]) -> None:
     data, cut = toy.map.read_bytes(), tmp_path / "cut.segmap"
     for share in (0.01, 0.5, 0.99):

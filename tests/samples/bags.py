@@ -38,6 +38,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"
 ODOMETRY = "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
+FIX = "sensor_msgs/msg/NavSatFix"
 
 
 @dataclass
@@ -197,6 +198,26 @@ class BagWriter:
             linear_acceleration_covariance=np.zeros(9),
         )  # fmt: skip
         self.add(topic, IMU, stamp, message)
+
+    def fix(
+        self,
+        topic: str,
+        stamp: float,
+        place: tuple[float, float, float],
+        variance: tuple[float, float] | None,
+        status: int = 0,
+    ) -> None:
+        """A GNSS fix at latitude, longitude and height, with its variance where that is known."""
+        east, north = variance or (0.0, 0.0)
+        message = self.make(
+            FIX,
+            header=self.header(stamp, "gnss"),
+            status=self.make("sensor_msgs/msg/NavSatStatus", status=status, service=1),
+            latitude=place[0], longitude=place[1], altitude=place[2],
+            position_covariance=np.array([east, 0, 0, 0, north, 0, 0, 0, 9.0]),
+            position_covariance_type=0 if variance is None else 2,
+        )  # fmt: skip
+        self.add(topic, FIX, stamp, message)
 
     def tf(self, topic: str, stamp: float, T: Float64, parent: str, child: str) -> None:
         xyz, quaternion = self._transform(T)

@@ -14,7 +14,7 @@ pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
 from segloc.datasets.base import parse_select
 from segloc.datasets.loaders.folder import FolderSequence
 from segloc.errors import ConfigError, DatasetError
-from segloc.processes import process_pool
+from segloc.processes import ProcessPool
 from segloc.simulation import (
     OdometryNoise,
     Route,
@@ -301,7 +301,7 @@ def test_recording_is_the_same_on_two_processes_and_reads_back(
 ) -> None:
     sequence = simulate_session(small, 1, route_in(small, 30.0), hdl64e(60), seed=5, name="drive")
     reports: list[tuple[int, int]] = []
-    with process_pool(2) as pool:
+    with ProcessPool(2) as pool:
         folder = record(
             sequence, tmp_path / "two", executor=pool, progress=lambda *n: reports.append(n)
         )

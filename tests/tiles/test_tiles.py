@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import pickle
+import subprocess
+import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -12,13 +16,16 @@ import pytest
 from samples.maps import repeated, town
 from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localizer, Prior, Reason, SegmentMap, build_map, geometry
+from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, build_map, geometry
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.parts import along
-from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
+from segloc.map.update import update_map
+from segloc.map.voxel_cloud import VoxelCloud
+from segloc.tiles import TiledMap, cut_tiles, merge_into_tiles, tiled_map, update_tiles
 from segloc.tiles.index import INDEX
-from segloc.tiles.store import Folder, within
+from segloc.tiles.recent import Recent
+from segloc.tiles.store import Folder, Remote, within
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 TRUE = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
@@ -219,6 +226,176 @@ def test_a_url_that_nothing_opens_is_refused(tmp_path: Path) -> None:
         TiledMap("nothing-of-that-name://bucket", cache=tmp_path)
 
 
+class Faulty:
+    """A store whose first answers for tiles are cut short, late or wrong."""
+
+    def __init__(self, where: str, how: str, times: int) -> None:
+        self._store, self._how, self._left = Remote(where), how, times
+        self.where = where
+
+    def read(self, name: str, most: int) -> bytes:
+        data = self._store.read(name, most)
+        if name == INDEX or not self._left:
+            return data
+        self._left -= 1
+        if self._how == "late":
+            time.sleep(30)
+        if self._how == "error":
+            raise ConnectionResetError("connection reset by peer")
+        return data[: len(data) // 2] if self._how == "cut short" else data[::-1]
+
+
+@pytest.mark.parametrize("how", ["late", "error", "cut short", "wrong"])
+def test_a_faulty_store_is_asked_twice_and_then_named(
+    whole: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    pytest.importorskip("fsspec")
+    url = f"memory://segloc-faulty-{how.replace(' ', '-')}"
+    index = cut_tiles(whole, url, size_m=50.0, margin_m=20.0)
+    first, second, *_ = index.tiles
+    for times, works in ((1, False),) if how == "late" else ((1, True), (2, False)):
+        store = Faulty(url, how, times)
+        monkeypatch.setattr(tiled_map, "store_of", lambda _, store=store: store)
+        tiles = TiledMap(url, cache=tmp_path / f"{times}", timeout_s=0.5)
+        if works:
+            assert len(tiles.tile(first)) == first.segments
+            continue
+        with pytest.raises(MapFormatError, match=first.file) as caught:
+            tiles.tile(first)
+        assert "\n" not in str(caught.value)
+        assert len(tiles.tile(second)) == second.segments
+        assert len(tiles.tile(first)) == first.segments  # once it answers
+
+
+def test_tiles_of_a_web_server(whole: SegmentMap, cut: Path, tmp_path: Path) -> None:
+    pytest.importorskip("fsspec")
+    pytest.importorskip("aiohttp")
+    server = subprocess.Popen(
+        [sys.executable, "-u", "-m", "http.server", "0", "--bind", "127.0.0.1", "-d", str(cut)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        assert server.stdout is not None
+        port = server.stdout.readline().split(" port ")[1].split()[0]
+        url = f"http://127.0.0.1:{port}"
+        tiles = TiledMap(url, cache=tmp_path / "cache")
+        assert rows(tiles.together(tiles.index.tiles)) == rows(
+            TiledMap(cut).together(tiles.index.tiles)
+        )
+        (cut / tiles.index.tiles[0].file).unlink()
+        with pytest.raises(MapFormatError, match=tiles.index.tiles[0].file):
+            TiledMap(url, cache=tmp_path / "other").tile(tiles.index.tiles[0])
+        again = TiledMap(url, cache=tmp_path / "cache")
+        assert len(again.tile(again.index.tiles[0])) == again.index.tiles[0].segments
+    finally:
+        server.kill()
+        server.wait()
+        if server.stdout is not None:
+            server.stdout.close()
+    with pytest.raises(MapFormatError, match=INDEX):
+        TiledMap(url, cache=tmp_path / "cache")
+
+
+def test_what_was_used_last_is_kept_within_its_bytes(cut: Path) -> None:
+    recent = Recent(100)
+    made: list[int] = []
+
+    def make(k: int) -> int:
+        return recent.get(k, int, lambda: made.append(k) or k, lambda _: 40)
+
+    assert [make(k) for k in (1, 2, 1, 3, 2, 1)] == [1, 2, 1, 3, 2, 1]
+    assert made == [1, 2, 3, 2, 1] and recent.bytes == 80  # 2 went for 3, 1 for 2, and 3 for 1
+    tiles = TiledMap(cut, memory_bytes=1)
+    for tile in tiles.index.tiles:
+        assert tiles.tile(tile) is tiles.tile(tile)
+    assert len(tiles.recent) == 1
+
+
+# --- changing them --------------------------------------------------------------------------------
+
+
+def test_a_merge_writes_the_tiles_that_it_reaches(whole: SegmentMap, tmp_path: Path) -> None:
+    """And gives what cutting the merged map gives."""
+    low = whole.origin[:2] + whole.cloud[:, :2].min(axis=0)
+    other = session_of(whole, low + 20.0, 25.0)
+    cut_tiles(whole, tmp_path / "merged", size_m=50.0, margin_m=20.0)
+    before = TiledMap(tmp_path / "merged").index
+    changed = merge_into_tiles(tmp_path / "merged", other, elsewhere=True)
+    assert 0 < changed.written < len(changed.index.tiles)
+    same = {tile.file for tile in before.tiles} & {tile.file for tile in changed.index.tiles}
+    assert len(same) == len(changed.index.tiles) - changed.written
+    together = compacted(whole.merge(other), CompactConfig())
+    cut_tiles(together, tmp_path / "cut", size_m=50.0, margin_m=20.0)
+    found, expected = TiledMap(tmp_path / "merged"), TiledMap(tmp_path / "cut")
+    assert [t.cell for t in found.index.tiles] == [t.cell for t in expected.index.tiles]
+    assert rows(found.together(found.index.tiles)) == rows(expected.together(expected.index.tiles))
+    assert len(found.coarse().trajectory) == len(expected.coarse().trajectory)
+
+
+def test_a_change_that_fails_leaves_the_tiles(
+    whole: SegmentMap, cut: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {path.name: path.read_bytes() for path in cut.iterdir()}
+    plain = Folder.write
+
+    def fail(self: Folder, name: str, data: bytes) -> None:
+        if name == INDEX:
+            raise SeglocError("disk full")
+        plain(self, name, data)
+
+    monkeypatch.setattr(Folder, "write", fail)
+    other = session_of(whole, whole.origin[:2], 25.0)
+    with pytest.raises(SeglocError, match="disk full"):
+        merge_into_tiles(cut, other, elsewhere=True)
+    assert {name: (cut / name).read_bytes() for name in before} == before
+    far = along(other, other.trajectory + np.array([[0, 0, 0, 9e4]] * 2 + [[0] * 4] * 2))
+    with pytest.raises(SeglocError):
+        merge_into_tiles(cut, far)
+
+
+@pytest.mark.parametrize("where", ["folder", "memory://segloc-writers"])
+def test_of_several_writers_none_is_lost(whole: SegmentMap, tmp_path: Path, where: str) -> None:
+    if "://" in where:
+        pytest.importorskip("fsspec")
+    place = where if "://" in where else str(tmp_path / where)
+    cut_tiles(whole, place, size_m=50.0, margin_m=20.0)
+    extent = whole.origin[:2] + whole.cloud[:, :2].mean(axis=0)
+    others = [session_of(whole, extent + 6.0 * k, 15.0, 0.25 + 0.1 * k) for k in range(3)]
+    failures: list[BaseException] = []
+
+    def write(other: SegmentMap) -> None:
+        try:
+            merge_into_tiles(place, other, elsewhere=True)
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=write, args=(other,)) for other in others]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failures
+    tiles = TiledMap(place, cache=tmp_path / "cache")
+    joined = tiles.together(tiles.index.tiles)
+    assert len(np.unique(joined.session)) == len(np.unique(whole.session)) + len(others)
+
+
+def session_of(whole: SegmentMap, centre: Any, radius: float, aside: float = 0.25) -> SegmentMap:
+    """What another session saw around a place: the same objects, a little elsewhere."""
+    part = whole.crop(centre, radius)
+    columns = part.columns()
+    columns["centroids"] = part.centroids + aside
+    columns["stamps"] = part.stamps + 1e5 * aside
+    columns["session"] = np.zeros(len(part), np.int32)
+    columns["missed"] = np.zeros(len(part), np.int32)
+    cloud = VoxelCloud(part.cloud, part.origin, part.cloud_voxel)
+    path = np.stack([geometry.yaw_transform(0.0, (*centre, 301.0 + k)) for k in range(2)])
+    made = SegmentMap(part.descriptor, part.fingerprint, columns, cloud, path, part.metadata)
+    return compacted(made, CompactConfig())
+
+
 # --- localization ---------------------------------------------------------------------------------
 
 
@@ -232,7 +409,7 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     plaza: Plaza, site: SegmentMap, tmp_path: Path
 ) -> None:
     cut_tiles(site, tmp_path, size_m=50.0)
-    localizer, scan = TiledLocalizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
+    localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     found, whole = localizer.localize(scan), Localizer(site).localize(scan)
     assert found.localized and np.allclose(found.T_map_sensor, whole.T_map_sensor, atol=0.02)
     near = localizer.localize(scan, near=((5.0, 0.0), 20.0))
@@ -243,14 +420,56 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     assert anywhere.localized
     (tmp_path / localizer.tiles.index.tiles[0].file).unlink()
     with pytest.raises(MapFormatError, match="tile_"):
-        TiledLocalizer(TiledMap(tmp_path)).localize(scan)
+        Localizer(TiledMap(tmp_path)).localize(scan)
+
+
+@pytest.mark.slow
+def test_a_localizer_in_tiles_is_one_like_others(
+    plaza: Plaza, site: SegmentMap, tmp_path: Path
+) -> None:
+    cut_tiles(site, tmp_path, size_m=50.0)
+    localizer, scan = Localizer(TiledMap(tmp_path), GEO), plaza.scan(TRUE, seed=77)
+    again = pickle.loads(pickle.dumps(localizer))
+    a, b = localizer.localize(scan), again.localize(scan)
+    assert a.localized and np.array_equal(a.T_map_sensor, b.T_map_sensor)
+    assert len(localizer.tiles.recent) > 0
+    with pytest.raises(ConfigError, match="map in one piece"):
+        Tracker(localizer)
+    with pytest.raises(ConfigError, match="map in one piece"):
+        localizer.search(localizer.describe(scan))
+
+
+@pytest.mark.slow
+def test_a_session_updates_the_tiles_that_it_reaches(
+    plaza: Plaza, site: SegmentMap, tmp_path: Path
+) -> None:
+    """As it does a map in one piece; what stands elsewhere is not read."""
+    shift = np.array([2000.0, 0.0, 0.0])
+    both = repeated(site, shift)
+    session = PlazaSequence(plaza, steps=8)
+    cut_tiles(both, tmp_path, size_m=50.0)
+    before = {tile.cell: tile.file for tile in TiledMap(tmp_path).index.tiles}
+    changed, counts = update_tiles(tmp_path, session, GEO)
+    expected, whole_counts = update_map(site, session, GEO)
+    assert counts == whole_counts
+    after = TiledMap(tmp_path)
+    far = {cell: file for cell, file in before.items() if cell[0] > 20}
+    assert far and far.items() <= {t.cell: t.file for t in after.index.tiles}.items()
+    assert 0 < changed.written <= changed.read < len(before)
+    near = [tile for tile in after.index.tiles if tile.cell[0] <= 20]
+    found = after.together(near)
+    assert len(found) == len(expected)
+    assert np.array_equal(np.sort(found.centroids, axis=0), np.sort(expected.centroids, axis=0))
+    new = np.setdiff1d(found.session, both.session)
+    assert len(new) == 1
+    assert Localizer(after, GEO).localize(plaza.scan(TRUE, seed=77), near=((0, 0), 40)).localized
 
 
 @pytest.mark.slow
 def test_ambiguity_spans_tiles(plaza: Plaza, site: SegmentMap, tmp_path: Path) -> None:
     many = repeated(site, *AWAY)
     index = cut_tiles(many, tmp_path, size_m=200.0)
-    localizer, scan = TiledLocalizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
+    localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     assert len(index.tiles) > 10
     assert localizer.localize(scan).reason is Reason.AMBIGUOUS
     for shift in AWAY:

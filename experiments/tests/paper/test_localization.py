@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from samples.executors import EXECUTORS
 from samples.tiny_suite import TINY
 from segloc_experiments.paper import localization
 from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario, scenarios
@@ -152,3 +156,21 @@ def test_kitti_without_its_folders_is_one_line(tmp_path: Path) -> None:
     scenario = KittiScenario(tmp_path, False, "small", 0)
     with pytest.raises(DatasetError, match="keyframes: no such folder; --kitti needs"):
         scenario.settings()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", EXECUTORS)
+def test_any_executor_answers_the_same(
+    by: str, study: Study, workspace: Workspace, tmp_path: Path
+) -> None:
+    (here,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    with EXECUTORS[by]() as (executor, kill):
+
+        @contextmanager
+        def progress(label: str) -> Iterator[Any]:
+            yield kill
+
+        elsewhere = replace(workspace, out=tmp_path, executor=executor, progress=progress)
+        answered(elsewhere, scenarios(elsewhere), ready((METHOD,)))
+    (there,) = answered(replace(elsewhere, executor=None), scenarios(elsewhere), ready((METHOD,)))
+    assert here.answers == there.answers

@@ -32,7 +32,7 @@ def ended(task: int) -> int:
 
 @pytest.mark.slow
 def test_a_process_that_the_system_ends_is_one_clear_line() -> None:
-    with pytest.raises(SeglocError, match="memory ran out: try --workers 1"):
+    with pytest.raises(SeglocError, match="memory ran out: try fewer workers"):
         list(in_parallel(ended, [0, 1], 2))
 
 

@@ -1,36 +1,32 @@
 """Sessions with poses that drift, each in its own frame -> poses in one frame.
 
-Submaps are localized in the maps of other sessions and of far parts of their own; what is found
-and agreed upon ties the sessions into one pose graph; optimised, it brings submaps of different
-passes so close that ICP between neighbours ties them densely, and is optimised again.
+Submaps are localized in the parts before them that they vote for, in a map that grows part by part:
+parts of other sessions, and far ones of their own. What is found and agreed upon ties the sessions
+into one pose graph; optimised, it brings submaps of different passes so close that ICP between
+neighbours ties them densely, and is optimised again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
-from .. import geometry
 from ..config import Config
 from ..errors import ConfigError, DatasetError
-from ..motion import odometry_covariance
-from ..types import Float64, Int64, Pose, Recording
+from ..types import Float64, Int64, Recording
 from .config import AlignConfig
 from .consistency import supported
 from .dense import neighbours
-from .graph import Edges, joined_edges, residuals, solve_robustly, squared_errors
-from .loops import Chain, Loop, edges_of, find_loops
+from .loops import Chain, Loop, Progress, edges_of
+from .session_graph import SessionGraph
 from .spread import spread
-from .submap_registration import SubmapRegistration
-from .submaps import Session, describe_session, posed
-
-Update = Callable[[int, int], None]
-Stage = Callable[[str], AbstractContextManager[Update]]
+from .submaps import Session
+from .tasks import Described, Stage, describe_all, find_loops, opened_workspace, tie
 
 
 @dataclass(frozen=True)
@@ -72,8 +68,13 @@ def align_sessions(
     config: Config | None = None,
     settings: AlignConfig | None = None,
     stage: Stage | None = None,
+    *,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
 ) -> Alignment:
     """Bring sessions of one place into one frame.
+
+    What comes of it depends neither on the executor nor on the number of its workers.
 
     Parameters
     ----------
@@ -84,6 +85,13 @@ def align_sessions(
     settings : AlignConfig, optional
     stage : callable, optional
         Called with the name of each stage; gives a context with a callable (done, total).
+    executor : Executor, optional
+        Describes sessions, finds loops and ties neighbours, in tasks of one thread each; by default
+        this process does. For processes and clusters recordings can be pickled, and their files
+        are read where the tasks are done.
+    folder : path, optional
+        That all workers of the executor see: submaps lie in a folder in it until the end. By
+        default the system's folder for temporary files.
 
     Raises
     ------
@@ -91,174 +99,63 @@ def align_sessions(
         If there is no recording.
     DatasetError
         Naming the session: if it has no scans, no poses, or nothing that could be segmented.
+    SeglocError
+        If a file cannot be written, or a process was ended again and again.
     """
     config, settings, stage = config or Config(), settings or AlignConfig(), stage or _silent
     if not recordings:
         raise ConfigError("there is no session to align")
-    for k, recording in enumerate(recordings):
-        with _named(k):
-            posed(recording)  # before the work on those before it
-    sessions: list[Session] = []
-    for k, recording in enumerate(recordings):
-        with stage(f"Describing session {k + 1} of {len(recordings)}") as update, _named(k):
-            sessions.append(describe_session(recording, config, settings, update))
-    chain = Chain.of(sessions)
-    register = SubmapRegistration(chain.submaps, settings, config.threads)
-    with stage("Looking for loops") as update:
-        found = find_loops(chain, register, config, settings, update)
-    graph = _Graph(chain, supported(chain, found, settings), settings)
-    graph.optimise()
-    for _ in range(settings.dense_rounds):
-        with stage("Aligning neighbours") as update:
-            dense = neighbours(chain, graph.poses, graph.component, register, settings, update)
-        graph.tie_neighbours(dense)
-    return graph.alignment()
+    sessions = [_session(k, recording, settings) for k, recording in enumerate(recordings)]
+    chain = Chain.of(sessions, settings.part_m)
+    with opened_workspace(config, settings, executor, folder) as own:
+        describe_all(own, _tasks(recordings, sessions, settings), stage)
+        with stage("Looking for loops") as update:
+            found = find_loops(own, chain, update)
+        graph = SessionGraph(chain, supported(chain, found, settings), settings)
+        graph.optimise()
+        for _ in range(settings.dense_rounds):
+            with stage("Aligning neighbours") as update:
+                pairs = neighbours(chain, graph.poses, graph.component, settings)
+                dense = tie(own, pairs, update)
+            graph.tie_neighbours(dense)
+    return _alignment(sessions, chain, graph)
 
 
-@contextmanager
-def _named(session: int) -> Iterator[None]:
-    """Sessions may have one name, so that faults need the number, too."""
+def _session(number: int, recording: Recording, settings: AlignConfig) -> Session:
     try:
-        yield
+        return Session.of(recording, settings)
     except DatasetError as error:
-        raise DatasetError(f"session {session}: {error}") from error
+        raise DatasetError(f"session {number}: {error}") from error
 
 
-class _Graph:
-    """Submaps, odometry and loops; poses come in as odometry and get better."""
-
-    def __init__(self, chain: Chain, loops: list[Loop], settings: AlignConfig) -> None:
-        self.chain, self.loops = chain, loops
-        self._odometry = odometry_edges(chain, settings)
-        self._place()
-
-    def _place(self) -> None:
-        """Which sessions belong together, and where each lies before anything is optimised."""
-        chain = self.chain
-        self.components = _components(chain, self.loops)
-        numbers = np.empty(len(chain.sessions), np.int64)
-        for c, members in enumerate(self.components):
-            numbers[members] = c
-        self.component: Int64 = numbers[chain.session]
-        self.start = _placed(chain, self.loops, self.components)
-        self.poses = self.start
-
-    def optimise(self) -> None:
-        """Optimise, and reject the loops that the optimum contradicts."""
-        self._solve()
-        while _components(self.chain, self.loops) != self.components:
-            self._place()  # what connected two sessions has been contradicted
-            self._solve()
-
-    def tie_neighbours(self, dense: list[Loop]) -> None:
-        """Replace the dense loops; where submaps are tied already they stay so."""
-        found = [loop for loop in self.loops if loop.kind == "found"]
-        tied = {(loop.target, loop.source) for loop in found if loop.accepted}
-        self.loops = found + [loop for loop in dense if (loop.target, loop.source) not in tied]
-        self.optimise()
-
-    def _solve(self) -> None:
-        # A loop that was contradicted once may fit now; between components nothing is tried again.
-        tried = [
-            k
-            for k, loop in enumerate(self.loops)
-            if (loop.accepted or loop.weight > 0)
-            and self.component[loop.target] == self.component[loop.source]
-        ]
-        edges = joined_edges([self._odometry, edges_of([self.loops[k] for k in tried])])
-        is_loop = np.arange(len(edges)) >= len(self._odometry)
-        first = [self.chain.first(members[0]) for members in self.components]
-        fixed = np.array(first, np.int64)
-        self.poses, weights = solve_robustly(self.poses, edges, is_loop, fixed)
-        squares = squared_errors(self.poses, edges)[is_loop]
-        for k, weight, square in zip(tried, weights[is_loop], squares, strict=True):
-            reason = (
-                "" if weight >= 0.5 else f"contradicted by the rest ({np.sqrt(square):.1f} sigma)"
-            )
-            self.loops[k] = replace(self.loops[k], weight=float(weight), reason=reason)
-
-    def alignment(self) -> Alignment:
-        chain, edges = self.chain, edges_of(self.loops)
-        before, after = residuals(self.start, edges), residuals(self.poses, edges)
-        together = self.component[edges.first] == self.component[edges.second]
-        loops = [
-            replace(loop, before=b, after=a) if shared else loop
-            for loop, b, a, shared in zip(self.loops, before, after, together, strict=True)
-        ]
-        poses = [
-            spread(session, self.poses[chain.session == k])
-            for k, session in enumerate(chain.sessions)
-        ]
-        ends = np.stack([edges.first, edges.second], axis=1)
-        scans = np.concatenate([s.indices[s.anchors] for s in chain.sessions])
-        return Alignment(
-            [s.name for s in chain.sessions],
-            [s.indices for s in chain.sessions],
-            [s.poses for s in chain.sessions],
-            poses,
-            self.components,
-            loops,
-            chain.session[ends],
-            scans[ends],
-        )
+def _tasks(
+    recordings: Sequence[Recording], sessions: Sequence[Session], settings: AlignConfig
+) -> list[Described]:
+    tasks, submap, part = [], 0, 0
+    for k, (recording, session) in enumerate(zip(recordings, sessions, strict=True)):
+        tasks.append(Described(k, recording, session, submap, part))
+        submap += len(session.anchors)
+        part += len(session.parts(settings.part_m))
+    return tasks
 
 
-def odometry_edges(chain: Chain, settings: AlignConfig) -> Edges:
-    """Neighbouring submaps of each session, as odometry has them."""
-    second = np.flatnonzero(np.diff(chain.session, prepend=-1) == 0)
-    first = second - 1
-    T = np.linalg.inv(chain.odometry[first]) @ chain.odometry[second]
-    length = np.maximum(chain.travelled[second] - chain.travelled[first], 1.0)
-    noise = settings.odometry_m, settings.odometry_deg, settings.odometry_scale
-    return Edges(first, second, T, odometry_covariance(length, *noise))
-
-
-def _components(chain: Chain, loops: list[Loop]) -> list[list[int]]:
-    """Sessions that accepted loops connect, the largest component first."""
-    count = len(chain.sessions)
-    edges = edges_of([loop for loop in loops if loop.accepted])
-    ends = chain.session[edges.first], chain.session[edges.second]
-    links = sparse.coo_matrix((np.ones(len(edges)), ends), shape=(count, count))
-    number, labels = connected_components(links, directed=False)
-    members = [np.flatnonzero(labels == c).tolist() for c in range(number)]
-    return sorted(members, key=lambda sessions: (-len(sessions), sessions[0]))
-
-
-def _placed(chain: Chain, loops: list[Loop], components: list[list[int]]) -> Float64:
-    """Odometry with the sessions of each component moved as wholes into its first one's frame."""
-    poses: Float64 = chain.odometry.copy()
-    accepted = [loop for loop in loops if loop.accepted]
-    for members in components:
-        placed = {members[0]}
-        while len(placed) < len(members):
-            session, T_world_odom = _next_session(chain, accepted, placed, poses)
-            own = chain.session == session
-            poses[own] = T_world_odom @ chain.odometry[own]
-            placed.add(session)
-    return poses
-
-
-def _next_session(
-    chain: Chain, loops: list[Loop], placed: set[int], poses: Float64
-) -> tuple[int, Pose]:
-    """The session with most loops to those placed, and where the median one of them puts it."""
-    guesses: dict[int, list[Pose]] = {}
-    for loop in loops:
-        a, b = int(chain.session[loop.target]), int(chain.session[loop.source])
-        if (a in placed) == (b in placed):
-            continue
-        known, new, T = loop.target, loop.source, loop.T_target_source
-        if b in placed:
-            known, new, T = loop.source, loop.target, geometry.inverse(T)
-        moved = poses[known] @ T @ geometry.inverse(chain.odometry[new])
-        guesses.setdefault(int(chain.session[new]), []).append(moved)
-    session = max(guesses, key=lambda k: (len(guesses[k]), -k))
-    found = np.stack(guesses[session])
-    middle = np.median(found[:, :3, 3], axis=0)
-    typical = int(np.linalg.norm(found[:, :3, 3] - middle, axis=1).argmin())
-    return session, found[typical]
+def _alignment(sessions: Sequence[Session], chain: Chain, graph: SessionGraph) -> Alignment:
+    loops = graph.with_residuals()
+    edges = edges_of(loops)
+    ends = np.stack([edges.first, edges.second], axis=1)
+    scans = np.concatenate([s.indices[s.anchors] for s in sessions])
+    return Alignment(
+        [s.name for s in sessions],
+        [s.indices for s in sessions],
+        [s.poses for s in sessions],
+        [spread(s, graph.poses[chain.session == k]) for k, s in enumerate(sessions)],
+        graph.components,
+        loops,
+        chain.session[ends],
+        scans[ends],
+    )
 
 
 @contextmanager
-def _silent(label: str) -> Iterator[Update]:
+def _silent(label: str) -> Iterator[Progress]:
     yield lambda done, total: None

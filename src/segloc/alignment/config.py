@@ -18,6 +18,9 @@ class AlignConfig(Section):
     min_travel_m: float = Field(
         60.0, ge=0, description="parts of the same session nearer than this are not searched"
     )
+    searched_parts: int = Field(
+        4, ge=1, description="parts that a submap is searched in: those that most of it votes for"
+    )
     # Registration of two submaps.
     icp_voxel: float = Field(0.4, gt=0)
     icp_max_correspondence: float = Field(1.5, gt=0, description="longest correspondence, metres")
@@ -46,4 +49,7 @@ class AlignConfig(Section):
     loop_deg: float = Field(0.2, gt=0)
     # The second pass.
     dense_m: float = Field(10.0, ge=0, description="submaps of two passes this close are aligned")
+    dense_passes: int = Field(
+        8, ge=1, description="passes that a submap is aligned with, the nearest first"
+    )
     dense_rounds: int = Field(2, ge=0, description="how many times that is done")

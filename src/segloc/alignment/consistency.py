@@ -10,10 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ..types import Float64
+from ..types import Float64, Int64
 from .config import AlignConfig
+from .graph import Edges
 from .loops import Chain, Loop, edges_of
 
 
@@ -22,12 +24,13 @@ def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop
     candidates = [k for k, loop in enumerate(loops) if loop.accepted]
     if not candidates:
         return loops
-    near, agree = _compared(chain, [loops[k] for k in candidates], config)
+    first, second, agree = _compared(chain, [loops[k] for k in candidates], config)
     believed = np.ones(len(candidates), dtype=bool)
     reasons = [""] * len(candidates)
     while True:  # a loop that is dropped supports no other
-        voters = near & believed
-        pro, contra = (voters & agree).sum(axis=1), (voters & ~agree).sum(axis=1)
+        voice = believed[second]
+        pro = np.bincount(first[voice & agree], minlength=len(candidates))
+        contra = np.bincount(first[voice & ~agree], minlength=len(candidates))
         dropped = np.flatnonzero(believed & ((pro < config.min_support) | (contra > pro)))
         if not len(dropped):
             break
@@ -42,35 +45,45 @@ def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop
 
 def _compared(
     chain: Chain, loops: list[Loop], config: AlignConfig
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """For each pair of loops whether they are near each other in travel, and whether they agree."""
+) -> tuple[Int64, Int64, NDArray[np.bool_]]:
+    """All pairs of loops that are near each other in travel, both ways, and which agree."""
     edges = edges_of(loops)
-    ends = np.stack([chain.session[edges.first], chain.session[edges.second]], axis=1)
-    count = len(loops)
-    near, agree = np.zeros((count, count), dtype=bool), np.zeros((count, count), dtype=bool)
+    first, second = _near(chain, edges, config.support_m)
     # Where a loop says that the frame of the source's session lies in that of the target's.
     T = chain.odometry[edges.first] @ edges.T @ np.linalg.inv(chain.odometry[edges.second])
-    for i in range(count):
-        same = (ends == ends[i]).all(axis=1)
-        gaps = [
-            np.abs(chain.travelled[e] - chain.travelled[e[i]]) for e in (edges.first, edges.second)
-        ]
-        near[i] = same & (gaps[0] < config.support_m) & (gaps[1] < config.support_m)
-        near[i, i] = False
-        others = np.flatnonzero(near[i])
-        if len(others):
-            between = np.add(*gaps)[others]
-            where = chain.odometry[edges.second[i], :3, 3]
-            agree[i, others] = _agree(T[i], T[others], where, between, config)
-    return near, agree
+    between = np.abs(_travels(chain, edges)[first] - _travels(chain, edges)[second]).sum(axis=1)
+    where = chain.odometry[edges.second[first], :3, 3]
+    return first, second, _agree(T[first], T[second], where, between, config)
+
+
+def _travels(chain: Chain, edges: Edges) -> Float64:
+    """Metres travelled up to both ends of each loop, (E, 2)."""
+    return np.stack([chain.travelled[edges.first], chain.travelled[edges.second]], axis=1)
+
+
+def _near(chain: Chain, edges: Edges, reach_m: float) -> tuple[Int64, Int64]:
+    """Pairs of loops between the same sessions whose ends are near each other in travel."""
+    count = chain.sessions
+    sessions = chain.session[edges.first] * count + chain.session[edges.second]
+    travels = _travels(chain, edges)
+    pairs = [np.empty((0, 2), np.int64)]
+    for each in np.unique(sessions):
+        rows = np.flatnonzero(sessions == each)
+        found = cKDTree(travels[rows]).query_pairs(reach_m, p=np.inf, output_type="ndarray")
+        pairs.append(rows[found])
+    first, second = np.concatenate(pairs).T
+    nearer = (np.abs(travels[first] - travels[second]) < reach_m).all(axis=1)
+    first, second = first[nearer], second[nearer]
+    return np.concatenate([first, second]), np.concatenate([second, first])
 
 
 def _agree(
     T: Float64, others: Float64, where: Float64, between: Float64, config: AlignConfig
 ) -> NDArray[np.bool_]:
-    """Whether frames agree at a point, to what drift may do over the path between the loops."""
+    """Whether frames agree at points, to what drift may do over the path between the loops."""
     delta = np.linalg.inv(T) @ others
-    shift = np.linalg.norm(delta[:, :3, :3] @ where + delta[:, :3, 3] - where, axis=1)
+    moved = np.einsum("nij,nj->ni", delta[:, :3, :3], where) + delta[:, :3, 3]
+    shift = np.linalg.norm(moved - where, axis=1)
     turn = np.degrees(Rotation.from_matrix(delta[:, :3, :3]).magnitude())
     close = shift < config.agree_m + config.drift * between
     return np.asarray(close & (turn < config.agree_deg + config.drift_deg * between))

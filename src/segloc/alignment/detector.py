@@ -249,11 +249,10 @@ class LoopDetector:
         ends = sorted({k for loop in loops for k in (loop.target, loop.source)})
         place = {k: n for n, k in enumerate(ends)}
         chain = Chain(
-            [],
-            [],
             np.zeros(len(ends), np.int64),
             np.array([self._nodes[k].travelled for k in ends]),
             np.stack([self._submaps[k].T_odom_local for k in ends]),
+            [],
         )
         placed = [
             replace(loop, target=place[loop.target], source=place[loop.source]) for loop in loops

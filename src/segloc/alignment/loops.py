@@ -1,8 +1,8 @@
-"""Loops: pairs of submaps that show one place, found by localizing submaps in other parts."""
+"""Loops: pairs of submaps that show one place, found by localizing submaps in maps of parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +10,13 @@ import numpy as np
 from .. import geometry
 from ..config import Config
 from ..localizer import Localizer
+from ..map.segment_map import SegmentMap
 from ..search import Query
 from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
-from .submap_registration import SubmapRegistration
-from .submaps import Part, Session, Submap
+from .submap_registration import SubmapRegistration, Submaps
+from .submaps import Session
 
 Progress = Callable[[int, int], None]
 
@@ -69,97 +70,82 @@ class Chain:
 
     Attributes
     ----------
-    sessions : list of Session
-    submaps : list of N Submap
     session : (N,) int64
         Which session each belongs to.
     travelled : (N,) float64
         Metres travelled in its session.
     odometry : (N, 4, 4) float64
         T_odom_local, each in the frame of its session.
+    parts : list of (K,) int64
+        The submaps of each part of each session, one after another.
     """
 
-    sessions: list[Session]
-    submaps: list[Submap]
     session: Int64
     travelled: Float64
     odometry: Float64
+    parts: list[Int64]
 
     @classmethod
-    def of(cls, sessions: list[Session]) -> Chain:
-        submaps = [submap for session in sessions for submap in session.submaps]
-        numbers = np.repeat(np.arange(len(sessions)), [len(s.submaps) for s in sessions])
+    def of(cls, sessions: list[Session], part_m: float) -> Chain:
+        numbers = np.repeat(np.arange(len(sessions)), [len(s.anchors) for s in sessions])
         travelled = np.concatenate([session.node_travelled for session in sessions])
         odometry = np.concatenate([session.node_poses for session in sessions])
-        return cls(sessions, submaps, numbers.astype(np.int64), travelled, odometry)
+        first = np.cumsum([0, *(len(s.anchors) for s in sessions)])
+        parts = [
+            nodes + start
+            for session, start in zip(sessions, first, strict=False)
+            for nodes in session.parts(part_m)
+        ]
+        return cls(numbers.astype(np.int64), travelled, odometry, parts)
 
     def __len__(self) -> int:
-        return len(self.submaps)
+        return len(self.session)
+
+    @property
+    def sessions(self) -> int:
+        """How many there are."""
+        return int(self.session.max(initial=-1)) + 1
 
     def first(self, session: int) -> int:
         """The number of a session's first submap."""
         return int(np.searchsorted(self.session, session))
 
 
-def find_loops(
-    chain: Chain,
-    register: SubmapRegistration,
+@dataclass(frozen=True)
+class PartNodes:
+    """The submaps of a part, and their T_odom_local, (K, 4, 4)."""
+
+    nodes: Int64
+    odometry: Float64
+
+
+def loops_in_part(
+    part: PartNodes,
+    prior_map: SegmentMap,
+    sources: Sequence[int],
+    submaps: Submaps,
     config: Config,
     settings: AlignConfig,
-    progress: Progress | None = None,
 ) -> list[Loop]:
-    """Localize every submap in every part of the other sessions and in far parts of its own.
-
-    Returns
-    -------
-    list of Loop
-        What localization found and registration refined, believed or not; no two of the same
-        submaps.
-    """
-    parts = [(k, part) for k, session in enumerate(chain.sessions) for part in session.parts]
+    """Localize submaps in the map of a part."""
+    localizer = Localizer(prior_map, config)
+    register = SubmapRegistration(submaps, settings, config.threads)
     loops = []
-    for done, (owner, part) in enumerate(parts):
-        if len(part.prior_map):
-            search = _Search(chain, owner, part, config)
-            for source in _worth_searching(chain, owner, part, settings):
-                loop = search.loop(source, register, settings)
-                if loop is not None:
-                    loops.append(loop)
-        if progress:
-            progress(done + 1, len(parts))
-    return _one_a_pair(loops)
-
-
-def _worth_searching(chain: Chain, owner: int, part: Part, settings: AlignConfig) -> list[int]:
-    """Submaps of later sessions, and of the same one far behind the part."""
-    nodes = part.nodes + chain.first(owner)
-    behind = chain.travelled > chain.travelled[nodes[-1]] + settings.min_travel_m
-    own = chain.session == owner
-    later: list[int] = np.flatnonzero((own & behind) | (chain.session > owner)).tolist()
-    return later
-
-
-class _Search:
-    """Localization in one part; submaps come described, so only the later stages run."""
-
-    def __init__(self, chain: Chain, owner: int, part: Part, config: Config) -> None:
-        self._localizer = Localizer(part.prior_map, config)
-        self._chain = chain
-        self._nodes = part.nodes + chain.first(owner)
-
-    def loop(self, source: int, register: SubmapRegistration, settings: AlignConfig) -> Loop | None:
-        submap = self._chain.submaps[source]
+    for source in sources:
+        submap = submaps[source]
         level = LocalCloud(submap.scene.structure, np.eye(4))
-        answer = self._localizer.locate(Query(level, submap.scene, submap.descriptors))
+        answer = localizer.locate(Query(level, submap.scene, submap.descriptors))
         T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
         if T_odom_local is None:
-            return None
-        poses = self._chain.odometry[self._nodes]
-        distances = np.linalg.norm(poses[:, :3, 3] - T_odom_local[:3, 3], axis=1)
-        target = int(self._nodes[distances.argmin()])
-        guess = geometry.inverse(self._chain.odometry[target]) @ T_odom_local
+            continue
+        distances = np.linalg.norm(part.odometry[:, :3, 3] - T_odom_local[:3, 3], axis=1)
+        nearest = int(distances.argmin())
+        guess = geometry.inverse(part.odometry[nearest]) @ T_odom_local
+        target = int(part.nodes[nearest])
         loop = registered(target, source, guess, "found", register, settings)
-        return None if loop is None else replace(loop, inliers=answer.inliers)
+        if loop is not None:
+            loops.append(replace(loop, inliers=answer.inliers))
+    return loops
 
 
 def registered(
@@ -183,7 +169,7 @@ def registered(
     return Loop(target, source, T, fit.covariance, kind, 0, fit.shared, reason)
 
 
-def _one_a_pair(loops: list[Loop]) -> list[Loop]:
+def one_a_pair(loops: list[Loop]) -> list[Loop]:
     """Of loops between the same submaps the one with most inliers, by source, then target."""
     best: dict[tuple[int, int], Loop] = {}
     for loop in loops:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
@@ -41,8 +41,10 @@ class Fit:
     shift_m: float
 
 
-Submaps = Sequence[Submap] | Mapping[int, Submap]
-"""By their numbers."""
+class Submaps(Protocol):
+    """By their numbers."""
+
+    def __getitem__(self, number: int, /) -> Submap: ...
 
 
 class SubmapRegistration:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -46,23 +46,8 @@ class Submap:
 
 
 @dataclass(frozen=True)
-class Part:
-    """A stretch of a session that has hardly drifted, as a map in the session's own frame.
-
-    Attributes
-    ----------
-    nodes : (K,) int64
-        Its submaps.
-    prior_map : SegmentMap
-    """
-
-    nodes: Int64
-    prior_map: SegmentMap
-
-
-@dataclass(frozen=True)
 class Session:
-    """A recording, described.
+    """A recording as a chain of places at which submaps stand, and of parts.
 
     Attributes
     ----------
@@ -75,8 +60,6 @@ class Session:
         Metres travelled up to each scan.
     anchors : (S,) int64
         Positions of the scans that submaps stand at.
-    submaps : list of S Submap
-    parts : list of Part
     """
 
     name: str
@@ -84,18 +67,35 @@ class Session:
     poses: Float64
     travelled: Float64
     anchors: Int64
-    submaps: list[Submap]
-    parts: list[Part]
+
+    @classmethod
+    def of(cls, recording: Recording, settings: AlignConfig) -> Session:
+        """A recording with poses; no scan is read.
+
+        Raises
+        ------
+        DatasetError
+            If there are no scans, or no poses.
+        """
+        poses = posed(recording)
+        travelled = geometry.travelled(poses)
+        anchors = geometry.stations(travelled, settings.every_m)
+        return cls(recording.name, recording.indices, poses, travelled, anchors)
 
     @property
     def node_poses(self) -> Float64:
         """T_odom_local of the submaps, (S, 4, 4)."""
-        return np.stack([submap.T_odom_local for submap in self.submaps])
+        return np.stack([geometry.levelled(self.poses[k]) for k in self.anchors])
 
     @property
     def node_travelled(self) -> Float64:
         """Metres travelled up to each submap, (S,)."""
         return self.travelled[self.anchors]
+
+    def parts(self, length_m: float) -> list[Int64]:
+        """The submaps of each stretch of such a length: it has hardly drifted."""
+        stretch = (self.node_travelled // length_m).astype(np.int64)
+        return np.split(np.arange(len(self.anchors)), np.flatnonzero(np.diff(stretch)) + 1)
 
 
 def posed(recording: Recording) -> Float64:
@@ -115,31 +115,29 @@ def posed(recording: Recording) -> Float64:
 
 def describe_session(
     recording: Recording,
+    session: Session,
     config: Config,
     settings: AlignConfig,
     progress: Progress | None = None,
-) -> Session:
-    """Cut a recording into submaps and these into described segments.
+) -> Iterator[tuple[list[Submap], SegmentMap]]:
+    """Cut a recording into parts: the submaps of each, and its map in the session's own frame.
 
     Raises
     ------
     DatasetError
-        If it has no poses, or nothing in it could be segmented.
+        If a scan cannot be read.
     """
-    poses = posed(recording)
-    travelled = geometry.travelled(poses)
-    anchors = geometry.stations(travelled, settings.every_m)
-    parts = _Parts(config, settings, poses[0, :3, 3])
-    reader = _Reader(recording, poses, config)
-    submaps = []
-    for k, anchor in enumerate(map(int, anchors)):
-        submaps.append(_submap(reader, anchor, settings, parts.of(k, float(travelled[anchor]))))
-        if progress:
-            progress(k + 1, len(anchors))
-    found = parts.finished()
-    if not any(len(part.prior_map) for part in found):
-        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
-    return Session(recording.name, recording.indices, poses, travelled, anchors, submaps, found)
+    reader = _Reader(recording, session.poses, config)
+    done = 0
+    for nodes in session.parts(settings.part_m):
+        part = empty_map(reader.descriptor, config, session.poses[0, :3, 3])
+        submaps = []
+        for anchor in session.anchors[nodes]:
+            submaps.append(_submap(reader, int(anchor), settings, part))
+            done += 1
+            if progress:
+                progress(done, len(session.anchors))
+        yield submaps, part
 
 
 class _Reader:
@@ -201,29 +199,3 @@ def _within(points: Float32, radius: float) -> Float32:
     """Thinned to what registration needs."""
     near = (points[:, :2] ** 2).sum(axis=1) < radius**2
     return np.ascontiguousarray(_native.voxel_grid(np.ascontiguousarray(points[near]), 0.3))
-
-
-class _Parts:
-    """The maps of a session's parts while they grow."""
-
-    def __init__(self, config: Config, settings: AlignConfig, origin: Float64) -> None:
-        self._descriptor = create(config.method, config.threads)
-        self._config, self._origin = config, origin
-        self._length = settings.part_m
-        self._nodes: dict[int, list[int]] = {}
-        self._sites: dict[int, SegmentMap] = {}
-
-    def of(self, node: int, travelled: float) -> SegmentMap:
-        """The map that a submap belongs into."""
-        part = int(travelled // self._length)
-        if part not in self._sites:
-            self._nodes[part] = []
-            self._sites[part] = empty_map(self._descriptor, self._config, self._origin)
-        self._nodes[part].append(node)
-        return self._sites[part]
-
-    def finished(self) -> list[Part]:
-        return [
-            Part(np.array(self._nodes[k], np.int64), prior_map)
-            for k, prior_map in self._sites.items()
-        ]

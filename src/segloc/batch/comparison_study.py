@@ -94,7 +94,7 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
     ]
     with workspace.progress("Localizing") as update:
         update(0, len(jobs))
-        finished = in_parallel(comparison.done, jobs, workspace.workers)
+        finished = in_parallel(comparison.done, jobs, workspace.workers, workspace.executor)
         for count, (job, answers, arrays) in enumerate(finished):
             place = next(k for k, r in enumerate(results) if r.scenario == job.scenario)
             results[place] = Result(job.scenario, {**results[place].answers, **answers}, arrays)

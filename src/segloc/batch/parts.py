@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from ..config import Config
-from ..errors import SeglocError
 from ..localization import Localization
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..tiles import TiledLocalizer, TiledMap, holds_tiles
+from ..processes import as_finished
+from ..tiles import TiledMap, holds_tiles
 from ..types import Int64, Recording
-from .run import localize_sequence
+from .run import Priors, each_prior, localize_sequence
 
 QUERIES = 16
 """Of a part: enough that windows of neighbouring queries share their work."""
@@ -49,14 +49,14 @@ class Part:
     place: Place
     recording: Recording
     positions: Int64
-    near: Prior | None
+    near: tuple[Prior | None, ...]
 
 
 @lru_cache(maxsize=2)
-def _opened(place: Place) -> Localizer | TiledLocalizer:
-    if holds_tiles(place.where):
-        return TiledLocalizer(TiledMap(place.where), place.config)
-    return Localizer(SegmentMap.load(place.where), place.config)
+def _opened(place: Place) -> Localizer:
+    tiled = holds_tiles(place.where)
+    prior_map = TiledMap(place.where) if tiled else SegmentMap.load(place.where)
+    return Localizer(prior_map, place.config)
 
 
 def _localized(part: Part) -> list[Localization]:
@@ -71,7 +71,7 @@ def localize_parts(
     positions: Int64,
     executor: Executor,
     progress: Callable[[int, int], None] | None = None,
-    near: Prior | None = None,
+    near: Priors = None,
 ) -> list[Localization]:
     """Localize the scans at some positions of a recording, whoever does it.
 
@@ -96,19 +96,14 @@ def localize_parts(
     """
     place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
-    parts = [Part(place, recording, chunk, near) for chunk in chunks]
-    futures = [executor.submit(_localized, part) for part in parts]
-    done = 0
-    try:
-        for future in as_completed(futures):
-            done += len(future.result())
-            if progress:
-                progress(done, len(positions))
-    except BrokenExecutor as error:
-        raise SeglocError(
-            "a worker process was ended, most likely because memory ran out: try fewer workers"
-        ) from error
-    finally:
-        for future in futures:
-            future.cancel()  # after a fault the rest would be done in vain
-    return [result for future in futures for result in future.result()]
+    priors, parts, done = each_prior(near, len(positions)), [], 0
+    for chunk in chunks:
+        own = tuple(priors[done : done + len(chunk)])
+        parts.append(Part(place, recording, chunk, own))
+        done += len(chunk)
+    found: dict[int, list[Localization]] = {}
+    for number, results in as_finished(_localized, parts, executor):
+        found[number] = results
+        if progress:
+            progress(sum(map(len, found.values())), len(positions))
+    return [result for number in sorted(found) for result in found[number]]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
 from .. import geometry
 from ..config import Config
+from ..errors import ConfigError
 from ..local_cloud import Accumulator, window
 from ..localization import Localization
 from ..prior import Prior
@@ -19,6 +20,10 @@ from ..types import Float64, Int64, LocalCloud, Recording
 
 if TYPE_CHECKING:
     from ..search import Query
+
+
+Priors: TypeAlias = Prior | Sequence[Prior | None] | None
+"""One for all queries, or one for each, or none."""
 
 
 class Locates(Protocol):
@@ -65,12 +70,12 @@ def localize_sequence(
     sequence: Recording,
     positions: Int64,
     progress: Callable[[int, int], None] | None = None,
-    near: Prior | None = None,
+    near: Priors = None,
 ) -> list[Localization]:
     """Localize the scans at some positions of a sequence, each by itself.
 
     Where the sequence has poses, a query gathers the scans of the path behind it; otherwise it is
-    the one scan alone. With a prior all of them are near it.
+    the one scan alone. With a prior all of them are near it; or there is one for each, or None.
 
     Raises
     ------
@@ -78,12 +83,28 @@ def localize_sequence(
         If a scan cannot be read. A scan that is empty or shows nothing is "not localized".
     """
     results = []
-    for cloud, times in query_clouds(sequence, positions, localizer.config, localizer.clock):
+    clouds = query_clouds(sequence, positions, localizer.config, localizer.clock)
+    for (cloud, times), prior in zip(clouds, each_prior(near, len(positions)), strict=True):
         query = localizer.describe(cloud, times)
-        results.append(localizer.locate(query, times, near=near))
+        results.append(localizer.locate(query, times, near=prior))
         if progress:
             progress(len(results), len(positions))
     return results
+
+
+def each_prior(near: Priors, count: int) -> Sequence[Prior | None]:
+    """The prior of each query.
+
+    Raises
+    ------
+    ConfigError
+        If there are not as many as queries.
+    """
+    if near is None or isinstance(near, Prior):
+        return [near] * count
+    if len(near) != count:
+        raise ConfigError(f"{len(near)} priors for {count} queries")
+    return near
 
 
 def query_clouds(

@@ -6,6 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -50,6 +51,8 @@ class Workspace:
         Takes remarks of one line.
     command : str
         That repeats the work; printed beside the results.
+    executor : Executor or None
+        What does the tasks, in place of ``workers`` processes.
     """
 
     out: Path
@@ -60,6 +63,7 @@ class Workspace:
     progress: Callable[[str], AbstractContextManager[Update]] = field(default=silent)
     say: Callable[[str], None] = field(default=mute)
     command: str = ""
+    executor: Executor | None = None
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
         """What a study says of itself: enough to repeat it.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import (
+    Cluster,
     ConfigFile,
     Deskew,
     Odometry,
@@ -17,10 +18,13 @@ from .options import (
     SelectOfEach,
     Threads,
     Topic,
+    Workers,
     load_config,
 )
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ..alignment import AlignConfig, Alignment, Reposed
     from ..config import Config
     from ..types import Recording
@@ -51,6 +55,8 @@ def align(
     odometry: Odometry = False,
     config: ConfigFile = None,
     threads: Threads = 0,
+    workers: Workers = 1,
+    cluster: Cluster = None,
 ) -> None:
     """Bring sessions with drifting poses, each in its own frame, into one frame.
 
@@ -59,6 +65,7 @@ def align(
     """
     from ..alignment import AlignConfig, Reposed, align_sessions
     from ..config import validated
+    from ..processes import executing
     from .console import progress
     from .options import each
     from .recording import open_recording
@@ -67,6 +74,8 @@ def align(
     check_folder(out)
     settings = validated(AlignConfig, {"every_m": every, "min_support": min_support}, "alignment")
     chosen = load_config(config, method, threads)
+    if cluster is not None:
+        sequences = [path.absolute() for path in sequences]
     count = len(sequences)
     mount = chosen.local_cloud.mount
     recordings = [
@@ -78,10 +87,14 @@ def align(
         )
     ]
     _check(sequences, recordings)
-    alignment = align_sessions(recordings, chosen, settings, progress)
-    aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
-    _write(out, alignment, settings)
-    _write_maps(out, alignment, aligned, chosen)
+    with executing(workers, cluster) as executor:
+        shared = out.absolute().parent
+        alignment = align_sessions(
+            recordings, chosen, settings, progress, executor=executor, folder=shared
+        )
+        aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
+        _write(out, alignment, settings)
+        _write_maps(out, alignment, aligned, chosen, executor)
     if pairs:
         _write_pairs(out, alignment, aligned, chosen)
     _show(alignment, out)
@@ -133,14 +146,26 @@ def _suffix(component: int) -> str:
     return f"_{component}" if component else ""
 
 
-def _write_maps(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
-    from ..alignment.merged_map import build_merged_map
+def _write_maps(
+    out: Path,
+    alignment: Alignment,
+    aligned: list[Reposed],
+    config: Config,
+    executor: Executor | None,
+) -> None:
+    from ..map.sessions import build_merged_map
     from .console import progress
     from .saving import writing
 
     for c, members in enumerate(alignment.components):
         with progress("Building the map") as update:
-            prior_map = build_merged_map([aligned[k] for k in members], config, update)
+            prior_map = build_merged_map(
+                [aligned[k] for k in members],
+                config,
+                update,
+                executor=executor,
+                folder=out.absolute(),
+            )
         with writing(out / f"site{_suffix(c)}.segmap"):
             prior_map.save(out / f"site{_suffix(c)}.segmap")
 

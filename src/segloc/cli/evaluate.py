@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,8 +13,11 @@ import typer
 
 from ..errors import ConfigError, DatasetError, MissingDependency, SeglocError
 from . import evaluate_failures
+from .options import Cluster as Cluster
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ..batch.report.study import Study
     from ..batch.scenario import Pair
 
@@ -78,6 +82,7 @@ def localization(
     methods: Methods = None,
     threads: Threads = 1,
     workers: Workers = 2,
+    cluster: Cluster = None,
     map_poses: MapPoses = None,
     poses: QueryPoses = None,
     truth: Truth = None,
@@ -88,7 +93,7 @@ def localization(
 ) -> None:
     """How many queries does each method localize, and how many of them falsely?"""
     pair = own_pair(mapped, query, map_poses, poses, truth, map_select, select, topic, every)
-    compare_on(pair, out, methods, threads, workers)
+    compare_on(pair, out, methods, threads, workers, cluster)
 
 
 @app.command("report")
@@ -129,7 +134,23 @@ def _lying_in(folder: Path, name: Path) -> Path | None:
     return folder / name if (folder / name).is_file() else None
 
 
-def compare_on(pair: Pair, out: Path, methods: str | None, threads: int, workers: int) -> None:
+@contextmanager
+def on_cluster(address: str | None) -> Iterator[Executor | None]:
+    """What does tasks on a cluster; None without an address."""
+    from ..processes import executing
+
+    with executing(1, address) as executor:
+        yield executor
+
+
+def compare_on(
+    pair: Pair,
+    out: Path,
+    methods: str | None,
+    threads: int,
+    workers: int,
+    cluster: str | None = None,
+) -> None:
     """Compare the methods on two recordings, print the tables and write the report."""
     from ..batch.comparison_study import own_recordings
     from ..batch.workspace import Workspace
@@ -137,8 +158,9 @@ def compare_on(pair: Pair, out: Path, methods: str | None, threads: int, workers
     from .results import check_folder
 
     check_folder(out)
-    workspace = Workspace(out, 0, threads, workers, chosen(methods), progress, note, command_line())
-    study = own_recordings(workspace, pair)
+    means = (0, threads, workers, chosen(methods), progress, note, command_line())
+    with on_cluster(cluster) as executor:
+        study = own_recordings(Workspace(out, *means, executor), pair)
     study.save(out / study.name)
     show(study)
     write_report(out, requested=False)

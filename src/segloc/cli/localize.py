@@ -15,6 +15,7 @@ from .options import (
     Degrees,
     Deskew,
     Every,
+    Gnss,
     Level,
     Metres,
     Near,
@@ -36,11 +37,10 @@ from .options import (
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from ..batch.run import Priors
     from ..batch.score import Evaluation, Tolerance
     from ..localization import Localization
     from ..localizer import Localizer
-    from ..prior import Prior
-    from ..tiles import TiledLocalizer
     from ..types import Float64, Int64
     from ..types import Recording as Scans
     from .console import Update
@@ -71,6 +71,7 @@ def localize(
     near: Near = None,
     radius: Radius = 50.0,
     anywhere: Anywhere = False,
+    gnss: Gnss = False,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -89,16 +90,16 @@ def localize(
     from ..batch.score import Tolerance
     from ..datasets import poses_at
     from ..processes import executing
-    from .console import busy, note, progress
-    from .hints import hint
+    from .console import busy, progress
+    from .gnss import gnss_priors
     from .recording import levelled_poses, open_recording, place_of_sensor
-    from .results import write_results
 
     check_every(every)
     place = parsed_prior(near, radius, anywhere)
     _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
         localizer, prior, name = opened_map(prior_map, config, threads, weights)
+    sequence = sequence.absolute() if cluster else sequence
     mount = localizer.config.local_cloud.mount
     recording: Scans = open_recording(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -107,16 +108,13 @@ def localize(
     T = place_of_sensor(mount)
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
     positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
-    asked = _Asked(localizer, prior_map, recording, positions, place)
+    priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
+    asked = _Asked(localizer, prior_map, recording, positions, priors)
     with progress("Localizing") as update, executing(workers, cluster) as executor:
         results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
     evaluation = asked.scored(results, prior.trajectory, truths, tolerance)
-    if out is not None:
-        write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)
-    _show_all(evaluation, f"{recording.name} in {name}", json)
-    if line := hint(recording, results, localizer.config.local_cloud):
-        note(line)
+    _tell(asked, evaluation, name, out, kept, json)
 
 
 def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
@@ -135,11 +133,11 @@ def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
 class _Asked:
     """Queries of a recording, and where they are localized."""
 
-    localizer: Localizer | TiledLocalizer
+    localizer: Localizer
     where: str
     recording: Scans
     positions: Int64
-    near: Prior | None
+    near: Priors
 
     def by(self, executor: Executor | None, update: Update) -> list[Localization]:
         """The answers, made here or by others."""
@@ -169,24 +167,47 @@ class _Asked:
 
 def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
     """The answers, and files of what each stage made of each query."""
-    from ..batch.run import query_clouds
+    from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
     from ..explanation import trace
     from ..explanation.results import DEBUG
     from ..explanation.seen import packed, seen
-    from ..localizer import Localizer
 
     localizer, recording = asked.localizer, asked.recording
-    if not isinstance(localizer, Localizer):
+    if localizer.tiles is not None:
         raise ConfigError("--debug needs a map file: what tiles hold is not kept")
     results, kept = [], {}
     clouds = query_clouds(recording, asked.positions, localizer.config, localizer.clock)
-    for index, (cloud, times) in zip(recording.indices[asked.positions], clouds, strict=True):
-        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, asked.near)
+    priors = each_prior(asked.near, len(asked.positions))
+    indices = recording.indices[asked.positions]
+    for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
+        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
         results.append(found.result)
         kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
         update(len(results), len(asked.positions))
     return results, kept
+
+
+def _tell(
+    asked: _Asked,
+    evaluation: Evaluation,
+    name: str,
+    out: Path | None,
+    kept: dict[str, bytes],
+    json: bool,
+) -> None:
+    """Write and show the answers, and a hint where there is one."""
+    from .console import note
+    from .hints import hint
+    from .results import write_results
+
+    recording, localizer = asked.recording, asked.localizer
+    if out is not None:
+        title = f"{recording.name} in {Path(name).stem}"
+        write_results(out, localizer.prior_map, evaluation, title, kept)
+    _show_all(evaluation, f"{recording.name} in {name}", json)
+    if line := hint(recording, evaluation.results, localizer.config.local_cloud):
+        note(line)
 
 
 def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:

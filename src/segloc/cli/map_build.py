@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import (
+    Cluster,
     ConfigFile,
     Deskew,
+    Epsg,
     Every,
     Level,
     MapOut,
     Odometry,
-    Poses,
-    Recording,
-    Select,
+    Origin,
+    PosesOfEach,
+    SelectOfEach,
     Threads,
     Topic,
     Weights,
+    Workers,
     check_every,
+    each,
     load_config,
+    parsed_georeference,
 )
 
 if TYPE_CHECKING:
     from ..config import Config
+    from ..datasets import Sequence
+    from ..georeference import Georeference
 
 
 def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
@@ -35,18 +43,23 @@ def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
 
 
 def build(
-    sequence: Recording,
+    sequences: Annotated[
+        list[Path],
+        typer.Argument(metavar="SEQUENCE...", help="Recordings whose poses share a frame."),
+    ],
     out: MapOut,
     method: Annotated[
         str | None, typer.Option(metavar="NAME", help="How segments are described.")
     ] = None,
-    poses: Poses = None,
-    select: Select = None,
+    poses: PosesOfEach = None,
+    select: SelectOfEach = None,
     every: Every = None,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
     level: Level = False,
+    epsg: Epsg = None,
+    origin: Origin = None,
     compact: Annotated[
         bool,
         typer.Option("--compact", help="As small as it can be; docs/formats.md has its losses."),
@@ -54,39 +67,66 @@ def build(
     config: ConfigFile = None,
     weights: Weights = None,
     threads: Threads = 0,
+    workers: Workers = 1,
+    cluster: Cluster = None,
     unchecked: Annotated[
         bool, typer.Option("--unchecked", help="Build it even where scans and poses do not fit.")
     ] = False,
 ) -> None:
-    """Build a map from a recording with poses.
+    """Build a map from recordings with poses.
 
-    What `segloc doctor` finds wrong with its scans or poses is refused: the map would be smeared.
+    Several are mapped one by one, here or by --workers or on a --cluster, and then merged.
+    What `segloc doctor` finds wrong with scans or poses is refused: the map would be smeared.
     """
-    from ..errors import DatasetError
     from ..files import checked_target
-    from ..map.build import build_map
-    from .console import note, progress
-    from .map_info import show
-    from .recording import check_fit, open_recording
-    from .saving import writing
 
     check_every(every)
     checked_target(out)
+    where = parsed_georeference(epsg, origin)
     settings = load_config(config, method, threads, weights)
     settings = _mapped_so(settings, compact=compact, level=level)
-    mount = settings.local_cloud.mount
-    recording = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+    _check_level(sequences, settings, where is not None)
+    if cluster is not None:
+        sequences = [path.absolute() for path in sequences]
+    count = len(sequences)
+    named = zip(
+        sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
     )
-    if recording.poses is None:
-        raise DatasetError(
-            f"{sequence}: a map needs a pose for every scan: name a file by --poses, "
-            "or use --odometry"
-        )
+    recordings = [_opened(*row, topic, deskew, odometry, settings) for row in named]
     if not unchecked:
-        check_fit(recording, sequence, settings.local_cloud)
-    with progress("Building the map") as update:
-        prior_map = build_map(recording, settings, every_m=every, progress=update)
+        _check_fit(recordings, sequences, settings)
+    _build(recordings, settings, out, every, workers, cluster, where)
+
+
+def _build(
+    recordings: list[Sequence],
+    settings: Config,
+    out: Path,
+    every: float | None,
+    workers: int,
+    cluster: str | None,
+    where: Georeference | None,
+) -> None:
+    from ..georeference import KEY
+    from ..map.sessions import build_merged_map
+    from ..processes import executing
+    from .console import note, progress
+    from .map_info import show
+    from .saving import writing
+
+    with progress("Building the map") as update, executing(workers, cluster) as executor:
+        several = executor is not None or len(recordings) > 1
+        prior_map = build_merged_map(
+            recordings,
+            settings,
+            update if several else None,
+            every_m=every,
+            views=None if several else update,
+            executor=executor,
+            folder=out.absolute().parent,
+        )
+    if where is not None:
+        prior_map.metadata[KEY] = where.to_text()
     with writing(out):
         prior_map.save(out)
     show(prior_map, str(out))
@@ -95,3 +135,43 @@ def build(
             f"the map's frame is {frame}, and scans that are levelled by themselves fit it badly; "
             "--level builds it level"
         )
+
+
+def _check_fit(recordings: list[Sequence], paths: list[Path], settings: Config) -> None:
+    from .recording import check_fit
+
+    for recording, path in zip(recordings, paths, strict=True):
+        check_fit(recording, path, settings.local_cloud)
+
+
+def _opened(
+    path: Path,
+    poses: Path | None,
+    select: str | None,
+    topic: str | None,
+    deskew: bool,
+    odometry: bool,
+    settings: Config,
+) -> Sequence:
+    """A recording that a map can be built of."""
+    from ..errors import DatasetError
+    from .recording import open_recording
+
+    mount = settings.local_cloud.mount
+    recording = open_recording(
+        path, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+    )
+    if recording.poses is None:
+        raise DatasetError(
+            f"{path}: a map needs a pose for every scan: name a file by --poses, or use --odometry"
+        )
+    return recording
+
+
+def _check_level(sequences: list[Path], settings: Config, georeferenced: bool) -> None:
+    from ..errors import ConfigError
+
+    if settings.mapping.level and len(sequences) > 1:
+        raise ConfigError("--level turns each recording by itself, and several share a frame")
+    if settings.mapping.level and georeferenced:
+        raise ConfigError("--level turns the frame, which then is not that of --epsg any more")

@@ -31,6 +31,7 @@ def info(
 
 def show(prior_map: SegmentMap, title: str) -> None:
     """Print a table of what a map holds."""
+    from ..georeference import Georeference
     from .console import table
 
     facts = prior_map.info()
@@ -45,4 +46,6 @@ def show(prior_map: SegmentMap, title: str) -> None:
     ]
     if frame := prior_map.metadata.get("frame"):
         rows.append(("frame", frame[:_MOST_TEXT]))
+    if (where := Georeference.of(prior_map.metadata)) is not None:
+        rows.append(("on the globe", str(where)))
     table(title, ("", ""), rows)

@@ -7,33 +7,61 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Elsewhere, MapOut
+from .options import Elsewhere
 
 if TYPE_CHECKING:
     from ..map.segment_map import SegmentMap
 
 
 def merge(
-    maps: Annotated[list[Path], typer.Argument(metavar="MAP MAP...", help="Two or more maps.")],
-    out: MapOut,
+    maps: Annotated[
+        list[str], typer.Argument(metavar="MAP MAP...", help="Two or more; the first may be tiles.")
+    ],
+    out: Annotated[
+        str, typer.Option(metavar="MAP", help="The file to write; tiles change where they lie.")
+    ],
     elsewhere: Elsewhere = False,
 ) -> None:
-    """Merge maps of one place that share their frame; what they have in common is kept once."""
+    """Merge maps of one place that share their frame; what they have in common is kept once.
+
+    Into tiles the others are merged one by one; of these, only those that they reach are written.
+    """
     from ..config import map_config
     from ..errors import ConfigError
     from ..map.compact import compacted
     from ..map.segment_map import SegmentMap
+    from ..tiles import holds_tiles
     from .console import busy
     from .map_info import show
     from .saving import writing
 
     if len(maps) < 2:
         raise ConfigError("merging needs two maps or more")
-    with writing(out), busy("Merging"):
-        prior_map = _merged([SegmentMap.load(path) for path in maps], maps, elsewhere)
+    if holds_tiles(maps[0]):
+        _into_tiles(maps[0], [Path(path) for path in maps[1:]], out, elsewhere)
+        return
+    paths = [Path(path) for path in maps]
+    with writing(Path(out)), busy("Merging"):
+        prior_map = _merged([SegmentMap.load(path) for path in paths], paths, elsewhere)
         prior_map = compacted(prior_map, map_config(prior_map).mapping.compact)
         prior_map.save(out)
-    show(prior_map, str(out))
+    show(prior_map, out)
+
+
+def _into_tiles(where: str, paths: list[Path], out: str, elsewhere: bool) -> None:
+    from ..map.segment_map import SegmentMap
+    from ..tiles import merge_into_tiles
+    from .console import busy, table
+    from .map_update import check_same_tiles
+
+    check_same_tiles(where, out)
+    rows = []
+    for path in paths:
+        with busy("Merging"):
+            changed = merge_into_tiles(where, SegmentMap.load(path), elsewhere=elsewhere)
+        told = f"{changed.written} of {len(changed.index.tiles)} tiles changed"
+        rows.append((str(path), told))
+    table(where, ("", ""), rows)
 
 
 def _merged(maps: list[SegmentMap], paths: list[Path], elsewhere: bool) -> SegmentMap:

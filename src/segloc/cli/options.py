@@ -11,10 +11,10 @@ from ..errors import ConfigError
 
 if TYPE_CHECKING:
     from ..config import Config
+    from ..georeference import Georeference
     from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
     from ..prior import Prior
-    from ..tiles import TiledLocalizer
 
 Value = TypeVar("Value")
 
@@ -94,6 +94,19 @@ Anywhere = Annotated[
     bool, typer.Option("--anywhere", help="Search all of the map for what is not found near.")
 ]
 
+Gnss = Annotated[
+    bool,
+    typer.Option("--gnss", help="Look where the bag's NavSatFix says first, then everywhere."),
+]
+Epsg = Annotated[
+    int | None,
+    typer.Option(min=1, metavar="CODE", help="Of the projected frame that the map lies in."),
+]
+Origin = Annotated[
+    str | None,
+    typer.Option(metavar="E,N[,H]", help="The map's origin in that frame.  [default: 0,0,0]"),
+]
+
 Truth = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
@@ -113,6 +126,22 @@ def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | Non
     except ValueError as error:
         raise ConfigError(f"--near is X,Y or X,Y,Z in metres, not {near!r:.60}") from error
     return Prior(position, radius, anywhere)
+
+
+def parsed_georeference(epsg: int | None, origin: str | None) -> Georeference | None:
+    """The georeference of --epsg and --origin."""
+    from ..georeference import Georeference
+
+    if epsg is None:
+        if origin is not None:
+            raise ConfigError("--origin needs --epsg, which says in which frame it is")
+        return None
+    try:
+        east, north, *up = [float(part) for part in (origin or "0,0,0").split(",")]
+        (height,) = up or [0.0]
+    except ValueError as error:
+        raise ConfigError(f"--origin is E,N or E,N,H in metres, not {origin!r:.60}") from error
+    return Georeference(epsg, (east, north, height))
 
 
 def load_config(
@@ -152,10 +181,11 @@ def open_localizer(
 
 def opened_map(
     where: str, path: Path | None, threads: int, weights: Path | None = None
-) -> tuple[Localizer | TiledLocalizer, SegmentMap, str]:
+) -> tuple[Localizer, SegmentMap, str]:
     """A localizer in a map file or in tiles, the map (of tiles the thin one), and its name."""
+    from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
-    from ..tiles import TiledLocalizer, TiledMap, holds_tiles
+    from ..tiles import TiledMap, holds_tiles
     from .console import note
 
     name = where.rstrip("/").rsplit("/", 1)[-1]
@@ -164,7 +194,7 @@ def opened_map(
         return open_localizer(prior_map, path, threads, weights), prior_map, name
     tiles = TiledMap(where)
     settings = map_settings(tiles.coarse(), path, threads, weights)
-    localizer = TiledLocalizer(tiles, settings)
+    localizer = Localizer(tiles, settings)
     for line in localizer.notes:
         note(line)
     return localizer, localizer.prior_map, name

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import MissingDependency, SeglocError
+from ..georeference import KEY, Georeference
 from ..io import Trajectory, write_tum
 from .console import note, number
 from .saving import write_together
@@ -38,7 +39,8 @@ def write_results(
 
     There is no picture without a title. ``more`` are other files, by their names in the folder.
     """
-    files = {**_contents(evaluation), **(more or {})}
+    where = Georeference.of(prior_map.metadata)
+    files = {**_contents(evaluation, where), **(more or {})}
     if title is not None:
         try:
             from ..batch.picture import draw
@@ -55,9 +57,12 @@ def print_json(evaluation: Evaluation) -> None:
     print(json.dumps(found, indent=2, allow_nan=False))
 
 
-def _contents(evaluation: Evaluation) -> dict[str, bytes]:
+def _contents(evaluation: Evaluation, where: Georeference | None) -> dict[str, bytes]:
     lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
-    summary = json.dumps(evaluation.summary(), indent=2, allow_nan=False) + "\n"
+    found = evaluation.summary()
+    if where is not None:
+        found[KEY] = json.loads(where.to_text())
+    summary = json.dumps(found, indent=2, allow_nan=False) + "\n"
     return {
         "poses.tum": tum_bytes(*_trajectory(evaluation)),
         "localizations.jsonl": "".join(lines).encode(),

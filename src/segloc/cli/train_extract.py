@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .console import say
-from .options import ConfigFile, PosesOfEach, SelectOfEach, Topic, each
+from .options import Cluster, ConfigFile, PosesOfEach, SelectOfEach, Topic, each
 
 if TYPE_CHECKING:
     from ..training.extract import ExtractConfig
     from ..training.labels import LabelCounts
     from ..training.shards import Session
-    from ..training.worlds import WorldSpec
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
 Lengths = Annotated[
@@ -25,7 +24,12 @@ Lengths = Annotated[
 Thin = Annotated[
     int, typer.Option(min=1, metavar="COUNT", help="Simulate every so many firings only.")
 ]
-Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes that simulate.")]
+Workers = Annotated[
+    int,
+    typer.Option(
+        min=1, metavar="COUNT", help="Processes; recordings need --no-register for several."
+    ),
+]
 
 
 def extract(
@@ -55,6 +59,7 @@ def extract(
     ] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
     workers: Workers = 2,
+    cluster: Cluster = None,
     config: ConfigFile = None,
 ) -> None:
     """Cut recordings or simulated worlds into labelled segments.
@@ -75,19 +80,14 @@ def extract(
     values = {"lengths_m": lengths, "every_m": every, "seed": seed, "label": rule}
     settings = validated(ExtractConfig, values, "extraction")
     if simulate is not None:
-        from ..training.worlds import draw_worlds
-
         chosen = tuple(sensors.split(",")) if sensors else ()
-        done = _simulate(
-            out,
-            draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin),
-            settings,
-            workers,
-            config,
-        )
+        drawn = {"length_m": drive, "sensors": chosen, "thin": thin}
+        done = _simulate(out.absolute(), simulate, drawn, settings, workers, cluster, config)
     else:
         named = _Recordings(sequences or [], poses or [], select or [], topic, place, sensor)
-        done = named.collect(out, settings, register, config)
+        alone = register or len(named.rows) == 1  # each is aligned with those before it
+        means = (1 if alone else workers, cluster)
+        done = named.collect(out.absolute(), settings, register, config, *means)
     if not done:
         note("nothing was extracted")
         return
@@ -96,16 +96,25 @@ def extract(
 
 def _simulate(
     out: Path,
-    worlds: list[WorldSpec],
+    simulate: str,
+    drawn: dict[str, Any],
     settings: ExtractConfig,
     workers: int,
+    cluster: str | None,
     config: Path | None,
 ) -> list[Session]:
+    from ..processes import executing
     from ..training.collect import collect_worlds
+    from ..training.worlds import draw_worlds
     from .options import load_config
 
+    worlds = draw_worlds(simulate, settings.seed, **drawn)
+
     segmentation = load_config(config, None, 1).segmentation
-    return collect_worlds(out, worlds, settings, segmentation, workers=workers, progress=say)
+    with executing(1, cluster) as executor:
+        return collect_worlds(
+            out, worlds, settings, segmentation, workers=workers, progress=say, executor=executor
+        )
 
 
 class _Recordings:
@@ -136,9 +145,16 @@ class _Recordings:
         self.topic, self.place, self.sensor = topic, place, sensor
 
     def collect(
-        self, out: Path, settings: ExtractConfig, register: bool, config: Path | None
+        self,
+        out: Path,
+        settings: ExtractConfig,
+        register: bool,
+        config: Path | None,
+        workers: int,
+        cluster: str | None,
     ) -> list[Session]:
         from ..datasets import open_sequence
+        from ..processes import executing
         from ..training.collect import Posed, collect_recordings
         from ..training.shards import Session
         from .options import load_config
@@ -151,9 +167,16 @@ class _Recordings:
             for k, (path, poses, select) in enumerate(self.rows)
         ]
         segmentation = load_config(config, None, 1).segmentation
-        return collect_recordings(
-            out, items, settings, segmentation, register=register, progress=say
-        )
+        with executing(workers, cluster) as executor:
+            return collect_recordings(
+                out,
+                items,
+                settings,
+                segmentation,
+                register=register,
+                progress=say,
+                executor=executor,
+            )
 
 
 def _show(counts: LabelCounts, title: str) -> None:

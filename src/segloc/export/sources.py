@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ..errors import DatasetError
+from ..georeference import KEY, Georeference
 from ..io import Trajectory, read_trajectory
 from ..io.scans import read_file
 from ..map.segment_map import SegmentMap
@@ -41,11 +42,14 @@ class FoundSource:
         T_map_sensor by the scans' times, or else by their numbers.
     timed : bool
         Which of the two.
+    georeference : Georeference or None
+        Of the map, where it had one.
     """
 
     path: Path
     track: Trajectory
     timed: bool
+    georeference: Georeference | None
     what = "results of `segloc localize` or `segloc live`"
 
 
@@ -107,11 +111,19 @@ def opened(path: Path) -> Source:
         if (path / kept).is_file():
             text = _read(path / "poses.tum")
             timed = "no times" not in text[:300]
-            return FoundSource(path, read_trajectory(path / "poses.tum"), timed)
+            track = read_trajectory(path / "poses.tum")
+            return FoundSource(path, track, timed, _georeference(path))
     raise DatasetError(
         f"{path}: neither a map nor results: there is no alignment.json, localizations.jsonl or "
         "states.jsonl in it"
     )
+
+
+def _georeference(path: Path) -> Georeference | None:
+    """What `segloc localize` kept of its map."""
+    file = path / "summary.json"
+    kept = _parsed(_read(file), str(file)).get(KEY) if file.is_file() else None
+    return None if kept is None else Georeference.of({KEY: json.dumps(kept)})
 
 
 def _aligned(path: Path) -> AlignedSource:

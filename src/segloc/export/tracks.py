@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import ConfigError, SeglocError
 from ..files import write_text
+from ..georeference import Georeference
 from ..io import Trajectory, write_tum
 from ..types import Float64
 from .sources import AlignedSource, FoundSource, MapSource, Source
@@ -98,25 +99,36 @@ def write_geojson(
 ) -> list[str]:
     """A feature for each session, its coordinates in degrees, or else as they are.
 
-    RFC 7946 has no frame but WGS 84. Without ``place`` coordinates are the map's metres, and
-    ``epsg`` names their frame by the member "crs" of GeoJSON 2008, which GDAL and QGIS heed.
+    RFC 7946 has no frame but WGS 84. They are in degrees where the map is georeferenced, or by
+    ``place``. Otherwise coordinates are the map's metres, and ``epsg`` names their frame by the
+    member "crs" of GeoJSON 2008, which GDAL and QGIS heed.
     """
     if epsg is not None and place is not None:
         raise ConfigError("--epsg and --at exclude each other")
-    features = [_feature(name, track.poses, place) for name, track, _ in tracks(source)]
+    globe = _georeference(source) if epsg is None and place is None else None
+    features = [_feature(name, track.poses, place or globe) for name, track, _ in tracks(source)]
     document: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if epsg is not None:
         crs = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
         document = {"type": "FeatureCollection", "crs": crs, "features": features}
     write_text(out, json.dumps(document, allow_nan=False) + "\n")
-    if epsg is None and place is None:
+    if epsg is None and place is None and globe is None:
         return ["coordinates are the map's metres: --at LAT,LON or --epsg N puts them on a globe"]
     return []
 
 
-def _feature(name: str, poses: Float64, place: Place | None) -> dict[str, Any]:
+def _georeference(source: Source) -> Georeference | None:
+    """Where a map says that it lies, or what was localized in one."""
+    if isinstance(source, MapSource):
+        return Georeference.of(source.prior_map.metadata)
+    return source.georeference if isinstance(source, FoundSource) else None
+
+
+def _feature(name: str, poses: Float64, place: Place | Georeference | None) -> dict[str, Any]:
     xyz = poses[:, :3, 3]
-    if place is not None:
+    if isinstance(place, Georeference):
+        xyz = place.on_globe(xyz)
+    elif place is not None:
         xyz = np.column_stack([place.degrees(xyz[:, :2]), xyz[:, 2]])
     steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
     digits = 3 if place is None else 8

@@ -59,7 +59,8 @@ def build_map(
     if len(prior_map) == 0:
         raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
     prior_map.add_trajectory(poses)
-    prior_map.metadata["config"] = config.to_yaml()
+    used = config.model_copy(update={"threads": 0})  # the map does not depend on them
+    prior_map.metadata["config"] = used.to_yaml()
     prior_map.metadata["sequence"] = sequence.name
     prior_map.metadata.update(frame)
     return compacted(prior_map, config.mapping.compact)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import MapMismatch
 from ..types import Float64
@@ -53,3 +54,11 @@ def concatenated(parts: list[SegmentMap]) -> SegmentMap:
         np.concatenate([part.trajectory for part in parts]),
         texts,
     )
+
+
+def with_sessions(prior_map: SegmentMap, session: NDArray[np.int32]) -> SegmentMap:
+    """The same map with other numbers of sessions, (P,)."""
+    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
+    columns = {**prior_map.columns(), "session": session}
+    named = prior_map.descriptor, prior_map.fingerprint
+    return SegmentMap(*named, columns, cloud, prior_map.trajectory, prior_map.metadata)

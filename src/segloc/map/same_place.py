@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import MapMismatch
+from ..georeference import Georeference
 from ..types import Float64
 from .segment_map import SegmentMap
 
@@ -75,6 +76,7 @@ def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = 
     MapMismatch
         If they meet nowhere, or do and their clouds disagree.
     """
+    check_same_frame(mine, theirs)
     if not all(len(part.trajectory) and len(part.cloud) for part in (mine, theirs)):
         return
     found = meeting(mine, theirs)
@@ -96,6 +98,19 @@ def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = 
             f"clouds agree much better if one is turned by some degrees ({found.agreement:.2f}, "
             f"and {found.agreement + found.gain:.2f})"
         )
+
+
+def check_same_frame(mine: SegmentMap, theirs: SegmentMap) -> None:
+    """Refuse maps that say that they lie at two places on the globe.
+
+    Raises
+    ------
+    MapMismatch
+        If both have a georeference, and these differ.
+    """
+    named = [Georeference.of(each.metadata) for each in (mine, theirs)]
+    if None not in named and named[0] != named[1]:
+        raise MapMismatch(f"the maps are in two frames: {named[0]}, and {named[1]}")
 
 
 def meets(mine: SegmentMap, theirs: SegmentMap) -> bool:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from contextlib import nullcontext
+from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from ..errors import ConfigError, DatasetError
 from ..files import replacing
 from ..io.scans import write_scan
 from ..io.trajectory import Trajectory, write_tum
-from ..processes import process_pool
+from ..processes import ProcessPool, as_finished
 from ..types import Recording
 from .motion.traversal import SimulatedSequence
 
@@ -77,27 +78,13 @@ def record(
     ending = suffix or (".npz" if getattr(sequence, "skew", False) else ".npy")
     chunks = [range(k, min(k + _CHUNK, len(sequence))) for k in range(0, len(sequence), _CHUNK)]
     done = 0
-
-    def advance(count: int) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(done, len(sequence))
-
-    if executor is None and workers == 1:
-        for chunk in chunks:
-            advance(_write_scans(sequence, target, ending, objects, chunk))
-        return target
-    with process_pool(workers) if executor is None else nullcontext(executor) as pool:
-        futures = [
-            pool.submit(_write_scans, sequence, target, ending, objects, chunk) for chunk in chunks
-        ]
-        try:
-            for future in as_completed(futures):
-                advance(future.result())
-        finally:
-            for future in futures:
-                future.cancel()  # after a fault the rest would be cast in vain
+    write = partial(_write_scans, sequence, target, ending, objects)
+    alone = executor is not None or workers == 1
+    with nullcontext(executor) if alone else ProcessPool(workers) as pool:
+        for _, count in as_finished(write, chunks, pool):
+            done += count
+            if progress is not None:
+                progress(done, len(sequence))
     return target
 
 

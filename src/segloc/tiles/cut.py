@@ -31,7 +31,8 @@ SIZE_M, MARGIN_M = 500.0, 60.0
 """Of a square, and around it: farther than a local cloud reaches."""
 COARSE_PER_TILE = 3000
 """Segments of a tile in the thin map of all tiles."""
-_COARSE = CompactConfig(bits=4, max_views=1, cloud_bits=0)
+COARSE = CompactConfig(bits=4, max_views=1, cloud_bits=0)
+"""What the thin map of all tiles keeps."""
 
 Bools = NDArray[np.bool_]
 
@@ -71,29 +72,29 @@ def cut_tiles(
             f"tiles are 50 m to 1000 km wide, with a margin of up to 1 km: not {size_m:g} and "
             f"{margin_m:g} m"
         )
-    store = store_of(out)
-    cells = _cells(prior_map, size_m)
-    tiles, thin = [], []
-    for done, cell in enumerate(cells):
-        part = part_of(prior_map, cell, size_m, margin_m)
-        owned = part_of(prior_map, cell, size_m, 0.0)
-        file = _written(store, part, f"tile_{cell[0]}_{cell[1]}")
-        poses = len(owned.trajectory)
-        tiles.append(Tile(**file.model_dump(), cell=cell, poses=poses))
-        thin.append(_thin(owned))
-        if progress:
-            progress(done + 1, len(cells))
-    coarse = _written(store, _joined(prior_map, thin), "coarse")
-    index = TileIndex(
-        version=FORMAT_VERSION,
-        size_m=size_m,
-        margin_m=margin_m,
-        descriptor=prior_map.descriptor,
-        fingerprint=prior_map.fingerprint,
-        coarse=coarse,
-        tiles=tuple(tiles),
-    )
-    publish(store, index)
+    store, cells = store_of(out), _cells(prior_map, size_m)
+    with store.alone():
+        tiles, thin = [], []
+        for done, cell in enumerate(cells):
+            part = part_of(prior_map, cell, size_m, margin_m)
+            owned = part_of(prior_map, cell, size_m, 0.0)
+            file = written(store, part, f"tile_{cell[0]}_{cell[1]}")
+            poses = len(owned.trajectory)
+            tiles.append(Tile(**file.model_dump(), cell=cell, poses=poses))
+            thin.append(thin_of(owned))
+            if progress:
+                progress(done + 1, len(cells))
+        coarse = written(store, _joined(prior_map, thin), "coarse")
+        index = TileIndex(
+            version=FORMAT_VERSION,
+            size_m=size_m,
+            margin_m=margin_m,
+            descriptor=prior_map.descriptor,
+            fingerprint=prior_map.fingerprint,
+            coarse=coarse,
+            tiles=tuple(tiles),
+        )
+        publish(store, index)
     return index
 
 
@@ -122,7 +123,7 @@ def part_of(
     """What lies in a square, or no farther from it than a margin along either axis."""
 
     def inside(positions: Float64) -> Bools:
-        return _in_square(positions, cell, size_m, margin_m)
+        return in_square(positions, cell, size_m, margin_m)
 
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
     kept = prior_map.kept(inside(prior_map.centroids), inside(points))
@@ -138,7 +139,7 @@ def _cells(prior_map: SegmentMap, size_m: float) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in np.unique(cells_of(where, size_m), axis=0)]
 
 
-def _written(store: Store, part: SegmentMap, name: str) -> TileFile:
+def written(store: Store, part: SegmentMap, name: str) -> TileFile:
     """A map in a file of its own; one that is there already is not written again."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "part.segmap"
@@ -151,10 +152,10 @@ def _written(store: Store, part: SegmentMap, name: str) -> TileFile:
     return TileFile(file=file, bytes=len(data), digest=digest, segments=len(part))
 
 
-def _thin(part: SegmentMap) -> SegmentMap:
+def thin_of(part: SegmentMap) -> SegmentMap:
     """The best view of each object of a tile, and only so many, without the cloud."""
     none = np.zeros(len(part.cloud), dtype=bool)
-    thin = compacted(part.kept(np.ones(len(part), dtype=bool), none), _COARSE)
+    thin = compacted(part.kept(np.ones(len(part), dtype=bool), none), COARSE)
     if len(thin) <= COARSE_PER_TILE:
         return thin
     rank = np.zeros(len(thin)) if thin.quality is None else thin.quality
@@ -166,7 +167,7 @@ def _thin(part: SegmentMap) -> SegmentMap:
 
 def _joined(prior_map: SegmentMap, parts: list[SegmentMap]) -> SegmentMap:
     """The thin maps of all tiles as one, with the whole path."""
-    return compacted(along(concatenated(parts), prior_map.trajectory), _COARSE)
+    return compacted(along(concatenated(parts), prior_map.trajectory), COARSE)
 
 
 def chosen_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileIndex) -> Bools:
@@ -175,16 +176,16 @@ def chosen_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileI
     A tile has a right to what lies in its square; of tiles that hold something only in their
     margins, the first does.
     """
-    own = _in_square(positions, tile.cell, index.size_m)
+    own = in_square(positions, tile.cell, index.size_m)
     keep = np.ones(len(positions), dtype=bool)
     for other in others:
-        keep &= own | ~_in_square(positions, other.cell, index.size_m)
+        keep &= own | ~in_square(positions, other.cell, index.size_m)
         if other.cell < tile.cell:
-            keep &= own | ~_in_square(positions, other.cell, index.size_m, index.margin_m)
+            keep &= own | ~in_square(positions, other.cell, index.size_m, index.margin_m)
     return keep
 
 
-def _in_square(
+def in_square(
     positions: Float64, cell: tuple[int, int], size_m: float, margin_m: float = 0.0
 ) -> Bools:
     """Which of (N, 2 or 3) positions lie in a square, or no farther from it than a margin."""

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import os
+import secrets
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from ..errors import MapFormatError, MissingDependency, SeglocError
 from ..files import replacing
-from .index import MOST_INDEX_BYTES, TileFile, digest_of
+from ..locks import exclusive
+from .index import INDEX, MOST_INDEX_BYTES, TileFile, digest_of
 
 Answer = TypeVar("Answer")
+
+LEASE, WAIT_S, POLL_S = "writing.lease", 600.0, 0.2
+"""The file that says that somebody writes behind a URL, and how long others wait for it."""
 
 
 class Store(Protocol):
@@ -43,6 +49,10 @@ class Store(Protocol):
         """A file that nobody needs any more."""
         ...
 
+    def alone(self) -> AbstractContextManager[None]:
+        """Keep other writers out while the block reads and writes."""
+        ...
+
 
 class Folder:
     """A folder on a disk."""
@@ -64,6 +74,12 @@ class Folder:
 
     def remove(self, name: str) -> None:
         (self._path / name).unlink(missing_ok=True)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        self._path.mkdir(parents=True, exist_ok=True)
+        with exclusive(self._path / INDEX):
+            yield
 
 
 class Remote:
@@ -98,6 +114,34 @@ class Remote:
 
     def remove(self, name: str) -> None:
         self._files.rm_file(f"{self._root}/{name}")
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """By a file that only one writer can make."""
+        path, mine = f"{self._root}/{LEASE}", secrets.token_hex(8)
+        with suppress(NotImplementedError):
+            self._files.makedirs(self._root, exist_ok=True)
+        ends = time.monotonic() + WAIT_S
+        while not self._leased(path, mine):
+            if time.monotonic() > ends:
+                raise SeglocError(
+                    f"{self.where}: another writer has been at it for {WAIT_S:g} s: wait for it, "
+                    f"or remove {LEASE} if there is none"
+                )
+            time.sleep(POLL_S)
+        try:
+            yield
+        finally:
+            with suppress(Exception):  # of whatever library fsspec has for the URL
+                if self._files.cat_file(path) == mine.encode():
+                    self._files.rm_file(path)
+
+    def _leased(self, path: str, mine: str) -> bool:
+        try:
+            self._files.pipe_file(path, mine.encode(), mode="create")
+        except FileExistsError:
+            return False
+        return bool(self._files.cat_file(path) == mine.encode())
 
 
 def holds_tiles(where: str) -> bool:
@@ -166,14 +210,25 @@ class Reader:
                 if digest_of(data) == tile.digest:
                     os.utime(copy)
                     return data
-        data = self._fetched(tile.file, tile.bytes)
-        if len(data) != tile.bytes or digest_of(data) != tile.digest:
-            raise MapFormatError(
-                f"{self._store.where}/{tile.file}: damaged: it is not the file of the index"
-            )
+        data = self._checked(tile)
         if copy is not None:
             self._keep(copy, data)
         return data
+
+    def _checked(self, tile: TileFile) -> bytes:
+        """The bytes of a tile; what a store cuts short or breaks off is asked for once more."""
+        for last in (False, True):
+            try:
+                data = self._fetched(tile.file, tile.bytes)
+            except MapFormatError as error:
+                if last or isinstance(error.__cause__, (TimeoutError, FileNotFoundError)):
+                    raise
+                continue
+            if len(data) == tile.bytes and digest_of(data) == tile.digest:
+                return data
+        raise MapFormatError(
+            f"{self._store.where}/{tile.file}: damaged: it is not the file of the index"
+        )
 
     def _fetched(self, name: str, most: int) -> bytes:
         where = f"{self._store.where}/{name}"

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Lock
+from typing import Any
 
 from ..errors import MapFormatError, MapMismatch
+from ..localizer import Localizer
 from ..map.parts import along, concatenated
 from ..map.segment_map import SegmentMap
 from .cut import chosen_rows
 from .index import INDEX, Tile, TileFile, TileIndex
+from .recent import Recent
+from .search import TileSearch
 from .store import Folder, Reader, store_of
 
 CACHE_BYTES = 1 << 30
 TIMEOUT_S = 30.0
-MOST_RESIDENT = 16
-"""Tiles that are kept in memory."""
+MEMORY_BYTES = 1 << 29
 
 
 class TiledMap:
@@ -35,6 +36,8 @@ class TiledMap:
         folder are read where they lie.
     cache_bytes : int
         The copies take so many bytes at most, and one tile.
+    memory_bytes : int
+        Tiles, and what searches several of them, take about so many in memory, and the last one.
     timeout_s : float
         A file that takes longer to come has failed.
 
@@ -42,6 +45,8 @@ class TiledMap:
     ----------
     index : TileIndex
     where : str
+    recent : Recent
+        Tiles, and what searches them, that were used last.
 
     Raises
     ------
@@ -61,6 +66,7 @@ class TiledMap:
         *,
         cache: str | Path | None = None,
         cache_bytes: int = CACHE_BYTES,
+        memory_bytes: int = MEMORY_BYTES,
         timeout_s: float = TIMEOUT_S,
     ) -> None:
         store = store_of(where)
@@ -68,8 +74,12 @@ class TiledMap:
         self.where = store.where
         self._reader = Reader(store, copies, cache_bytes, timeout_s)
         self.index = TileIndex.parsed(self._reader.index(INDEX), f"{store.where}/{INDEX}")
-        self._resident: OrderedDict[str, SegmentMap] = OrderedDict()
-        self._lock = Lock()
+        self.recent = Recent(memory_bytes)
+        self._opened_by = where, cache, cache_bytes, memory_bytes, timeout_s
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by where it lies, and opened anew: so it goes to other processes."""
+        return _reopened, self._opened_by
 
     def __len__(self) -> int:
         return len(self.index.tiles)
@@ -89,16 +99,13 @@ class TiledMap:
         MapFormatError
             If it is missing, damaged, or takes too long; names its file.
         """
-        with self._lock:
-            if tile.file in self._resident:
-                self._resident.move_to_end(tile.file)
-                return self._resident[tile.file]
-        loaded = self._loaded(tile)
-        with self._lock:
-            self._resident[tile.file] = loaded
-            while len(self._resident) > MOST_RESIDENT:
-                self._resident.popitem(last=False)
-        return loaded
+        return self.recent.get(
+            tile.file, SegmentMap, lambda: self._loaded(tile), lambda part: part.memory_bytes
+        )
+
+    def search(self, coarse: Localizer) -> TileSearch:
+        """The search in tiles, for :class:`segloc.Localizer`."""
+        return TileSearch(self, coarse)
 
     def together(self, tiles: Sequence[Tile]) -> SegmentMap:
         """Some tiles as one map; what several of them hold is in it once.
@@ -136,6 +143,22 @@ class TiledMap:
         ):
             raise MapMismatch(f"{where}: made by another descriptor than the index says")
         return loaded
+
+
+def _reopened(
+    where: str | Path,
+    cache: str | Path | None,
+    cache_bytes: int,
+    memory_bytes: int,
+    timeout_s: float,
+) -> TiledMap:
+    return TiledMap(
+        where,
+        cache=cache,
+        cache_bytes=cache_bytes,
+        memory_bytes=memory_bytes,
+        timeout_s=timeout_s,
+    )
 
 
 def _users_cache(where: str) -> Path:

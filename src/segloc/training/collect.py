@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets.signature import is_push_broom
-from ..processes import single_threaded_pool
+from ..processes import as_finished, single_threaded_pool
 from ..segmentation import SegmentationConfig, Segmenter
 from ..types import Recording
 from .extract import ExtractConfig, extract_session
@@ -31,6 +31,18 @@ class Posed:
     recording: Recording
 
 
+@dataclass(frozen=True)
+class _Task:
+    """One recording's shard, to be written by whatever process."""
+
+    folder: Path
+    item: Posed
+    before: tuple[Session, ...]
+    config: ExtractConfig
+    segmentation: SegmentationConfig
+    register: bool
+
+
 def collect_recordings(
     folder: Path,
     recordings: Sequence[Posed],
@@ -39,37 +51,48 @@ def collect_recordings(
     *,
     register: bool,
     progress: Progress,
+    executor: Executor | None = None,
 ) -> list[Session]:
-    """Write the shards of recordings of one place, in their order.
+    """Write the shards of recordings of one place; the same ones, whoever executes it.
 
-    With ``register``, the local clouds of each are aligned with what the ones before it saw.
+    With ``register``, the local clouds of each are aligned with what the ones before it saw, and
+    so they are done one after another; otherwise several at a time.
 
     Returns
     -------
     list of Session
         To be labelled by :func:`~segloc.training.shards.finish`.
     """
-    segmenter = Segmenter(segmentation)
-    before: list[Session] = []
-    for item in recordings:
-        session, recording = item.session, item.recording
-        own = _for_sweeps(config) if is_push_broom(recording) else config
-        options = options_of(
-            own,
-            segmentation=segmentation.model_dump(mode="json"),
-            register=register,
-            before=[one.file for one in before],
-            scans=_fingerprint(recording),
-        )
-        if finished(folder, session, options):
-            progress(f"{session.name}: already there")
-        else:
-            registration = _registration(folder, before) if register and before else None
-            extract = extract_session(recording, segmenter.segment, own, registration)
-            write_shard(folder, session, extract, options)
-            progress(f"{session.name}: {len(extract)} segments{_told(registration)}")
-        before.append(session)
-    return before
+    sessions = [item.session for item in recordings]
+    tasks = [
+        _Task(folder, item, tuple(sessions[:k]), config, segmentation, register)
+        for k, item in enumerate(recordings)
+    ]
+    for together in [[task] for task in tasks] if register else [tasks]:
+        for number, text in as_finished(_shard, together, executor):
+            progress(f"{together[number].item.session.name}: {text}")
+    return sessions
+
+
+def _shard(task: _Task) -> str:
+    """Write a recording's shard, unless it is there, and say what was done."""
+    folder, before = task.folder, task.before
+    session, recording = task.item.session, task.item.recording
+    own = _for_sweeps(task.config) if is_push_broom(recording) else task.config
+    options = options_of(
+        own,
+        segmentation=task.segmentation.model_dump(mode="json"),
+        register=task.register,
+        before=[one.file for one in before],
+        scans=_fingerprint(recording),
+    )
+    if finished(folder, session, options):
+        return "already there"
+    registration = _registration(folder, before) if task.register and before else None
+    segmenter = Segmenter(task.segmentation)
+    extract = extract_session(recording, segmenter.segment, own, registration)
+    write_shard(folder, session, extract, options)
+    return f"{len(extract)} segments{_told(registration)}"
 
 
 def _for_sweeps(config: ExtractConfig) -> ExtractConfig:
@@ -113,34 +136,34 @@ def collect_worlds(
 
     What is written depends neither on the executor nor on the number of workers.
     """
+    tasks = [
+        _WorldTask(folder, spec, k, config, segmentation)
+        for spec in worlds
+        for k in range(len(spec.drives))
+    ]
     done: list[Session] = []
-    tasks = [(spec, k) for spec in worlds for k in range(len(spec.drives))]
     with single_threaded_pool(workers) if executor is None else nullcontext(executor) as pool:
-        futures = [pool.submit(_world, folder, spec, k, config, segmentation) for spec, k in tasks]
-        try:
-            for future in as_completed(futures):
-                done.append(_told_world(future.result(), progress))
-        except BaseException:
-            for future in futures:
-                future.cancel()  # or the error would wait for all the other worlds
-            raise
+        for _, (session, text) in as_finished(_world, tasks, pool):
+            progress(f"{session.place} {session.name}: {text}")
+            done.append(session)
     return done
 
 
-def _told_world(result: tuple[Session, str], progress: Progress) -> Session:
-    session, text = result
-    progress(f"{session.place} {session.name}: {text}")
-    return session
+@dataclass(frozen=True)
+class _WorldTask:
+    """Session k of a world."""
+
+    folder: Path
+    spec: WorldSpec
+    k: int
+    config: ExtractConfig
+    segmentation: SegmentationConfig
 
 
-def _world(
-    folder: Path,
-    spec: WorldSpec,
-    k: int,
-    config: ExtractConfig,
-    segmentation: SegmentationConfig,
-) -> tuple[Session, str]:
+def _world(task: _WorldTask) -> tuple[Session, str]:
     """One session of one world, in whatever process."""
+    folder, spec, k = task.folder, task.spec, task.k
+    config, segmentation = task.config, task.segmentation
     session = Session(spec.name, f"session-{k}", spec.drives[k].sensor)
     options = options_of(
         config, segmentation=segmentation.model_dump(mode="json"), spec=spec.model_dump(), k=k

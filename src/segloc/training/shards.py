@@ -56,7 +56,17 @@ def write_shard(folder: Path, session: Session, extract: Extract, options: str) 
     arrays["points"] = arrays["points"].astype(np.float16)
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / session.file) as stream:
-        stream.write(save(arrays, {"options": options, **asdict(session)}))
+        stream.write(_in_order(save(arrays, {"options": options, **asdict(session)})))
+
+
+def _in_order(data: bytes) -> bytes:
+    """The same file with its texts in order: the package writes them in any."""
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + data[8 + size :]
 
 
 def finished(folder: Path, session: Session, options: str) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,8 +56,11 @@ def _add(group: typer.Typer, name: str) -> None:
         seed: Seed = 0,
         threads: own.Threads = 1,
         workers: own.Workers = 2,
+        cluster: own.Cluster = None,
     ) -> None:
-        _run(name, _workspace(out, suite, scale, kitti, methods, seed, threads, workers))
+        given = (out, suite, scale, kitti, methods, seed, threads, workers)
+        with _workspace(*given, cluster) as workspace:
+            _run(name, workspace)
 
     command.__doc__ = _EXPLAINED[name]
     group.command(name)(command)
@@ -76,6 +81,7 @@ def localization(
     seed: Seed = 0,
     threads: own.Threads = 1,
     workers: own.Workers = 2,
+    cluster: own.Cluster = None,
     map_poses: own.MapPoses = None,
     poses: own.QueryPoses = None,
     truth: own.Truth = None,
@@ -90,14 +96,18 @@ def localization(
     """
     if mapped is None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
-        _run("localization", _workspace(*given))
+        with _workspace(*given, cluster) as workspace:
+            _run("localization", workspace)
         return
     if query is None:
         raise ConfigError("give two recordings, one to map and one to localize in it")
     files = (map_poses, poses, truth, map_select, select, topic)
-    own.compare_on(own.own_pair(mapped, query, *files, every), out, methods, threads, workers)
+    own.compare_on(
+        own.own_pair(mapped, query, *files, every), out, methods, threads, workers, cluster
+    )
 
 
+@contextmanager
 def _workspace(
     out: Path,
     suite: str,
@@ -107,14 +117,16 @@ def _workspace(
     seed: int,
     threads: int,
     workers: int,
-) -> Workspace:
+    cluster: str | None,
+) -> Iterator[Workspace]:
     from segloc.cli.results import check_folder
 
     from ..paper.workspace import Workspace
 
     check_folder(out)
     means = (seed, threads, workers, own.chosen(methods), progress, note, own.command_line())
-    return Workspace(out, *means, suite=suite, scale=scale, data=kitti)
+    with own.on_cluster(cluster) as executor:
+        yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
 
 
 def _run(study: str, workspace: Workspace) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -116,6 +117,7 @@ def simulated(
     *,
     seed: int = 0,
     workers: int = 1,
+    executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Make the segments of a simulated domain, unless they are there.
@@ -135,6 +137,8 @@ def simulated(
         Another seed is other worlds.
     workers : int
         Processes that simulate.
+    executor : Executor, optional
+        What simulates in their place.
     progress : callable
         Called with (sessions done, sessions in all).
 
@@ -156,7 +160,7 @@ def simulated(
     folder.mkdir(parents=True, exist_ok=True)
     jobs = _jobs(folder, domain, split, size, seed)
     sessions: list[Session] = []
-    for done, session in enumerate(in_parallel(_simulate, jobs, workers), start=1):
+    for done, session in enumerate(in_parallel(_simulate, jobs, workers, executor), start=1):
         sessions.append(session)
         progress(done, len(jobs))
     finish(folder, sessions, _EXTRACT.label)

@@ -67,6 +67,7 @@ class Domains:
                 size,
                 seed=space.seed,
                 workers=space.workers,
+                executor=space.executor,
                 progress=update,
             )
 

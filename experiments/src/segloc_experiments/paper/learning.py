@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import json
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -183,12 +184,13 @@ def trained(
     trainings: Sequence[Training],
     *,
     workers: int = 1,
+    executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
     """The weights of every training, in order; those that are there are not trained again.
 
     A training that was cut off goes on where it was. Each takes one thread, so nothing depends on
-    the number of workers.
+    who does it: so many processes, or an executor.
 
     Raises
     ------
@@ -203,7 +205,7 @@ def trained(
             raise MissingDependency("torch", "train", "training") from error
     progress(0, len(missing))
     missing.sort(key=_order)  # long ones first: at the end no process waits for another
-    for done, _ in enumerate(in_parallel(_train, missing, workers), start=1):
+    for done, _ in enumerate(in_parallel(_train, missing, workers, executor), start=1):
         progress(done, len(missing))
     return [each.out for each in trainings]
 

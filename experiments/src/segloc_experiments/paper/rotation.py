@@ -176,7 +176,9 @@ def _trained(workspace: Workspace, domains: Domains, plan: Plan) -> dict[str, De
         for alignment, yaw in variants
     ]
     with workspace.progress("Training") as update:
-        weights = trained(trainings, workers=workspace.workers, progress=update)
+        weights = trained(
+            trainings, workers=workspace.workers, executor=workspace.executor, progress=update
+        )
     result = {
         _name(*variant): load_method("dsm", path)
         for variant, path in zip(variants, weights, strict=True)

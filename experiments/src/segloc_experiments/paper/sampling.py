@@ -123,7 +123,9 @@ def _rows(
         for sampler in _SAMPLERS
     ]
     with workspace.progress("Training") as update:
-        weights = trained(trainings, workers=workspace.workers, progress=update)
+        weights = trained(
+            trainings, workers=workspace.workers, executor=workspace.executor, progress=update
+        )
     dataset = domains.dataset(DOMAIN, "test").limited(plan.segments, workspace.seed)
     pairs = labelled_pairs(dataset, limit=plan.pairs, seed=workspace.seed)
     rows: list[tuple[Cell, ...]] = []

@@ -113,7 +113,8 @@ class Transfer:
             if method in (*NETWORKS, *FORESTS)
         ]
         with self.workspace.progress("Training") as update:
-            trained(wanted, workers=self.workspace.workers, progress=update)
+            space = self.workspace
+            trained(wanted, workers=space.workers, executor=space.executor, progress=update)
 
     def curve(self, method: str, source: str, test: str) -> Roc | None:
         """How well a method that was trained on ``source`` tells the pairs of ``test`` apart.

@@ -18,7 +18,7 @@ from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.search import Query
-from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
+from segloc.tiles import TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 
 from .. import kitti00
@@ -66,7 +66,7 @@ def main() -> None:
         build_map(kitti00.mapped(args.data, "sparse"), config).save(file)
     whole = SegmentMap.load(file)
     index = cut_tiles(whole, args.out / "tiles", size_m=args.size)
-    tiled = TiledLocalizer(TiledMap(args.out / "tiles"), config)
+    tiled = Localizer(TiledMap(args.out / "tiles"), config)
     bytes_of_tiles = sum(tile.bytes for tile in index.tiles) / 1e6
     thin = index.coarse.bytes / 1e6
     print(f"{len(index.tiles)} tiles of {bytes_of_tiles:.2f} MB, thin map {thin:.2f} MB")

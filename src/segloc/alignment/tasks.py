@@ -1,0 +1,193 @@
+"""What is done for each recording, part and pair of submaps, by whatever executes tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..config import Config
+from ..errors import DatasetError
+from ..files import folder_in
+from ..processes import all_of
+from ..types import Recording
+from .config import AlignConfig
+from .dense import Pair, tied
+from .growing_map import GrowingMap, known_parts, laid_out, thin
+from .loops import Chain, Loop, PartNodes, Progress, loops_in_part, one_a_pair
+from .submap_store import FolderStore, MemoryStore, SubmapStore
+from .submaps import Session, describe_session
+
+Stage = Callable[[str], AbstractContextManager[Progress]]
+
+_WHOLE = "parts"
+"""The thin map of all parts, in the store."""
+_VOTERS, _PAIRS = 32, 64
+"""Submaps, and pairs of them, of a task."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where a run's work is done: its store, settings, and who executes tasks.
+
+    Attributes
+    ----------
+    store : SubmapStore
+        That all tasks see.
+    config : Config
+    settings : AlignConfig
+    executor : Executor or None
+        None: this process.
+    """
+
+    store: SubmapStore
+    config: Config
+    settings: AlignConfig
+    executor: Executor | None = None
+
+    def on_its_own(self) -> Workspace:
+        """What a task takes along."""
+        return replace(self, executor=None)
+
+
+@contextmanager
+def opened_workspace(
+    config: Config, settings: AlignConfig, executor: Executor | None, folder: str | Path | None
+) -> Iterator[Workspace]:
+    """A workspace in memory; for an executor one in a folder, which is removed at the end."""
+    if executor is None:
+        yield Workspace(MemoryStore(), config, settings)
+        return
+    single = config.model_copy(update={"threads": 1})
+    with folder_in(folder, ".segloc-align-") as made:
+        yield Workspace(FolderStore(made), single, settings, executor)
+
+
+# --- recordings -> submaps and parts --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Described:
+    """A session to be described: its submaps and parts are counted on from the first ones."""
+
+    number: int
+    recording: Recording
+    session: Session
+    first_submap: int
+    first_part: int
+
+
+def describe(workspace: Workspace, task: Described, progress: Progress | None = None) -> None:
+    """Put a session's submaps and parts in the store.
+
+    Raises
+    ------
+    DatasetError
+        If nothing in it could be segmented; names the session.
+    """
+    submap, segments = task.first_submap, 0
+    try:
+        parts = describe_session(
+            task.recording, task.session, workspace.config, workspace.settings, progress
+        )
+        for k, (submaps, prior_map) in enumerate(parts, task.first_part):
+            for each in submaps:
+                workspace.store.put(submap, each)
+                submap += 1
+            workspace.store.put_map(f"part_{k}", prior_map)
+            workspace.store.put_map(f"thin_{k}", thin(prior_map))
+            segments += len(prior_map)
+        if not segments:
+            scans = len(task.recording)
+            raise DatasetError(f"{task.session.name}: no segment found in {scans} scans")
+    except DatasetError as error:  # sessions may have one name, so that faults need the number, too
+        raise DatasetError(f"session {task.number}: {error}") from error
+
+
+def describe_all(workspace: Workspace, tasks: Sequence[Described], stage: Stage) -> None:
+    """Put all sessions in the store."""
+    if workspace.executor is not None:
+        with stage("Describing sessions") as update:
+            all_of(partial(describe, workspace.on_its_own()), tasks, workspace.executor, update)
+        return
+    for task in tasks:
+        with stage(f"Describing session {task.number + 1} of {len(tasks)}") as update:
+            describe(workspace, task, update)
+
+
+# --- submaps -> loops -----------------------------------------------------------------------------
+
+
+def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = None) -> list[Loop]:
+    """Localize every submap in the parts before it that most of it votes for.
+
+    Returns
+    -------
+    list of Loop
+        What localization found and registration refined, believed or not; no two of the same
+        submaps.
+    """
+    tasks = [
+        (k, PartNodes(chain.parts[k], chain.odometry[chain.parts[k]]), sources)
+        for k, sources in _searched(workspace, chain).items()
+    ]
+    look = partial(_loops, workspace.on_its_own())
+    found = all_of(look, tasks, workspace.executor, progress)
+    return one_a_pair([loop for loops in found for loop in loops])
+
+
+def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
+    """By part the submaps that are to be localized in it."""
+    count, settings = len(chain.parts), workspace.settings
+    thin_parts = [workspace.store.map(f"thin_{k}") for k in range(count)]
+    workspace.store.put_map(_WHOLE, laid_out(thin_parts, settings.part_m))
+    known = known_parts(chain, settings.min_travel_m)
+    voters: list[tuple[int, list[int]]] = []
+    for each in np.unique(known[known > 0]):
+        rows = np.flatnonzero(known == each).tolist()
+        voters += [(int(each), rows[k : k + _VOTERS]) for k in range(0, len(rows), _VOTERS)]
+    vote = partial(_votes, workspace.on_its_own(), count)
+    found: dict[int, list[int]] = {k: [] for k in range(count)}
+    for chosen in all_of(vote, voters, workspace.executor):
+        for source, parts in chosen.items():
+            for part in parts:
+                found[part].append(source)
+    return {k: sorted(sources) for k, sources in found.items() if sources}
+
+
+def _votes(workspace: Workspace, count: int, voters: tuple[int, list[int]]) -> dict[int, list[int]]:
+    """The parts to search for each of some submaps, of which all know as many."""
+    known, numbers = voters
+    whole, settings = workspace.store.map(_WHOLE), workspace.settings
+    growing = GrowingMap(whole, count, known, workspace.config, settings)
+    return {number: growing.parts_of(workspace.store[number]) for number in numbers}
+
+
+def _loops(workspace: Workspace, task: tuple[int, PartNodes, list[int]]) -> list[Loop]:
+    part, nodes, sources = task
+    prior_map = workspace.store.map(f"part_{part}")
+    if not len(prior_map):
+        return []
+    config, settings = workspace.config, workspace.settings
+    return loops_in_part(nodes, prior_map, sources, workspace.store, config, settings)
+
+
+# --- neighbours -> dense loops --------------------------------------------------------------------
+
+
+def tie(
+    workspace: Workspace, pairs: Sequence[Pair], progress: Progress | None = None
+) -> list[Loop]:
+    """The loops of those pairs that can be aligned."""
+    tasks = [pairs[k : k + _PAIRS] for k in range(0, len(pairs), _PAIRS)]
+    found = all_of(partial(_tied, workspace.on_its_own()), tasks, workspace.executor, progress)
+    return [loop for loops in found for loop in loops]
+
+
+def _tied(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
+    return tied(pairs, workspace.store, workspace.settings, workspace.config.threads)

@@ -1,0 +1,211 @@
+"""Tiles brought up to date: those that a session or another map reaches, and no others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import Config, map_config
+from ..errors import DatasetError, MapMismatch
+from ..map.compact import compacted
+from ..map.parts import along, concatenated, with_sessions
+from ..map.same_place import check_same_place
+from ..map.segment_map import SegmentMap
+from ..map.update import UpdateConfig, UpdateCounts, update_map
+from ..types import Float64, Recording
+from .cut import COARSE, in_square, part_of, publish, thin_of, written
+from .index import Tile, TileIndex, cells_of
+from .store import Store, store_of
+from .tiled_map import TiledMap
+
+Cell = tuple[int, int]
+Change = Callable[[SegmentMap], SegmentMap]
+
+
+@dataclass(frozen=True)
+class Changed:
+    """What was done to tiles.
+
+    Attributes
+    ----------
+    index : TileIndex
+        The new one.
+    read, written : int
+        Tiles.
+    """
+
+    index: TileIndex
+    read: int
+    written: int
+
+
+def update_tiles(
+    where: str | Path,
+    recording: Recording,
+    config: Config | None = None,
+    update: UpdateConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    elsewhere: bool = False,
+) -> tuple[Changed, UpdateCounts]:
+    """Add what a session saw to the tiles that it reaches, and age and remove what it passed.
+
+    As :func:`segloc.map.update.update_map` does with a map in one piece. Writers wait for each
+    other, and readers see the old tiles or the new ones.
+
+    Parameters
+    ----------
+    where : path or URL
+        Of the tiles.
+    recording : Recording
+        Its poses are T_map_sensor.
+    config : Config, optional
+        How the session is described; by default as the map was built.
+    update, progress, elsewhere
+        As of ``update_map``.
+
+    Raises
+    ------
+    DatasetError, MapMismatch, SeglocError
+        As ``update_map`` does; nothing has changed then.
+    MapFormatError
+        If a tile that is needed cannot be had; names its file.
+    """
+    poses = recording.poses
+    if poses is None or not len(poses):
+        raise DatasetError(f"{recording.name}: an update needs a pose for every scan")
+    settings = update or UpdateConfig()
+    counts: list[UpdateCounts] = []
+
+    def change(part: SegmentMap) -> SegmentMap:
+        updated, counted = update_map(
+            part, recording, config, settings, progress, elsewhere=elsewhere
+        )
+        counts.append(counted)
+        return updated
+
+    own = config or map_config(TiledMap(where).coarse())
+    reach_m = max(own.local_cloud.radius_m, settings.visibility.range_m)
+    return _changed(store_of(where), poses[:, :2, 3], reach_m, change), counts[0]
+
+
+def merge_into_tiles(where: str | Path, other: SegmentMap, *, elsewhere: bool = False) -> Changed:
+    """Merge a map into the tiles that it reaches.
+
+    Parameters
+    ----------
+    where : path or URL
+        Of the tiles.
+    other : SegmentMap
+        In the frame of the tiles.
+    elsewhere : bool
+        Whether it may be of another place in that frame.
+
+    Raises
+    ------
+    MapMismatch
+        If the maps were made by different descriptors, or are not of one place in one frame.
+    MapFormatError
+        If a tile that is needed cannot be had; names its file.
+    """
+
+    def change(part: SegmentMap) -> SegmentMap:
+        check_same_place(part, other, elsewhere=elsewhere)
+        return compacted(part.merge(other), map_config(part).mapping.compact)
+
+    path = other.trajectory[:, :2, 3]
+    points = other.cloud[:, :2] + other.origin[:2]
+    places = np.concatenate([path, other.centroids[:, :2], points])
+    return _changed(store_of(where), places, 0.0, change, path)
+
+
+def _changed(
+    store: Store, places: Float64, reach_m: float, change: Change, path: Float64 | None = None
+) -> Changed:
+    """Replace the tiles that hold something within reach of places; new ones along a path."""
+    with store.alone():
+        tiles = TiledMap(store.where)
+        index, size_m = tiles.index, tiles.index.size_m
+        have = {tile.cell: tile for tile in index.tiles}
+        new = {*map(_cell, np.unique(cells_of(places if path is None else path, size_m), axis=0))}
+        near = _reached(places, reach_m + index.margin_m, size_m)
+        cells = sorted(new | (near & have.keys()))
+        support = [have[cell] for cell in sorted(_around(cells, index) & have.keys())]
+        if not support:
+            raise MapMismatch(f"{store.where}: no tile is near: merge maps in one piece, and cut")
+        before = tiles.together(support)
+        after = _numbered(change(before), before, tiles.coarse())
+        parts = {cell: part_of(after, cell, size_m, index.margin_m) for cell in cells}
+        made = [_tile(store, parts[cell], cell, size_m) for cell in cells]
+        kept = [tile for cell, tile in have.items() if cell not in parts]
+        coarse = written(store, _coarse(tiles, after, cells), "coarse")
+        everything = sorted([*kept, *made], key=lambda tile: tile.cell)
+        found = index.model_copy(update={"coarse": coarse, "tiles": tuple(everything)})
+        publish(store, found)
+    same = {tile.file for tile in index.tiles}
+    return Changed(found, len(support), sum(tile.file not in same for tile in made))
+
+
+def _cell(row: NDArray[np.int64]) -> Cell:
+    return int(row[0]), int(row[1])
+
+
+def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
+    """The squares that come within reach of places: of the boxes around those of each square."""
+    cells, square = np.unique(cells_of(places, size_m), axis=0, return_inverse=True)
+    low, high = np.full((len(cells), 2), np.inf), np.full((len(cells), 2), -np.inf)
+    np.minimum.at(low, square.reshape(-1), places[:, :2])
+    np.maximum.at(high, square.reshape(-1), places[:, :2])
+    first = np.floor((low - reach_m) / size_m).astype(np.int64)
+    last = np.floor((high + reach_m) / size_m).astype(np.int64)
+    return {
+        (i, j)
+        for (i0, j0), (i1, j1) in zip(first.tolist(), last.tolist(), strict=True)
+        for i in range(i0, i1 + 1)
+        for j in range(j0, j1 + 1)
+    }
+
+
+def _around(cells: list[Cell], index: TileIndex) -> set[Cell]:
+    """Squares that share something with what some tiles hold."""
+    most = math.ceil(index.margin_m / index.size_m)
+    steps = range(-most, most + 1)
+    return {(i + di, j + dj) for i, j in cells for di in steps for dj in steps}
+
+
+def _numbered(after: SegmentMap, before: SegmentMap, coarse: SegmentMap) -> SegmentMap:
+    """The map with numbers for its new sessions that no session of any tile has."""
+    new = np.setdiff1d(after.session, before.session)
+    if not len(new):
+        return after
+    taken = np.concatenate([before.session, coarse.session])
+    first = int(taken.max(initial=-1)) + 1
+    session = after.session.copy()
+    for number, old in enumerate(new, first):
+        session[after.session == old] = number
+    return with_sessions(after, session)
+
+
+def _tile(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> Tile:
+    file = written(store, part, f"tile_{cell[0]}_{cell[1]}")
+    own = in_square(part.trajectory[:, :3, 3], cell, size_m)
+    return Tile(**file.model_dump(), cell=cell, poses=int(own.sum()))
+
+
+def _coarse(tiles: TiledMap, after: SegmentMap, cells: list[Cell]) -> SegmentMap:
+    """The thin map of all tiles, with other rows and another path in some squares."""
+    old, size_m = tiles.coarse(), tiles.index.size_m
+    rows, path = np.ones(len(old), dtype=bool), old.trajectory
+    stays = np.ones(len(path), dtype=bool)
+    for cell in cells:
+        rows &= ~in_square(old.centroids, cell, size_m)
+        stays &= ~in_square(path[:, :3, 3], cell, size_m)
+    owned = [part_of(after, cell, size_m, 0.0) for cell in cells]
+    rest = along(old.kept(rows, np.zeros(len(old.cloud), dtype=bool)), path[stays])
+    thin = [along(thin_of(part), part.trajectory) for part in owned]
+    return compacted(concatenated([rest, *thin]), COARSE)

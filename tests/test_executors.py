@@ -1,0 +1,115 @@
+"""What maps over recordings gives the same bytes, whoever does it and whoever is killed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.executors import EXECUTORS, Moved, Walk, square
+from samples.plaza import Plaza
+
+from segloc import Config
+from segloc.alignment import AlignConfig, align_sessions
+from segloc.alignment.summary import loops_jsonl
+from segloc.errors import ConfigError, SeglocError
+from segloc.map.sessions import build_merged_map
+from segloc.processes import all_of, as_finished
+from segloc.segmentation import SegmentationConfig
+from segloc.training.collect import Posed, collect_recordings
+from segloc.training.extract import ExtractConfig
+from segloc.training.shards import Session, finish
+
+GEO = Config.preset("geo").model_copy(update={"threads": 1})
+BY = pytest.mark.parametrize("by", EXECUTORS)
+
+
+@pytest.fixture(scope="module")
+def walks(plaza: Plaza) -> list[Walk]:
+    return [Walk(plaza, lane) for lane in (0.0, 1.0, 2.0, 3.0)]
+
+
+@pytest.mark.slow
+@BY
+def test_tasks_come_in_their_order_and_survive_a_killed_worker(by: str) -> None:
+    with EXECUTORS[by]() as (executor, kill):
+        assert all_of(square, range(40), executor, kill) == [n * n for n in range(40)]
+
+
+def test_without_an_executor_this_process_does_it() -> None:
+    seen: list[tuple[int, int]] = []
+    assert all_of(square, [3, 4], None, lambda *at: seen.append(at)) == [9, 16]
+    assert seen == [(1, 2), (2, 2)]
+    assert list(as_finished(square, [], None)) == []
+
+
+@pytest.mark.slow
+@BY
+def test_a_map_of_many_recordings(by: str, walks: list[Walk], tmp_path: Path) -> None:
+    build_merged_map(walks, GEO).save(tmp_path / "here.segmap")
+    with EXECUTORS[by]() as (executor, kill):
+        made = build_merged_map(walks, GEO, kill, executor=executor, folder=tmp_path)
+    made.save(tmp_path / "there.segmap")
+    assert (tmp_path / "here.segmap").read_bytes() == (tmp_path / "there.segmap").read_bytes()
+    assert len(np.unique(made.session)) == len(walks)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["here.segmap", "there.segmap"]
+
+
+def test_what_parts_cannot_be_written_to_is_said(walks: list[Walk], tmp_path: Path) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as executor, pytest.raises(SeglocError, match="no such folder"):
+        build_merged_map(walks[:1], GEO, executor=executor, folder=tmp_path / "lost")
+    with pytest.raises(ConfigError, match="no session"):
+        build_merged_map([], GEO)
+
+
+@pytest.mark.slow
+@BY
+def test_aligned_sessions(by: str, plaza: Plaza, tmp_path: Path) -> None:
+    sessions = [Moved(plaza, lane, 8) for lane in (0.0, 1.0, 2.0)]
+    settings = AlignConfig(every_m=3.0, searched_parts=2)
+    here = align_sessions(sessions, GEO, settings)
+    with EXECUTORS[by]() as (executor, kill):
+
+        @contextmanager
+        def stage(label: str) -> Iterator[Any]:
+            yield kill
+
+        there = align_sessions(sessions, GEO, settings, stage, executor=executor, folder=tmp_path)
+    assert here.components == there.components == [[0, 1, 2]]
+    for a, b in zip(here.poses, there.poses, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert loops_jsonl(here) == loops_jsonl(there)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("register", [False, True])
+@BY
+def test_a_dataset_to_train_on(by: str, register: bool, walks: list[Walk], tmp_path: Path) -> None:
+    items = [Posed(Session("plaza", f"{k:02d}", "none"), walk) for k, walk in enumerate(walks)]
+    settings = ExtractConfig(lengths_m=(8.0, 0.0), every_m=4.0)
+
+    def made(folder: Path, executor: Any, say: Any) -> dict[str, bytes]:
+        done = collect_recordings(
+            folder,
+            items,
+            settings,
+            SegmentationConfig(),
+            register=register,
+            progress=say,
+            executor=executor,
+        )
+        finish(folder, done, settings.label)
+        return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    here = made(tmp_path / "here", None, print)
+    with EXECUTORS[by]() as (executor, kill):
+        assert made(tmp_path / "there", executor, lambda _: kill(1, 4)) == here
+        said: list[str] = []
+        assert made(tmp_path / "there", executor, said.append) == here
+    assert all(text.endswith("already there") for text in said) and len(said) == len(walks)
