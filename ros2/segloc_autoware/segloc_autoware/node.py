@@ -38,7 +38,7 @@ class AlignNode(SeglocNode):
     def __init__(self, name: str = "segloc", **options: Any) -> None:
         super().__init__(name, **options)
         kind = service_type()
-        self.create_service(kind, "ndt_align_srv", self._on_align)
+        self.create_service(kind, "ndt_align_srv", self._on_align, callback_group=self.calls)
 
     async def _on_align(self, request: Any, response: Any) -> Any:
         response.pose_with_covariance = request.pose_with_covariance

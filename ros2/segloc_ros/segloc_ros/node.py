@@ -10,6 +10,7 @@ import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -54,7 +55,9 @@ class SeglocNode(LifecycleNode):
         self._heard_at, self._quiet = time.monotonic(), False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
-        self._relocalize = self.create_service(Trigger, "~/relocalize", self._on_relocalize)
+        # Calls wait, and must not keep what they wait for from coming in.
+        self.calls = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/relocalize", self._on_relocalize, callback_group=self.calls)
 
     def settings(self) -> Settings:
         """What the parameters say.
@@ -209,9 +212,10 @@ class SeglocNode(LifecycleNode):
             self._publish(robot.quiet(quiet_s))
         if self._outputs is not None:
             told = self._outputs.look_after(robot, bool(self._inputs))
-            if told is not None:
-                log = self.get_logger()
-                (log.info if told.level is Level.OK else log.warning)(told.message)
+            if told is not None and told.level is Level.OK:
+                self.get_logger().info(told.message)
+            elif told is not None:
+                self.get_logger().warning(told.message)
         self.waiting.settle(robot.fixes)
 
     # --- services ------------------------------------------------------------------------------

@@ -1,0 +1,230 @@
+"""The node as it is installed, in a process of its own, on a simulated drive: `make test-ros`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, Scan, build_map, geometry
+from segloc.types import Pose
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("tf2_msgs")
+
+from samples.ros_peer import T_MAP_ODOM, Peer, running  # noqa: E402
+from segloc_ros.core.replies import PoseReply  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out  # noqa: E402
+
+pytestmark = pytest.mark.slow
+INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
+NODE = INSTALLED / "segloc_ros/lib/segloc_ros/segloc_node"
+PARAMETERS = {
+    "mode": "both", "trigger": "periodic", "points_reliable": True, "query_every_m": 4.0,
+    "points_depth": 10,
+}  # fmt: skip
+SHIFT = geometry.yaw_transform(0.3, (100.0, 50.0, 0.0))
+
+
+class Shifted(PlazaSequence):
+    """The same walk in another map frame."""
+
+    def __init__(self, plaza: Plaza) -> None:
+        super().__init__(plaza)
+        self.poses = SHIFT @ self.poses
+
+    def scan(self, i: int) -> Scan:
+        T = geometry.inverse(SHIFT) @ self.poses[i]
+        scan = self._plaza.scan(T, posed=False, seed=i)
+        scan.T_odom_sensor = self.poses[i]
+        return scan
+
+
+@pytest.fixture(scope="module")
+def maps(plaza: Plaza, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map, and one of the same place in another frame."""
+    folder = tmp_path_factory.mktemp("maps")
+    for name, walk in (("site", PlazaSequence(plaza)), ("shifted", Shifted(plaza))):
+        build_map(walk, Config.preset("geo")).save(folder / f"{name}.segmap")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def peer(plaza: Plaza) -> Iterator[Peer]:
+    rclpy.init()
+    peer = Peer(plaza)
+    yield peer
+    peer.destroy_node()
+    rclpy.shutdown()
+
+
+def off(T: Pose, truth: Pose) -> float:
+    return float(np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]))
+
+
+def localized(peer: Peer, truth: Pose, metres: float = 0.5) -> bool:
+    """Whether the newest pose is of the newest cloud, and right."""
+    peer.until(lambda: peer.heard["pose"] and peer.newest("pose")[0] >= peer.now - 1e-6, 10.0)
+    return off(peer.newest("pose")[1], truth) < metres
+
+
+def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """Without a map, without tf, then a drive; what goes wrong after it, and that it recovers."""
+    used, log = tmp_path / "used.segmap", tmp_path / "log"
+    with running(NODE, log, map=str(used), **PARAMETERS) as node:
+        peer.ready()
+        peer.until(lambda: "no map" in peer.said, 10.0)
+        shutil.copy(maps / "site.segmap", tmp_path / "part")
+        (tmp_path / "part").replace(used)
+        peer.until(lambda: peer.heard["map_cloud"], 15.0)
+        assert peer.heard["map_cloud"][-1].width > 5000
+
+        peer.walk(2)
+        peer.until(lambda: peer.said == "no fixed transform base_link -> os_sensor in tf", 5.0)
+        assert not any(peer.heard[name] for name in ("pose", "initialpose", "tf", "matches"))
+        peer.tell_mount()
+        peer.spin(0.5)
+
+        truth = peer.walk(4, begin=(-10.0, 1.2))
+        assert localized(peer, truth), peer.said
+        assert np.allclose(peer.map_to_odom()[:3, 3], T_MAP_ODOM[:3, 3], atol=6.0)
+        assert len(peer.heard["initialpose"]) == 1 and peer.heard["matches"]
+        peer.until(lambda: peer.said == "localized", 5.0)
+        peer.until(lambda: int(peer.values["scans"]) >= 4, 5.0)
+        assert float(peer.values["total_ms"]) > 0
+
+        peer.send_cloud(peer.now - 0.5, np.ones((100, 3), np.float32))  # late
+        carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
+        truth = peer.walk(16, begin=(-2.0, 1.0), carried=carried, step=1.0)
+        assert localized(peer, truth), peer.said
+        peer.until(lambda: int(peer.values["dropped"]) >= 1, 5.0)
+
+        reset = geometry.inverse(geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0)))
+        truth = peer.walk(12, T_map_odom=reset, step=1.0)
+        assert localized(peer, truth), peer.said
+        assert np.allclose(peer.map_to_odom(), reset, atol=0.5)
+
+        shutil.copy(maps / "shifted.segmap", tmp_path / "part")
+        (tmp_path / "part").replace(used)
+        peer.heard["map_cloud"].clear()
+        peer.until(lambda: peer.heard["map_cloud"], 15.0)
+        truth = peer.walk(4, T_map_odom=reset, begin=(-2.0, 1.0), step=1.0)
+        assert localized(peer, SHIFT @ truth), peer.said
+        node.send_signal(signal.SIGKILL)
+        node.wait(10)
+
+    peer.clear()
+    with running(NODE, log, map=str(used), **PARAMETERS) as node:  # as by respawn
+        peer.ready()
+        peer.until(lambda: peer.heard["map_cloud"], 15.0)
+        peer.spin(0.5)
+        truth = peer.walk(4, T_map_odom=reset, begin=(2.0, 1.0), step=1.0)
+        assert localized(peer, SHIFT @ truth), peer.said
+        node.send_signal(signal.SIGINT)
+        assert node.wait(20) == 0
+    assert b"Traceback" not in log.read_bytes()
+
+
+def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
+    peer.clear()
+    site, log = str(maps / "site.segmap"), tmp_path / "log"
+    quiet = PARAMETERS | {"mode": "initialpose", "trigger": "service", "service_timeout_s": 15.0}
+    with running(NODE, log, map=site, **quiet):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], 15.0)
+        peer.walk(2)
+        peer.until(lambda: peer.said == "at rest: call ~/relocalize", 10.0)
+        assert not peer.heard["initialpose"]
+        near = geometry.yaw_transform(0.0, (-9.0, 3.0, 0.0))
+        peer.click.publish(pose_out(PoseReply(0.0, "map", near, np.eye(6))))
+        peer.spin(0.5)
+        truth = peer.walk(2, begin=(-10.0, 1.2), step=0.0)
+        peer.until(lambda: peer.heard["initialpose"], 10.0)
+        stamp, T = peer.newest("initialpose")
+        assert stamp >= peer.now - 1.0 - 1e-6 and off(T, truth) < 0.5
+        covariance = peer.heard["initialpose"][-1].pose.covariance
+        assert covariance[0] > 0.06 and covariance[35] > 0.007
+        called = peer.relocalize()
+        peer.spin(0.5)
+        peer.walk(2, begin=(-10.0, 1.2), step=0.0)
+        peer.until(called.done, 20.0)
+        assert called.result().success and called.result().message == "localized, at rest"
+        assert len(peer.heard["initialpose"]) == 2 and not peer.heard["tf"]
+
+
+def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """With autostart false somebody else configures and activates it, as Nav2's manager does."""
+    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    change = peer.create_client(ChangeState, "/segloc/change_state")
+    get = peer.create_client(GetState, "/segloc/get_state")
+    options = PARAMETERS | {"autostart": "false", "mode": "tf"}
+
+    def call(client: object, request: object) -> object:
+        future = client.call_async(request)
+        peer.until(future.done, 20.0)
+        return future.result()
+
+    def to(transition: int) -> bool:
+        return call(change, ChangeState.Request(transition=Transition(id=transition))).success
+
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.until(get.service_is_ready, 20.0)
+        assert call(get, GetState.Request()).current_state.id == State.PRIMARY_STATE_UNCONFIGURED
+        peer.clear()
+        assert to(Transition.TRANSITION_CONFIGURE)
+        peer.until(lambda: peer.said == "inactive", 10.0)
+        assert to(Transition.TRANSITION_ACTIVATE)
+        peer.tell_mount()
+        peer.ready()
+        truth = peer.walk(3)
+        assert localized(peer, truth), peer.said
+        assert to(Transition.TRANSITION_DEACTIVATE)
+        peer.spin(0.5)
+        peer.clear()
+        peer.walk(2, begin=(-8.0, 1.3))
+        assert not peer.heard["pose"] and not peer.heard["tf"]
+        for transition in (
+            Transition.TRANSITION_ACTIVATE,
+            Transition.TRANSITION_DEACTIVATE,
+            Transition.TRANSITION_CLEANUP,
+            Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+        ):
+            assert to(transition)
+
+
+def test_autoware_is_answered(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    kind = pytest.importorskip("autoware_internal_localization_msgs.srv").PoseWithCovarianceStamped
+    peer.clear()
+    client = peer.create_client(kind, "/ndt_align_srv")
+    options = PARAMETERS | {
+        "mode": "initialpose", "trigger": "service", "odometry": "none", "click_s": 3.0,
+        "initialpose_topic": "~/initialpose",
+    }  # fmt: skip
+    align = INSTALLED / "segloc_autoware/lib/segloc_autoware/align_node"
+    with running(align, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.until(client.service_is_ready, 20.0)
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], 15.0)
+        for x, expected in ((-9.0, True), (300.0, False)):
+            near = geometry.yaw_transform(0.0, (x, 3.0, 0.0))
+            request = kind.Request()
+            request.pose_with_covariance = pose_out(PoseReply(0.0, "map", near, np.eye(6)))
+            called = client.call_async(request)
+            until = time.monotonic() + 25.0
+            while not called.done() and time.monotonic() < until:
+                truth = peer.walk(1, begin=(-12.0, 1.1), step=0.0)
+            response = called.result()
+            assert (response.success, response.reliable) == (expected, expected)
+            if expected:
+                assert off(pose_in(response.pose_with_covariance.pose.pose), truth) < 0.5
