@@ -109,7 +109,7 @@ class Peer(Node):
     def ready(self) -> None:
         """Wait until the node's ends of the topics are there."""
         ends = (self._points, self._odom)
-        self.until(lambda: all(end.get_subscription_count() for end in ends), 30.0)
+        self.until(lambda: all(end.get_subscription_count() for end in ends), 60.0)
 
     def send_cloud(self, stamp: float, points: Float32) -> None:
         self._points.publish(cloud_out(points, LIDAR, time_of(stamp)))
@@ -168,7 +168,7 @@ def running(executable: Path, log: Path, **parameters: Any) -> Iterator[subproce
         finally:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
-                process.wait(20)
+                process.wait(60)
 
 
 __all__ = ["MOUNT", "T_MAP_ODOM", "Peer", "running"]

@@ -30,7 +30,7 @@ class MapFile:
     def __init__(self, path: str, threads: int) -> None:
         self._path, self._threads = path, threads
         self._seen: tuple[int, int, int] | None = None
-        self.fault = "no map yet"
+        self.fault = "the map is being read"
 
     def newer(self) -> Localizer | None:
         """One in the map, if it was not there before or has changed; None where all is as it was.

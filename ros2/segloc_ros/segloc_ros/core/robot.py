@@ -59,7 +59,10 @@ class Robot:
         self.fixes, self.intake_ms = 0, 0.0
         self._localizer: Localizer | None = None
         self._core: LiveCore | None = None
-        self._own = {"map": "no map yet", "points": f"no cloud yet: {settings.points_topic}"}
+        self._own = {
+            "map": "the map is being read",
+            "points": f"no cloud yet: {settings.points_topic}",
+        }
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
