@@ -38,13 +38,13 @@ def test_files_and_functions_are_short() -> None:
 
 def test_the_parameters_file_holds_every_default() -> None:
     file = ROS2 / "segloc_ros" / "config" / "segloc.yaml"
-    written = yaml.safe_load(file.read_text("utf-8"))["segloc"]["ros__parameters"]
+    written = yaml.safe_load(file.read_text("utf-8"))["/**"]["ros__parameters"]
     declared = {name: default for name, default, _ in Settings.declared() if default != []}
     assert written == declared
     text = file.read_text("utf-8")
     assert all(name in text for name, *_ in Settings.declared())
     for other in (ROS2 / "segloc_ros" / "config").glob("*.yaml"):
-        values = yaml.safe_load(other.read_text("utf-8"))["segloc"]["ros__parameters"]
+        values = yaml.safe_load(other.read_text("utf-8"))["/**"]["ros__parameters"]
         Settings.of(values)
 
 

@@ -64,7 +64,7 @@ def test_covariances_are_in_ros_order_and_axes(localizer: Localizer, plaza: Plaz
     moved = T[:3, 3] + draws[:, 3:] @ T[:3, :3].T
     turned = draws[:, :3] @ T[:3, :3].T  # R exp(w) = exp(R w) R: about the map's axes
     expected = np.cov(np.column_stack([moved - T[:3, 3], turned]).T)
-    found = listener.robot._pose(0.0, T, spread**2).covariance
+    found = PoseReply.of(0.0, "map", T, spread**2).covariance
     np.testing.assert_allclose(found, expected, atol=0.003)
     assert state.covariance is not None and np.linalg.eigvalsh(told.covariance).min() > 0
 
@@ -238,6 +238,26 @@ def test_clouds_that_cannot_be_used_and_late_ones_end_nothing(
     truth = listener.walk(plaza, 2, start_s=103.0, begin=(-8.0, 1.3))
     assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
     assert diagnose(listener.robot).message == "localized"
+
+
+def test_clouds_of_two_lidars_on_one_topic_are_not_mixed(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    on_tf_static(listener.robot, np.eye(4), "rear")
+    listener.walk(plaza, 2)
+    core = listener.robot.core
+    listener.cloud(101.5, np.ones((50, 3)), "rear")
+    assert "clouds in rear and in os_sensor" in diagnose(listener.robot).message
+    assert listener.robot.core is core
+    listener.cloud(110.0, np.ones((50, 3)), "rear")  # the other has fallen silent
+    assert listener.robot.core is not core
+
+
+def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:
+    told = PoseReply.of(1.0, "map", np.eye(4), None)
+    assert np.allclose(np.sqrt(np.diag(told.covariance))[[0, 5]], [1.0, np.radians(5.0)])
 
 
 def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:

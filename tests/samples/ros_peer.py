@@ -65,13 +65,22 @@ class Peer(Node):
         super().__init__("peer")
         self.plaza, self.now = plaza, 1000.0
         self.heard: dict[str, list[Any]] = {name: [] for name in _HEARD}
-        for name, (kind, topic, qos) in _HEARD.items():
-            self.create_subscription(kind, topic, self.heard[name].append, qos)
+        self._ears: dict[str, Any] = {}
+        for name in _HEARD:
+            self.listen(name)
         self._points = self.create_publisher(PointCloud2, "/points", 5)
         self._odom = self.create_publisher(Odometry, "/odom", 50)
         self._tf_static = self.create_publisher(TFMessage, "/tf_static", LATCHED)
         self.click = self.create_publisher(PoseWithCovarianceStamped, "/segloc/click", 1)
         self._relocalize = self.create_client(Trigger, "/segloc/relocalize")
+
+    def listen(self, name: str) -> None:
+        kind, topic, qos = _HEARD[name]
+        heard = self.heard[name]
+        self._ears[name] = self.create_subscription(kind, topic, heard.append, qos)
+
+    def turn_away(self, name: str) -> None:
+        self.destroy_subscription(self._ears.pop(name))
 
     def spin(self, seconds: float) -> None:
         """Listen for a while."""

@@ -14,7 +14,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, PointCloud2
@@ -43,9 +42,9 @@ class SeglocNode(LifecycleNode):
     def __init__(self, name: str = "segloc", **options: Any) -> None:
         super().__init__(name, **options)
         for parameter, default, description in Settings.declared():
-            kind = Parameter.Type.DOUBLE_ARRAY if isinstance(default, list) else None
-            descriptor = ParameterDescriptor(description=description)
-            self.declare_parameter(parameter, default if kind is None else kind, descriptor)
+            # Any type: the settings check it, and take 20 for 20.0 and [0, 1] for [0.0, 1.0].
+            descriptor = ParameterDescriptor(description=description, dynamic_typing=True)
+            self.declare_parameter(parameter, None if default == [] else default, descriptor)
         self.waiting = Waiting()
         self.robot: Robot | None = None
         self.pump: Pump | None = None
@@ -148,8 +147,9 @@ class SeglocNode(LifecycleNode):
 
     # --- what comes in -------------------------------------------------------------------------
 
-    def _feed(self, event: Any) -> None:
-        self._heard_at, self._quiet = time.monotonic(), False
+    def _feed(self, event: Any, alive: bool = True) -> None:
+        if alive:
+            self._heard_at, self._quiet = time.monotonic(), False
         if self.pump is None:
             return
         try:
@@ -168,7 +168,7 @@ class SeglocNode(LifecycleNode):
         self._feed(lambda robot: robot.on_odometry(stamp, frame, child, pose_in(message.pose.pose)))
 
     def _on_tf(self, transforms: list[Transform], static: bool) -> None:
-        self._feed(lambda robot: robot.on_transforms(transforms, static))
+        self._feed(lambda robot: robot.on_transforms(transforms, static), alive=False)
 
     def _on_imu(self, message: Imu) -> None:
         a = message.linear_acceleration
@@ -216,7 +216,8 @@ class SeglocNode(LifecycleNode):
                 self.get_logger().info(told.message)
             elif told is not None:
                 self.get_logger().warning(told.message)
-        self.waiting.settle(robot.fixes)
+        given_up = robot.trigger.resting and robot.trigger.held is None
+        self.waiting.settle(robot.fixes, given_up)
 
     # --- services ------------------------------------------------------------------------------
 

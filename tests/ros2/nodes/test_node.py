@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
 NODE = INSTALLED / "segloc_ros/lib/segloc_ros/segloc_node"
 PARAMETERS = {
-    "mode": "both", "trigger": "periodic", "points_reliable": True, "query_every_m": 4.0,
+    "mode": "both", "trigger": "periodic", "points_reliable": True, "query_every_m": 4,
     "points_depth": 10,
 }  # fmt: skip
 WAIT_S = 60.0
@@ -164,6 +164,15 @@ def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
         peer.until(called.done, WAIT_S)
         assert called.result().success and called.result().message == "localized, at rest"
         assert len(peer.heard["initialpose"]) == 2 and not peer.heard["tf"]
+        # A tracker that was not there when the robot was found is told when it comes.
+        peer.turn_away("initialpose")
+        called = peer.relocalize()
+        peer.spin(0.5)
+        peer.walk(2, begin=(-10.0, 1.2), step=0.0)
+        peer.until(called.done, WAIT_S)
+        peer.clear()
+        peer.listen("initialpose")
+        peer.until(lambda: peer.heard["initialpose"], WAIT_S)
 
 
 def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:
@@ -241,7 +250,7 @@ def test_what_it_costs(peer: Peer, maps: Path, plaza: Plaza, tmp_path: Path, tri
     peer.clear()
     events = [e for events, _ in walked(plaza, 25, begin=(-14.0, 1.0), step=1.0) for e in events]
     size = np.mean([12e-6 * len(e.scan.points) for e in events if e.scan is not None])
-    options = PARAMETERS | {"trigger": trigger, "query_every_m": 10.0}
+    options = PARAMETERS | {"trigger": trigger, "query_every_m": 10}
     with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options) as node:
         peer.ready()
         peer.tell_mount()

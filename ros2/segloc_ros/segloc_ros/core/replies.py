@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from segloc import ros_covariance
 from segloc.types import Float64, Pose
 
 from .frames import Transform
+
+_UNKNOWN = (1.0, 5.0)
+"""Deviations of a pose that is believed and whose covariance is not known, m and degrees."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,25 @@ class PoseReply:
     frame: str
     T_map_base: Pose
     covariance: Float64
+
+    @classmethod
+    def of(
+        cls,
+        stamp: float,
+        frame: str,
+        T_map_base: Pose,
+        covariance: Float64 | None,
+        least: tuple[float, float] = (0.0, 0.0),
+    ) -> PoseReply:
+        """From a covariance as segloc has it, or none, and the least deviations, m and degrees."""
+        known = _deviating(*_UNKNOWN) if covariance is None else covariance
+        grown = ros_covariance(known + _deviating(*least), T_map_base)
+        return cls(stamp, frame, T_map_base, grown)
+
+
+def _deviating(metres: float, degrees: float) -> Float64:
+    """A (6, 6) covariance of rotation and translation, the same in all directions."""
+    return np.diag(np.repeat([np.radians(degrees), metres], 3) ** 2)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Localizer, Prior, SeglocError, geometry, ros_covariance
+from segloc import Localizer, Prior, SeglocError, geometry
 from segloc.datasets.ros.pointcloud2 import to_scan
 from segloc.live import LiveCore, State, Status
 from segloc.types import Float64, Pose
@@ -63,6 +63,7 @@ class Robot:
             "map": "the map is being read",
             "points": f"no cloud yet: {settings.points_topic}",
         }
+        self._lidar = "", -np.inf  # whose clouds are taken, and when the last came
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
@@ -108,7 +109,12 @@ class Robot:
         """sensor_msgs/PointCloud2. What cannot be used is refused, and that is said."""
         begun = time.perf_counter()
         self._own.pop("points", None)
-        T_base_lidar = self.body.mount(frame_name(frame))
+        lidar = frame_name(frame)
+        if lidar != self._lidar[0] and 0.0 <= stamp - self._lidar[1] < self.settings.silent_s:
+            self._own["points"] = f"clouds in {lidar} and in {self._lidar[0]}: give those of one"
+            return []
+        self._lidar = lidar, stamp
+        T_base_lidar = self.body.mount(lidar)
         if T_base_lidar is None or (core := self._following(T_base_lidar)) is None:
             return []
         try:
@@ -208,13 +214,14 @@ class Robot:
         believed, state = self.believed, self.state
         if state is None or believed is None or believed.T_map_odom is None:
             return None
-        if state.T_odom_base is None or believed.covariance is None:
+        if state.T_odom_base is None:
             return None
         T = believed.T_map_odom @ state.T_odom_base
         self._told = believed.T_map_odom
         self._echoes.sent(T)
         least = (self.settings.initialpose_least_m, self.settings.initialpose_least_deg)
-        return InitialPose(self._pose(state.stamp, T, believed.covariance, *least))
+        frame = self.settings.map_frame
+        return InitialPose(PoseReply.of(state.stamp, frame, T, believed.covariance, least))
 
     # --- inside --------------------------------------------------------------------------------
 
@@ -272,8 +279,9 @@ class Robot:
     def _told_of(self, state: State) -> list[Reply]:
         replies: list[Reply] = []
         T = state.T_map_base
-        if T is not None and state.covariance is not None:
-            replies.append(self._pose(state.stamp, T, state.covariance))
+        if T is not None:
+            frame = self.settings.map_frame
+            replies.append(PoseReply.of(state.stamp, frame, T, state.covariance))
         if not state.localized:
             self._told = None
         elif state.status is Status.LOCALIZED and self._is_news(state):
@@ -289,11 +297,3 @@ class Robot:
         if self._told is None or state.T_odom_base is None or state.T_map_base is None:
             return True
         return _MOVED.apart(self._told @ state.T_odom_base, state.T_map_base)
-
-    def _pose(
-        self, stamp: float, T: Pose, covariance: Float64, m: float = 0.0, deg: float = 0.0
-    ) -> PoseReply:
-        """A pose and its covariance as ROS has them, with a floor added."""
-        least = np.repeat([m, np.radians(deg)], 3) ** 2
-        grown = ros_covariance(covariance, T) + np.diag(least)
-        return PoseReply(stamp, self.settings.map_frame, T, grown)
