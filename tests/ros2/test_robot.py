@@ -141,6 +141,7 @@ def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza
     assert listener.robot.T_map_odom is None
 
 
+@pytest.mark.slow
 def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> None:
     listener = Listener.of(localizer)
     on_tf_static(listener.robot)
