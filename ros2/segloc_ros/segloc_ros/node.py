@@ -250,7 +250,8 @@ def run(node: SeglocNode) -> None:
     executor.add_node(node)
     try:
         if node.get_parameter("autostart").value:
-            node.trigger_configure()
+            if node.trigger_configure() is not TransitionCallbackReturn.SUCCESS:
+                raise SystemExit(1)
             node.trigger_activate()
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
