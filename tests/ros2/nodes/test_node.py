@@ -1,0 +1,312 @@
+"""The node as it is installed, in a process of its own, on a simulated drive: `make test-ros`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+from samples.streams import walked
+
+from segloc import Config, Scan, build_map, geometry
+from segloc.types import Pose
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("tf2_msgs")
+
+from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
+from segloc_ros.core.replies import PoseReply  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out  # noqa: E402
+
+pytestmark = pytest.mark.slow
+INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
+NODE = INSTALLED / "segloc_ros/lib/segloc_ros/segloc_node"
+PARAMETERS = {
+    "mode": "both", "trigger": "periodic", "points_reliable": True, "query_every_m": 4,
+    "points_depth": 10,
+}  # fmt: skip
+WAIT_S = 60.0
+SHIFT = geometry.yaw_transform(0.3, (100.0, 50.0, 0.0))
+
+
+class Shifted(PlazaSequence):
+    """The same walk in another map frame."""
+
+    def __init__(self, plaza: Plaza) -> None:
+        super().__init__(plaza)
+        self.poses = SHIFT @ self.poses
+
+    def scan(self, i: int) -> Scan:
+        T = geometry.inverse(SHIFT) @ self.poses[i]
+        scan = self._plaza.scan(T, posed=False, seed=i)
+        scan.T_odom_sensor = self.poses[i]
+        return scan
+
+
+@pytest.fixture(scope="module")
+def maps(plaza: Plaza, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map, and one of the same place in another frame."""
+    folder = tmp_path_factory.mktemp("maps")
+    for name, walk in (("site", PlazaSequence(plaza)), ("shifted", Shifted(plaza))):
+        build_map(walk, Config.preset("geo")).save(folder / f"{name}.segmap")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def peer(plaza: Plaza) -> Iterator[Peer]:
+    rclpy.init()
+    peer = Peer(plaza)
+    yield peer
+    peer.destroy_node()
+    rclpy.shutdown()
+
+
+def off(T: Pose, truth: Pose) -> float:
+    return float(np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]))
+
+
+def localized(peer: Peer, truth: Pose, metres: float = 0.5) -> bool:
+    """Whether the newest pose is of the newest cloud, and right."""
+    peer.until(lambda: peer.heard["pose"] and peer.newest("pose")[0] >= peer.now - 1e-6, WAIT_S)
+    return off(peer.newest("pose")[1], truth) < metres
+
+
+def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """Without a map, without tf, then a drive; what goes wrong after it, and that it recovers."""
+    used, log = tmp_path / "used.segmap", tmp_path / "log"
+    with running(NODE, log, map=str(used), **PARAMETERS) as node:
+        peer.ready()
+        peer.until(lambda: "no map" in peer.said, WAIT_S)
+        shutil.copy(maps / "site.segmap", tmp_path / "part")
+        (tmp_path / "part").replace(used)
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        assert peer.heard["map_cloud"][-1].width > 5000
+
+        peer.walk(2)
+        peer.until(lambda: peer.said == "no fixed transform base_link -> os_sensor in tf", WAIT_S)
+        assert not any(peer.heard[name] for name in ("pose", "initialpose", "tf", "matches"))
+        peer.tell_mount()
+        peer.spin(0.5)
+
+        truth = peer.walk(4, begin=(-10.0, 1.2))
+        assert localized(peer, truth), peer.said
+        assert np.allclose(peer.map_to_odom()[:3, 3], T_MAP_ODOM[:3, 3], atol=6.0)
+        assert len(peer.heard["initialpose"]) == 1 and peer.heard["matches"]
+        peer.until(lambda: peer.said == "localized", WAIT_S)
+        peer.until(lambda: int(peer.values["scans"]) >= 4, WAIT_S)
+        assert float(peer.values["total_ms"]) > 0
+
+        peer.send_cloud(peer.now - 0.5, np.ones((100, 3), np.float32))  # late
+        carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
+        truth = peer.walk(16, begin=(-2.0, 1.0), carried=carried, step=1.0)
+        assert localized(peer, truth), peer.said
+        peer.until(lambda: int(peer.values["dropped"]) >= 1, WAIT_S)
+
+        reset = geometry.inverse(geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0)))
+        truth = peer.walk(12, T_map_odom=reset, step=1.0)
+        assert localized(peer, truth), peer.said
+        assert np.allclose(peer.map_to_odom(), reset, atol=0.5)
+
+        shutil.copy(maps / "shifted.segmap", tmp_path / "part")
+        (tmp_path / "part").replace(used)
+        peer.heard["map_cloud"].clear()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        truth = peer.walk(4, T_map_odom=reset, begin=(-2.0, 1.0), step=1.0)
+        assert localized(peer, SHIFT @ truth), peer.said
+        node.send_signal(signal.SIGKILL)
+        node.wait(WAIT_S)
+
+    peer.clear()
+    with running(NODE, log, map=str(used), **PARAMETERS) as node:  # as by respawn
+        peer.ready()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(0.5)
+        truth = peer.walk(4, T_map_odom=reset, begin=(2.0, 1.0), step=1.0)
+        assert localized(peer, SHIFT @ truth), peer.said
+        node.send_signal(signal.SIGINT)
+        assert node.wait(WAIT_S) == 0
+    assert b"Traceback" not in log.read_bytes()
+
+
+def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
+    peer.clear()
+    site, log = str(maps / "site.segmap"), tmp_path / "log"
+    quiet = PARAMETERS | {"mode": "initialpose", "trigger": "service", "service_timeout_s": 60.0}
+    with running(NODE, log, map=site, **quiet):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.walk(2)
+        peer.until(lambda: peer.said == "at rest: call ~/relocalize", WAIT_S)
+        assert not peer.heard["initialpose"]
+        near = geometry.yaw_transform(0.0, (-9.0, 3.0, 0.0))
+        peer.click.publish(pose_out(PoseReply(0.0, "map", near, np.eye(6))))
+        peer.spin(0.5)
+        truth = peer.walk(2, begin=(-10.0, 1.2), step=0.0)
+        peer.until(lambda: peer.heard["initialpose"], WAIT_S)
+        stamp, T = peer.newest("initialpose")
+        assert stamp >= peer.now - 1.0 - 1e-6 and off(T, truth) < 0.5
+        covariance = peer.heard["initialpose"][-1].pose.covariance
+        assert covariance[0] > 0.06 and covariance[35] > 0.007
+        called = peer.relocalize()
+        peer.spin(0.5)
+        peer.walk(2, begin=(-10.0, 1.2), step=0.0)
+        peer.until(called.done, WAIT_S)
+        assert called.result().success and called.result().message == "localized, at rest"
+        assert len(peer.heard["initialpose"]) == 2 and not peer.heard["tf"]
+        # A tracker that was not there when the robot was found is told when it comes.
+        peer.turn_away("initialpose")
+        called = peer.relocalize()
+        peer.spin(0.5)
+        peer.walk(2, begin=(-10.0, 1.2), step=0.0)
+        peer.until(called.done, WAIT_S)
+        peer.clear()
+        peer.listen("initialpose")
+        peer.until(lambda: peer.heard["initialpose"], WAIT_S)
+
+
+def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """With autostart false somebody else configures and activates it, as Nav2's manager does."""
+    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    change = peer.create_client(ChangeState, "/segloc/change_state")
+    get = peer.create_client(GetState, "/segloc/get_state")
+    options = PARAMETERS | {"autostart": "false", "mode": "tf"}
+
+    def call(client: object, request: object) -> object:
+        future = client.call_async(request)
+        peer.until(future.done, WAIT_S)
+        return future.result()
+
+    def to(transition: int) -> bool:
+        return call(change, ChangeState.Request(transition=Transition(id=transition))).success
+
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.until(get.service_is_ready, WAIT_S)
+        assert call(get, GetState.Request()).current_state.id == State.PRIMARY_STATE_UNCONFIGURED
+        peer.clear()
+        assert to(Transition.TRANSITION_CONFIGURE)
+        peer.until(lambda: peer.said == "inactive", WAIT_S)
+        assert to(Transition.TRANSITION_ACTIVATE)
+        peer.tell_mount()
+        peer.ready()
+        truth = peer.walk(3)
+        assert localized(peer, truth), peer.said
+        assert to(Transition.TRANSITION_DEACTIVATE)
+        peer.spin(0.5)
+        peer.clear()
+        peer.walk(2, begin=(-8.0, 1.3))
+        assert not peer.heard["pose"] and not peer.heard["tf"]
+        for transition in (
+            Transition.TRANSITION_ACTIVATE,
+            Transition.TRANSITION_DEACTIVATE,
+            Transition.TRANSITION_CLEANUP,
+            Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+        ):
+            assert to(transition)
+
+
+def test_a_wrong_parameter_is_named_and_ends_it(tmp_path: Path) -> None:
+    with running(NODE, tmp_path / "log", mode="odom") as node:
+        assert node.wait(WAIT_S) == 1
+    text = (tmp_path / "log").read_text()
+    assert "parameters: mode: " in text and "Traceback" not in text
+
+
+def test_autoware_is_answered(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    kind = pytest.importorskip("autoware_internal_localization_msgs.srv").PoseWithCovarianceStamped
+    peer.clear()
+    client = peer.create_client(kind, "/ndt_align_srv")
+    options = PARAMETERS | {
+        "mode": "initialpose", "trigger": "service", "odometry": "none", "click_s": 3.0,
+        "initialpose_topic": "~/initialpose",
+    }  # fmt: skip
+    align = INSTALLED / "segloc_autoware/lib/segloc_autoware/align_node"
+    with running(align, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.until(client.service_is_ready, WAIT_S)
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        for x, expected in ((-9.0, True), (300.0, False)):
+            near = geometry.yaw_transform(0.0, (x, 3.0, 0.0))
+            request = kind.Request()
+            request.pose_with_covariance = pose_out(PoseReply(0.0, "map", near, np.eye(6)))
+            called = client.call_async(request)
+            until = time.monotonic() + WAIT_S
+            while not called.done() and time.monotonic() < until:
+                truth = peer.walk(1, begin=(-12.0, 1.1), step=0.0)
+            response = called.result()
+            assert (response.success, response.reliable) == (expected, expected)
+            if expected:
+                assert off(pose_in(response.pose_with_covariance.pose.pose), truth) < 0.5
+
+
+@pytest.mark.parametrize("trigger", ["periodic", "until_localized"])
+def test_what_it_costs(peer: Peer, maps: Path, plaza: Plaza, tmp_path: Path, trigger: str) -> None:
+    """Processor time of a cloud, queries included: `-k costs -s` prints it."""
+    peer.clear()
+    events = [e for events, _ in walked(plaza, 25, begin=(-14.0, 1.0), step=1.0) for e in events]
+    size = np.mean([12e-6 * len(e.scan.points) for e in events if e.scan is not None])
+    options = PARAMETERS | {"trigger": trigger, "query_every_m": 10}
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options) as node:
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        begun = processor_s(node.pid)
+        for event in events:
+            stamp = peer.now + 10.0 + (event.stamp - 100.0)
+            if event.scan is None:
+                peer.send_odometry(stamp, event.T_odom_base @ geometry.inverse(MOUNT))
+            else:
+                peer.send_cloud(stamp, event.scan.points)
+            peer.spin(0.07)
+        peer.spin(1.0)
+        taken, scans = processor_s(node.pid) - begun, int(peer.values["scans"])
+        ms, resident = 1e3 * taken / max(1, scans), resident_mb(node.pid)
+    peer.now = stamp
+    print(f"\n{trigger}: {scans} clouds of {size:.1f} MB, {ms:.0f} ms of a core each, ", end="")
+    print(f"{peer.values['intake_ms']} ms to take one in, {resident:.0f} MB resident")
+    assert scans >= 5 and ms < 1000
+
+
+def processor_s(pid: int) -> float:
+    """User and system seconds of a process (proc(5))."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def test_a_peer_that_shares_nothing_with_it_is_understood(maps: Path, tmp_path: Path) -> None:
+    """Cyclone DDS, and messages written by other code, in both directions."""
+    pytest.importorskip("cyclonedds")
+    options = PARAMETERS | {"mode": "initialpose", "trigger": "until_localized"}
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        script = Path(__file__).with_name("cyclone.py")
+        done = subprocess.run(
+            [sys.executable, script, "6"],
+            capture_output=True,
+            text=True,
+            timeout=200,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+    assert done.returncode == 0, done.stderr
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(told) == 1 and told[0]["frame"] == "map"
+    assert np.allclose(told[0]["at"], told[0]["truth"], atol=0.3)
+    covariance = np.reshape(told[0]["covariance"], (6, 6))
+    assert np.allclose(covariance, covariance.T) and covariance[0, 0] > 0.06

@@ -1,0 +1,270 @@
+"""The ROS node's core on a simulated drive: what it tells, and when it keeps silent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza
+from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
+from segloc_ros.core.clicks import Click
+from segloc_ros.core.diagnosis import Level, diagnose
+from segloc_ros.core.replies import InitialPose, MapToOdom, MatchesReply, PoseReply
+
+from segloc import ConfigError, Localizer, Prior, geometry
+from segloc.types import Pose
+
+
+def off(T: Pose, truth: Pose) -> float:
+    return float(np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]))
+
+
+def test_a_drive_gives_poses_of_the_base_and_map_to_odom(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    truth = listener.walk(plaza, 6)
+    poses, transforms = listener.of_kind(PoseReply), listener.of_kind(MapToOdom)
+    assert off(poses[-1].T_map_base, truth) < 0.3 and poses[-1].frame == "map"
+    last = transforms[-1].transform
+    assert (last.parent, last.child) == ("map", "odom")
+    assert np.allclose(last.T_parent_child, T_MAP_ODOM, atol=0.3)
+    assert last.stamp == pytest.approx(105.2 + 0.2)  # of the newest odometry, post-dated
+    assert len(listener.of_kind(InitialPose)) == 1  # told once: what followed agreed with it
+    shown = listener.of_kind(MatchesReply)[-1]
+    assert shown.believed and len(shown.centroids) > 5
+    told = diagnose(listener.robot)
+    assert told.level is Level.OK and told.message == "localized"
+    assert float(told.values["total_ms"]) > 0 and "segmentation_ms" in told.values
+    assert told.values["last query"] == "believed"
+
+
+def test_poses_for_a_tracker_leave_room_and_those_beside_do_not(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, initialpose_least_m=0.5, initialpose_least_deg=10.0)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    (told,) = listener.of_kind(InitialPose)
+    metres, radians = np.sqrt(np.diag(told.pose.covariance))[[0, 5]]
+    assert 0.5 < metres < 0.6 and np.radians(10.0) < radians < np.radians(12.0)
+    assert np.sqrt(listener.of_kind(PoseReply)[-1].covariance[0, 0]) < 0.3
+
+
+def test_covariances_are_in_ros_order_and_axes(localizer: Localizer, plaza: Plaza) -> None:
+    """Poses are drawn as the state says, by motions in the base; their spread is what is told."""
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3)
+    told, state = listener.of_kind(PoseReply)[-1], listener.robot.state
+    rng = np.random.default_rng(0)
+    spread = np.diag([0.01, 0.02, 0.03, 0.1, 0.2, 0.4])
+    draws = rng.multivariate_normal(np.zeros(6), spread**2, 40_000)
+    T = told.T_map_base
+    moved = T[:3, 3] + draws[:, 3:] @ T[:3, :3].T
+    turned = draws[:, :3] @ T[:3, :3].T  # R exp(w) = exp(R w) R: about the map's axes
+    expected = np.cov(np.column_stack([moved - T[:3, 3], turned]).T)
+    found = PoseReply.of(0.0, "map", T, spread**2).covariance
+    np.testing.assert_allclose(found, expected, atol=0.003)
+    assert state.covariance is not None and np.linalg.eigvalsh(told.covariance).min() > 0
+
+
+def test_nothing_is_told_while_it_is_not_known_where_the_lidar_is(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    listener.walk(plaza, 3)
+    assert listener.said == []
+    told = diagnose(listener.robot)
+    assert told.level is Level.WARN
+    assert told.message == "no fixed transform base_link -> os_sensor in tf"
+    on_tf_static(listener.robot)
+    truth = listener.walk(plaza, 3, start_s=103.0, begin=(-8.0, 1.3))
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+
+
+def test_a_mount_by_parameter_needs_no_tf(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer, base_to_lidar=[1.5, 0.2, 0.3, 0.0, 0.0, 0.7])
+    truth = listener.walk(plaza, 2)
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    with pytest.raises(ConfigError, match="base_to_lidar"):
+        Listener.of(base_to_lidar=[1.0, 2.0])
+
+
+def test_a_mount_that_changes_begins_anew(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot, np.eye(4))
+    listener.walk(plaza, 2)
+    core = listener.robot.core
+    on_tf_static(listener.robot, MOUNT)
+    truth = listener.walk(plaza, 3, start_s=102.0, begin=(-10.0, 1.2))
+    assert listener.robot.core is not core
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+
+
+def test_modes_tell_only_what_was_asked_for(localizer: Localizer, plaza: Plaza) -> None:
+    for mode, silent in (("initialpose", MapToOdom), ("tf", InitialPose)):
+        listener = Listener.of(localizer, mode=mode)
+        on_tf_static(listener.robot)
+        listener.walk(plaza, 2)
+        assert not listener.of_kind(silent) and listener.of_kind(PoseReply)
+
+
+def test_until_localized_it_works_and_then_rests(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer, trigger="until_localized")
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 1)
+    assert listener.robot.trigger.resting and len(listener.of_kind(InitialPose)) == 1
+    queries = listener.robot.last
+    listener.clear()
+    listener.walk(plaza, 5, start_s=101.0, begin=(-12.0, 1.1))
+    assert listener.robot.last is queries  # none was made
+    assert listener.of_kind(PoseReply) == [] and len(listener.of_kind(MapToOdom)) > 4
+    assert diagnose(listener.robot).message == "localized, at rest"
+    # An odometry that begins anew wakes it.
+    T = geometry.inverse(geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0)))
+    truth = listener.walk(plaza, 3, start_s=106.0, begin=(-2.0, 1.6), T_map_odom=T)
+    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 7.0
+    assert listener.robot.trigger.resting and listener.robot.fixes == 2
+
+
+def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer, trigger="service")
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    assert not listener.said and diagnose(listener.robot).message == "at rest: call ~/relocalize"
+    fixes = listener.robot.relocalize()
+    listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))
+    assert listener.robot.fixes == fixes + 1 and listener.of_kind(InitialPose)
+    listener.walk(plaza, 1, start_s=103.0, begin=(300.0, 1.2))  # a jump, and it may not look
+    assert "call ~/relocalize" in diagnose(listener.robot).message
+    assert listener.robot.T_map_odom is None
+
+
+@pytest.mark.slow
+def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 8)
+    carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
+    truth = listener.walk(plaza, 20, begin=(2.0, 1.0), start_s=108.0, carried=carried, step=1.0)
+    first, *_, last = listener.of_kind(InitialPose)
+    assert first is not last and off(last.pose.T_map_base, truth) < 25.0
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.5
+
+
+def test_a_click_is_refined_and_its_echo_is_not_taken_for_another(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, mode="initialpose", click_topic="/initialpose")
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    (first,) = listener.of_kind(InitialPose)
+    told = Click("map", first.pose.T_map_base, first.pose.covariance)
+    assert listener.robot.on_click(told) == "an echo"
+    near = geometry.yaw_transform(0.0, (-9.0, 3.0, 0.0))
+    assert listener.robot.on_click(Click("/map", near, np.eye(6))) == ""
+    assert listener.robot.T_map_odom is None
+    truth = listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))
+    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
+    assert "odom" in listener.robot.on_click(Click("odom", near, np.eye(6)))
+
+
+def test_a_click_elsewhere_finds_nothing_there_and_then_anything(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, click_s=3.0, click_radius_m=5.0)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    far = geometry.yaw_transform(0.0, (500.0, 0.0, 0.0))
+    listener.robot.on_click(Click("map", far, np.zeros((6, 6))))
+    listener.clear()
+    listener.walk(plaza, 2, start_s=102.0, begin=(-10.0, 1.2))
+    assert not listener.of_kind(PoseReply)
+    assert "within 5 m of 500, 0" in diagnose(listener.robot).values["last query"]
+    listener.walk(plaza, 5, start_s=104.0, begin=(-6.0, 1.4))
+    assert listener.of_kind(PoseReply)
+
+
+def test_the_radius_of_a_prior_follows_its_covariance() -> None:
+    T = geometry.yaw_transform(1.0, (3.0, 4.0, 5.0))
+    wide = Click("map", T, np.diag([100.0, 1.0, 1.0, 0.0, 0.0, 0.0])).prior(10.0)
+    assert isinstance(wide, Prior) and wide.radius_m == pytest.approx(30.0)
+    assert np.allclose(wide.position, [3.0, 4.0])
+    assert Click("map", T, np.full((6, 6), np.nan)).prior(10.0).radius_m == 10.0
+
+
+def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of()
+    on_tf_static(listener.robot)
+    listener.robot.no_map("no map: site.segmap: No such file or directory")
+    listener.walk(plaza, 2)
+    assert listener.said == [] and diagnose(listener.robot).level is Level.ERROR
+    listener.robot.use(localizer)
+    listener.walk(plaza, 2, start_s=102.0, begin=(-10.0, 1.2))
+    assert listener.of_kind(PoseReply)
+    listener.robot.use(localizer)
+    assert listener.robot.T_map_odom is None
+    listener.robot.no_map("no map: it is gone")  # the one in use stays
+    listener.clear()
+    listener.walk(plaza, 2, start_s=104.0, begin=(-6.0, 1.4))
+    assert listener.of_kind(InitialPose)
+
+
+def test_an_answer_in_a_map_that_was_replaced_is_passed_over(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, click_topic="")
+    on_tf_static(listener.robot)
+    due, jobs = listener.robot.due, []
+    listener.robot.due = lambda: jobs.append(due()) or None  # nobody makes them
+    listener.walk(plaza, 1)
+    answer = listener.robot.ask(next(job for job in jobs if job))
+    listener.robot.use(localizer)
+    assert listener.robot.answer(answer) == [] and listener.robot.last is None
+
+
+def test_clouds_that_cannot_be_used_and_late_ones_end_nothing(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3)
+    cloud = cloud_of(np.ones((50, 3)))
+    cloud.fields = cloud.fields[:2]
+    assert listener.robot.on_cloud(cloud, 102.5, LIDAR) == []
+    assert "cloud refused: no field 'z'" in diagnose(listener.robot).message
+    listener.cloud(101.5, np.ones((50, 3)))
+    assert listener.robot.core.dropped == 1
+    truth = listener.walk(plaza, 2, start_s=103.0, begin=(-8.0, 1.3))
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert diagnose(listener.robot).message == "localized"
+
+
+def test_clouds_of_two_lidars_on_one_topic_are_not_mixed(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    on_tf_static(listener.robot, np.eye(4), "rear")
+    listener.walk(plaza, 2)
+    core = listener.robot.core
+    listener.cloud(101.5, np.ones((50, 3)), "rear")
+    assert "clouds in rear and in os_sensor" in diagnose(listener.robot).message
+    assert listener.robot.core is core
+    listener.cloud(110.0, np.ones((50, 3)), "rear")  # the other has fallen silent
+    assert listener.robot.core is not core
+
+
+def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:
+    told = PoseReply.of(1.0, "map", np.eye(4), None)
+    assert np.allclose(np.sqrt(np.diag(told.covariance))[[0, 5]], [1.0, np.radians(5.0)])
+
+
+def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3)
+    listener.robot.quiet(3.0)
+    told = diagnose(listener.robot)
+    assert told.level is Level.WARN and "nothing has come in for 3.0 s" in told.message

@@ -1,0 +1,88 @@
+"""What a robot's topics say while it walks across a plaza, and the core that listens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from segloc_ros.core import Reply, Robot, Settings
+from segloc_ros.core.frames import Transform
+
+from segloc import Localizer, geometry
+from segloc.types import Float64, Pose
+
+from .plaza import Plaza
+from .streams import T_MAP_ODOM, walked
+
+MOUNT = geometry.yaw_transform(0.7, (1.5, 0.2, 0.3))
+BASE, LIDAR, ODOM = "base_link", "os_sensor", "odom"
+
+
+def cloud_of(points: Float64) -> Any:
+    """sensor_msgs/PointCloud2 of (N, 3) points."""
+    fields = [
+        SimpleNamespace(name=name, offset=4 * k, datatype=7, count=1)
+        for k, name in enumerate("xyz")
+    ]
+    data = np.ascontiguousarray(points, dtype="<f4")
+    return SimpleNamespace(
+        height=1, width=len(points), fields=fields, is_bigendian=False, point_step=12,
+        row_step=12 * len(points), data=np.frombuffer(data.tobytes(), np.uint8),
+    )  # fmt: skip
+
+
+def on_tf_static(robot: Robot, T: Pose = MOUNT, child: str = LIDAR) -> list[Reply]:
+    return robot.on_transforms([Transform(0.0, "/base_link", child, T)], True)
+
+
+@dataclass
+class Listener:
+    """Feeds a core, makes its queries at once, and keeps all that it says."""
+
+    robot: Robot
+    said: list[Reply] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, localizer: Localizer | None = None, **parameters: Any) -> Listener:
+        values = {"trigger": "periodic", "mode": "both", "query_every_m": 4.0, **parameters}
+        robot = Robot(Settings.of(values))
+        if localizer is not None:
+            robot.use(localizer)
+        return cls(robot)
+
+    def odometry(self, stamp: float, T_odom_base: Pose, frame: str = ODOM) -> None:
+        self._hear(self.robot.on_odometry(stamp, frame, BASE, T_odom_base))
+
+    def transforms(self, transforms: list[Transform]) -> None:
+        self._hear(self.robot.on_transforms(transforms, False))
+
+    def cloud(self, stamp: float, points: Float64, frame: str = LIDAR) -> None:
+        self._hear(self.robot.on_cloud(cloud_of(points), stamp, frame))
+
+    def walk(self, plaza: Plaza, count: int, T_base_lidar: Pose = MOUNT, **options: Any) -> Pose:
+        """Walk as :func:`samples.streams.walked`; the true pose of the base at the end."""
+        lidar_base, truth = geometry.inverse(T_base_lidar), np.eye(4)
+        for events, T_map_lidar in walked(plaza, count, **options):
+            truth = T_map_lidar @ lidar_base
+            for event in events:
+                if event.scan is None:
+                    self.odometry(event.stamp, event.T_odom_base @ lidar_base)
+                else:
+                    self.cloud(event.stamp, event.scan.points)
+        return truth
+
+    def of_kind(self, kind: type[Any]) -> list[Any]:
+        return [reply for reply in self.said if isinstance(reply, kind)]
+
+    def clear(self) -> None:
+        self.said.clear()
+
+    def _hear(self, replies: list[Reply]) -> None:
+        self.said += replies
+        while (job := self.robot.due()) is not None:
+            self.said += self.robot.answer(self.robot.ask(job))
+
+
+__all__ = ["BASE", "LIDAR", "MOUNT", "ODOM", "T_MAP_ODOM", "Listener", "cloud_of", "on_tf_static"]

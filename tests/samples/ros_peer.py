@@ -1,0 +1,183 @@
+"""The rest of a robot, in a process of its own: sensors, odometry, tf, and whoever listens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from segloc_ros.core.frames import Transform, position_and_quaternion
+from segloc_ros.messages import (
+    cloud_out,
+    pose_in,
+    seconds,
+    time_of,
+    transform_in,
+    transform_out,
+)
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from segloc import geometry
+from segloc.types import Float32, Pose
+
+from .plaza import Plaza
+from .ros_drive import BASE, LIDAR, MOUNT, ODOM
+from .streams import T_MAP_ODOM, walked
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_HEARD = {
+    "pose": (PoseWithCovarianceStamped, "/segloc/pose", 10),
+    "initialpose": (PoseWithCovarianceStamped, "/initialpose", 10),
+    "map_cloud": (PointCloud2, "/segloc/map_cloud", LATCHED),
+    "matches": (MarkerArray, "/segloc/matches", 10),
+    "diagnostics": (DiagnosticArray, "/diagnostics", 10),
+    "tf": (TFMessage, "/tf", 100),
+}
+
+
+class Peer(Node):
+    """Publishes what a robot would, and keeps what the node says.
+
+    Attributes
+    ----------
+    heard : dict of str to list
+        Messages by what they are.
+    now : float
+        The stamp up to which it has driven.
+    """
+
+    def __init__(self, plaza: Plaza) -> None:
+        super().__init__("peer")
+        self.plaza, self.now = plaza, 1000.0
+        self.heard: dict[str, list[Any]] = {name: [] for name in _HEARD}
+        self._ears: dict[str, Any] = {}
+        for name in _HEARD:
+            self.listen(name)
+        self._points = self.create_publisher(PointCloud2, "/points", 5)
+        self._odom = self.create_publisher(Odometry, "/odom", 50)
+        self._tf_static = self.create_publisher(TFMessage, "/tf_static", LATCHED)
+        self.click = self.create_publisher(PoseWithCovarianceStamped, "/segloc/click", 1)
+        self._relocalize = self.create_client(Trigger, "/segloc/relocalize")
+
+    def listen(self, name: str) -> None:
+        kind, topic, qos = _HEARD[name]
+        heard = self.heard[name]
+        self._ears[name] = self.create_subscription(kind, topic, heard.append, qos)
+
+    def turn_away(self, name: str) -> None:
+        self.destroy_subscription(self._ears.pop(name))
+
+    def spin(self, seconds: float) -> None:
+        """Listen for a while."""
+        self.until(lambda: False, seconds, True)
+
+    def until(self, true: Callable[[], Any], seconds: float, quiet: bool = False) -> None:
+        """Listen until something holds; fail where it does not in time."""
+        end = time.monotonic() + seconds
+        while not true():
+            if time.monotonic() > end:
+                assert quiet, f"not within {seconds} s; the node says: {self.said}"
+                return
+            rclpy.spin_once(self, timeout_sec=0.02)
+
+    def clear(self) -> None:
+        for messages in self.heard.values():
+            messages.clear()
+
+    @property
+    def said(self) -> str:
+        """The newest line of the diagnostics."""
+        newest = self.heard["diagnostics"][-1:]
+        return newest[0].status[0].message if newest else ""
+
+    @property
+    def values(self) -> dict[str, str]:
+        """Its figures."""
+        newest = self.heard["diagnostics"][-1:]
+        return {v.key: v.value for v in newest[0].status[0].values} if newest else {}
+
+    def tell_mount(self) -> None:
+        mount = transform_out(Transform(0.0, BASE, LIDAR, MOUNT))
+        self._tf_static.publish(TFMessage(transforms=[mount]))
+
+    def ready(self) -> None:
+        """Wait until the node's ends of the topics are there."""
+        ends = (self._points, self._odom)
+        self.until(lambda: all(end.get_subscription_count() for end in ends), 60.0)
+
+    def send_cloud(self, stamp: float, points: Float32) -> None:
+        self._points.publish(cloud_out(points, LIDAR, time_of(stamp)))
+
+    def send_odometry(self, stamp: float, T: Pose) -> None:
+        message = Odometry(child_frame_id=BASE)
+        message.header.frame_id, message.header.stamp = ODOM, time_of(stamp)
+        xyz, xyzw = position_and_quaternion(T)
+        p, q = message.pose.pose.position, message.pose.pose.orientation
+        p.x, p.y, p.z = xyz
+        q.x, q.y, q.z, q.w = xyzw
+        self._odom.publish(message)
+
+    def walk(self, count: int, **options: Any) -> Pose:
+        """Walk on in time, as :func:`samples.streams.walked`; the true pose of the base."""
+        lidar_base, truth = geometry.inverse(MOUNT), np.eye(4)
+        self.now += 1.0
+        for events, T_map_lidar in walked(self.plaza, count, start_s=self.now, **options):
+            truth = T_map_lidar @ lidar_base
+            for event in events:
+                if event.scan is None:
+                    self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
+                else:
+                    self.send_cloud(event.stamp, event.scan.points)
+                self.spin(0.05)
+            self.now = events[1].stamp
+            self.spin(0.25)
+        return truth
+
+    def newest(self, name: str) -> tuple[float, Pose]:
+        """Stamp and pose of the newest message of that name."""
+        message = self.heard[name][-1]
+        return seconds(message.header.stamp), pose_in(message.pose.pose)
+
+    def map_to_odom(self) -> Pose:
+        """The newest on tf."""
+        sent = [t for m in self.heard["tf"] for t in m.transforms if t.child_frame_id == ODOM]
+        assert sent and sent[-1].header.frame_id == "map"
+        return transform_in(sent[-1]).T_parent_child
+
+    def relocalize(self) -> Any:
+        """Call the service; a future."""
+        return self._relocalize.call_async(Trigger.Request())
+
+
+@contextmanager
+def running(executable: Path, log: Path, **parameters: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """A node in a process of its own."""
+    settings = [item for key, value in parameters.items() for item in ("-p", f"{key}:={value}")]
+    with log.open("ab") as out:
+        process = subprocess.Popen(
+            [executable, "--ros-args", *settings], stdout=out, stderr=out, env=os.environ.copy()
+        )
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.wait(60)
+
+
+__all__ = ["MOUNT", "T_MAP_ODOM", "Peer", "running"]
