@@ -21,12 +21,13 @@ from ..search import Query
 from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
 from ..verification.verifier import Verifier
+from .methods import published_estimator
 from .run import query_clouds
 from .scenario import OpenedScenario, QuerySet, Scenario
 from .score import Evaluation
 
-ESTIMATORS = ("consensus", "prosac")
-"""Ours, and the one of the paper."""
+ESTIMATORS = ("consensus", "published")
+"""Ours, and the one that a method was published with."""
 
 QUALITY = "-fq"
 """What the name of a method ends with that orders its matches by quality."""
@@ -128,7 +129,8 @@ def _localizers(base: Localizer, verifier: Verifier) -> dict[str, Localizer]:
     config = base.config
     found = {}
     for name in ESTIMATORS:
-        pose = config.pose.model_copy(update={"estimator": name})
+        chosen = published_estimator(config.method) if name == "published" else name
+        pose = config.pose.model_copy(update={"estimator": chosen})
         localizer = copy(base)
         localizer.verifier = verifier
         localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
