@@ -20,7 +20,6 @@ from ..pose import PoseEstimator
 from ..search import Query
 from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
-from ..verification.verifier import Verifier
 from .methods import published_estimator
 from .run import query_clouds
 from .scenario import OpenedScenario, QuerySet, Scenario
@@ -117,22 +116,30 @@ def place_of(maps: Mapping[str, SegmentMap], threads: int = 1) -> MappedPlace:
     bases = {
         name: Localizer(prior_map, shared_config(name, threads)) for name, prior_map in maps.items()
     }
-    # The cloud is the same for all methods, and so is what verification prepares of it.
     first = next(iter(bases.values()))
-    localizers = {name: _localizers(base, first.verifier) for name, base in bases.items()}
+    localizers = {name: _localizers(on_the_cloud_of(first, base)) for name, base in bases.items()}
     return MappedPlace(
         localizers, first.prior_map.trajectory, first.prior_map.cloud + first.prior_map.origin
     )
 
 
-def _localizers(base: Localizer, verifier: Verifier) -> dict[str, Localizer]:
+def on_the_cloud_of(first: Localizer, other: Localizer) -> Localizer:
+    """A localizer whose map has no cloud with that of another, and all that is prepared of it."""
+    if other is first:
+        return first
+    changed = copy(other)
+    changed.verifier = first.verifier
+    changed.fallback = other.fallback.on_the_cloud_of(first.fallback)
+    return changed
+
+
+def _localizers(base: Localizer) -> dict[str, Localizer]:
     config = base.config
     found = {}
     for name in ESTIMATORS:
         chosen = published_estimator(config.method) if name == "published" else name
         pose = config.pose.model_copy(update={"estimator": chosen})
         localizer = copy(base)
-        localizer.verifier = verifier
         localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
         found[name] = localizer
     return found
