@@ -12,7 +12,7 @@
 namespace segloc {
 namespace {
 
-// Where everything is consistent with everything, the best of a pair's partners do.
+// Where everything is consistent with everything, some of a pair's partners do.
 constexpr std::size_t kMostPartners = 512;
 
 struct Pair {
@@ -36,84 +36,137 @@ bool as_long(double a, double b, double r) {
   return rest <= 0.0 || rest * rest <= 4.0 * a * b;
 }
 
-class Grower {
+// Which pairs are consistent with each other: pairs whose targets lie too far apart for any edge of
+// the sources are not looked at.
+class Partners {
  public:
-  Grower(std::vector<Pair> pairs, const ConsistencyOptions& options)
-      : pairs_(std::move(pairs)), options_(options) {
+  Partners(const std::vector<Pair>& pairs, double resolution)
+      : pairs_(pairs), resolution_(resolution), found_(pairs.size()) {
     sort_into_cells();
-  }
-
-  // All pairs that are consistent with pair k, and how many.
-  std::size_t partners_of(std::size_t k, std::vector<std::size_t>& partners) const {
-    partners.clear();
-    const auto [x, y] = cell_of(pairs_[k]);
-    for (std::int64_t i = x - 1; i <= x + 1; ++i) {
-      for (std::int64_t j = y - 1; j <= y + 1; ++j) {
-        const auto found = cells_.find({i, j});
-        if (found == cells_.end()) continue;
-        for (const std::size_t other : found->second) {
-          if (consistent(pairs_[k], pairs_[other])) partners.push_back(other);
-        }
+    for (std::size_t p = 0; p < order_.size(); ++p) {
+      const auto [x, y] = cell_of(pairs_[order_[p]]);
+      compare(p, p + 1, cells_.at({x, y}).second);
+      for (const auto& next : {Cell{x, y + 1}, Cell{x + 1, y - 1}, Cell{x + 1, y},
+                               Cell{x + 1, y + 1}}) {
+        const auto cell = cells_.find(next);
+        if (cell != cells_.end()) compare(p, cell->second.first, cell->second.second);
       }
     }
-    return partners.size();
+    for (auto& partners : found_) std::sort(partners.begin(), partners.end());
   }
 
-  // The set that grows from pair k.
-  std::vector<std::size_t> grown(std::size_t k) {
-    partners_of(k, partners_);
-    std::sort(partners_.begin(), partners_.end());
-    if (partners_.size() > kMostPartners) partners_.resize(kMostPartners);
-    const std::size_t count = partners_.size(), words = (count + 63) / 64;
-    if (count + 1 < options_.min_size) return {};
-    fill_rows(words);
-    std::vector<std::uint64_t> open(words, ~std::uint64_t{0});
-    if (count % 64) open.back() = (std::uint64_t{1} << count % 64) - 1;
-    std::vector<std::size_t> members = {k};
-    for (std::size_t left = count; left;) {
-      const std::size_t next = most_connected(open, words);
-      members.push_back(partners_[next]);
-      left = 0;
-      for (std::size_t w = 0; w < words; ++w) {
-        open[w] &= rows_[next * words + w];
-        left += bits_in(open[w]);
-      }
-      if (members.size() + left < options_.min_size) return {};
-    }
-    return members;
+  // Best first.
+  const std::vector<std::uint32_t>& of(std::size_t k) const { return found_[k]; }
+
+  bool consistent(std::size_t i, std::size_t j) const {
+    const Pair &a = pairs_[i], &b = pairs_[j];
+    return a.object != b.object && a.target_id != b.target_id &&
+           as_long(squared_length(a.source, b.source), squared_length(a.target, b.target),
+                   resolution_);
   }
 
  private:
-  bool consistent(const Pair& a, const Pair& b) const {
-    return a.object != b.object && a.target_id != b.target_id &&
-           as_long(squared_length(a.source, b.source), squared_length(a.target, b.target),
-                   options_.resolution);
-  }
+  using Cell = std::pair<std::int64_t, std::int64_t>;
 
   // Cells as wide as the longest edge that a pair of sources can have: partners are in the next.
   void sort_into_cells() {
     if (pairs_.empty()) return;
     std::array<double, 3> low = pairs_[0].source, high = low;
+    double farthest = 0.0;
     for (const Pair& pair : pairs_) {
       for (int a = 0; a < 3; ++a) {
         low[a] = std::min(low[a], pair.source[a]);
         high[a] = std::max(high[a], pair.source[a]);
+        farthest = std::max({farthest, std::fabs(pair.target[a]), std::fabs(pair.source[a])});
       }
     }
-    width_ = std::sqrt(squared_length(low, high)) + options_.resolution;
-    for (std::size_t k = 0; k < pairs_.size(); ++k) cells_[cell_of(pairs_[k])].push_back(k);
+    width_ = std::sqrt(squared_length(low, high)) + resolution_;
+    loose_ = static_cast<float>(resolution_ + 1e-5 * width_ + 1e-5 * farthest);
+    order_.resize(pairs_.size());
+    std::iota(order_.begin(), order_.end(), 0u);
+    std::stable_sort(order_.begin(), order_.end(), [&](std::uint32_t i, std::uint32_t j) {
+      return cell_of(pairs_[i]) < cell_of(pairs_[j]);
+    });
+    for (auto& column : columns_) column.resize(pairs_.size());
+    for (std::size_t p = 0; p < order_.size(); ++p) {
+      const Pair& pair = pairs_[order_[p]];
+      for (int a = 0; a < 3; ++a) {
+        columns_[a][p] = static_cast<float>(pair.source[a]);
+        columns_[3 + a][p] = static_cast<float>(pair.target[a]);
+      }
+      const auto cell = cells_.try_emplace(cell_of(pair), p, p + 1).first;
+      cell->second.second = p + 1;
+    }
+    maybe_.resize(pairs_.size());
   }
 
-  std::pair<std::int64_t, std::int64_t> cell_of(const Pair& pair) const {
+  Cell cell_of(const Pair& pair) const {
     return {static_cast<std::int64_t>(std::floor(pair.target[0] / width_)),
             static_cast<std::int64_t>(std::floor(pair.target[1] / width_))};
   }
 
-  void fill_rows(std::size_t words) {
-    rows_.assign(partners_.size() * words, 0);
-    for (std::size_t i = 0; i < partners_.size(); ++i) {
+  // Position p with those from begin to end: loosely in single precision, then exactly.
+  void compare(std::size_t p, std::size_t begin, std::size_t end) {
+    const auto& [ax, ay, az, bx, by, bz] = columns_;
+    const float x = ax[p], y = ay[p], z = az[p], u = bx[p], v = by[p], w = bz[p], r = loose_;
+    for (std::size_t q = begin; q < end; ++q) {
+      const float dx = ax[q] - x, dy = ay[q] - y, dz = az[q] - z;
+      const float du = bx[q] - u, dv = by[q] - v, dw = bz[q] - w;
+      const float a = dx * dx + dy * dy + dz * dz, b = du * du + dv * dv + dw * dw;
+      const float rest = a + b - r * r;
+      maybe_[q] = (rest <= 0.0f) | (rest * rest <= 4.0f * a * b);
+    }
+    for (std::size_t q = begin; q < end; ++q) {
+      if (!maybe_[q]) continue;
+      const std::uint32_t i = order_[p], j = order_[q];
+      if (!consistent(i, j)) continue;
+      if (found_[i].size() < kMostPartners) found_[i].push_back(j);
+      if (found_[j].size() < kMostPartners) found_[j].push_back(i);
+    }
+  }
+
+  const std::vector<Pair>& pairs_;
+  double resolution_, width_ = 1.0;
+  float loose_ = 0.0f;
+  std::vector<std::vector<std::uint32_t>> found_;
+  std::vector<std::uint32_t> order_;              // pairs by cell
+  std::array<std::vector<float>, 6> columns_;     // sources and targets in that order
+  std::vector<std::uint8_t> maybe_;               // whether a position may be consistent with p
+  std::map<Cell, std::pair<std::size_t, std::size_t>> cells_;  // first position, and past the last
+};
+
+class Grower {
+ public:
+  Grower(const Partners& all, std::size_t min_size) : all_(all), min_size_(min_size) {}
+
+  // The set that grows from pair k.
+  std::vector<std::size_t> grown(std::size_t k) {
+    const std::vector<std::uint32_t>& partners = all_.of(k);
+    const std::size_t count = partners.size(), words = (count + 63) / 64;
+    if (count + 1 < min_size_) return {};
+    fill_rows(partners, words);
+    std::vector<std::uint64_t> open(words, ~std::uint64_t{0});
+    if (count % 64) open.back() = (std::uint64_t{1} << count % 64) - 1;
+    std::vector<std::size_t> members = {k};
+    for (std::size_t left = count; left;) {
+      const std::size_t next = most_connected(open, words);
+      members.push_back(partners[next]);
+      left = 0;
+      for (std::size_t w = 0; w < words; ++w) {
+        open[w] &= rows_[next * words + w];
+        left += bits_in(open[w]);
+      }
+      if (members.size() + left < min_size_) return {};
+    }
+    return members;
+  }
+
+ private:
+  void fill_rows(const std::vector<std::uint32_t>& partners, std::size_t words) {
+    rows_.assign(partners.size() * words, 0);
+    for (std::size_t i = 0; i < partners.size(); ++i) {
       for (std::size_t j = 0; j < i; ++j) {
-        if (!consistent(pairs_[partners_[i]], pairs_[partners_[j]])) continue;
+        if (!all_.consistent(partners[i], partners[j])) continue;
         rows_[i * words + j / 64] |= std::uint64_t{1} << j % 64;
         rows_[j * words + i / 64] |= std::uint64_t{1} << i % 64;
       }
@@ -138,12 +191,9 @@ class Grower {
     return best;
   }
 
-  std::vector<Pair> pairs_;
-  ConsistencyOptions options_;
-  double width_ = 1.0;
-  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<std::size_t>> cells_;
-  std::vector<std::size_t> partners_;  // of the pair that grows
-  std::vector<std::uint64_t> rows_;    // which of them are consistent, a bit each
+  const Partners& all_;
+  std::size_t min_size_;
+  std::vector<std::uint64_t> rows_;  // which partners of a pair are consistent, a bit each
 };
 
 // Targets may lie far from the origin: only their differences count.
@@ -167,16 +217,19 @@ std::vector<ConsistentSet> consistent_sets(const double* source, const double* t
                                            const std::int64_t* object,
                                            const std::int64_t* target_id, std::size_t n,
                                            const ConsistencyOptions& options) {
-  Grower grower(centred(source, target, object, target_id, n), options);
-  std::vector<std::size_t> degrees(n), seeds(n), partners;
-  for (std::size_t k = 0; k < n; ++k) degrees[k] = grower.partners_of(k, partners);
+  const std::vector<Pair> pairs = centred(source, target, object, target_id, n);
+  const Partners partners(pairs, options.resolution);
+  Grower grower(partners, options.min_size);
+  std::vector<std::size_t> seeds(n);
   std::iota(seeds.begin(), seeds.end(), std::size_t{0});
   std::stable_sort(seeds.begin(), seeds.end(),
-                   [&](std::size_t a, std::size_t b) { return degrees[a] > degrees[b]; });
+                   [&](std::size_t a, std::size_t b) {
+                     return partners.of(a).size() > partners.of(b).size();
+                   });
   std::vector<ConsistentSet> sets;
   std::vector<bool> taken(n, false);
   for (const std::size_t seed : seeds) {
-    if (degrees[seed] + 1 < options.min_size) break;
+    if (partners.of(seed).size() + 1 < options.min_size) break;
     if (taken[seed]) continue;
     std::vector<std::size_t> members = grower.grown(seed);
     for (const std::size_t k : members) taken[k] = true;

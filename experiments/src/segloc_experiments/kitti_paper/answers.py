@@ -22,8 +22,8 @@ from segloc.types import Pose
 from .places import Part
 
 ESTIMATORS = ("published", "votes")
-NEIGHBOURS = (25, 50, 100, 200)
-"""Among which K is chosen; the paper has 25 for learned methods, and 200 for the others."""
+NEIGHBOURS = (25, 200)
+"""Among which K is chosen: the paper found 25 best for learned methods, and 200 for the others."""
 
 VERIFIED = ("published, verified", "votes, verified", "everything")
 """One attempt with the published estimator; votes, and a second attempt with 4K; the package."""

@@ -56,9 +56,9 @@ def counts(stored: Stored, command: str) -> Result:
     first = stored[_ordered(stored)[0]]["test"]
     note = (
         f"Right localizations of {len(first)} queries, {sum(within_coverage(first))} of them "
-        "within 3 m of the mapped path; false ones in brackets where there are any. K: of its estimator, "
-        "and of votes. Its estimator: PROSAC, for SegMatch geometric consistency. The published "
-        "column has 134 clouds, other weights and other voxels."
+        "within 3 m of the mapped path; false ones in brackets where there are any. K: of its "
+        "estimator, and of votes. Its estimator: PROSAC, for SegMatch geometric consistency. The "
+        "published column has 134 clouds, other weights and other voxels."
     )
     columns = ("method", "published", "K", *(_TITLES[name] for name in VARIANTS))
     return Result.measured(
