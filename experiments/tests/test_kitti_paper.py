@@ -63,18 +63,30 @@ class Walks:
         self.distances = distances_to_path(self.truths, self.mapped.poses)
 
 
-def test_every_variant_answers_and_a_second_run_measures_nothing(
+def test_every_variant_answers_and_nothing_is_measured_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for part in ("test_part", "training_part"):
         monkeypatch.setattr(protocol, part, lambda data: Walks())
     methods = ("geo", "segmatch-eigen")
-    found = protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=str)
+    whole = protocol.queries
+
+    def cut_off(*arguments: Any) -> Any:
+        yield next(whole(*arguments))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(protocol, "queries", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=str)
+    monkeypatch.setattr(protocol, "queries", whole)
+    said: list[str] = []
+    found = protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=said.append)
+    assert "training: queries from 1 on" in said and "test: queries from 0 on" in said
     for answers in found.values():
         assert set(answers["neighbours"]) == set(ESTIMATORS)
         assert all(set(VERIFIED) <= set(each) for each in answers["test"])
         assert all(letters == "++" for letters in tables.outcomes_of(answers).values())
-    monkeypatch.setattr(protocol, "run", lambda *_: pytest.fail("measured again"))
+    monkeypatch.setattr(protocol, "Run", lambda *_: pytest.fail("measured again"))
     assert protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=str) == found
     result = tables.counts(found, "a command")
     assert [cells[0] for cells in result.rows] == ["segmatch-eigen", "geo"]

@@ -75,7 +75,9 @@ def test_the_table_adds_up_and_says_what_was_missing() -> None:
     assert [row["total"] for row in rows] == [14.0, 14.0, 11.5]
     assert rows[0]["total, published"] == 17.0 and rows[0]["K"] == 200 and rows[0]["numbers"] == 66
     assert "no GPU" not in table.note
-    assert "no GPU" in timing.time_table("x", {**measured, "gpu": {}}, descriptors).note
+    descriptors["esm"] = create("esm", 1)
+    alone = timing.time_table("x", {**measured, "gpu": {}}, descriptors)
+    assert "no GPU" in alone.note and alone.rows[-1][:3] == ("esm", "GPU: not measured", None)
 
 
 def test_networks_run_through_the_training_framework(segments: Segments) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from segloc import Config, Localizer, SegmentMap
@@ -56,11 +57,20 @@ def _estimator(method: str, name: str) -> str:
     return published_estimator(method) if name == "published" else "consensus"
 
 
-def maps(recording: Sequence, descriptors: Mapping[str, Descriptor]) -> dict[str, SegmentMap]:
-    """Maps by all methods, as they are made by default; the first has the cloud of all."""
-    compact = Config().mapping.compact
-    built = build_maps(recording, descriptors)
-    return {name: compacted(each, compact) for name, each in built.items()}
+def maps(
+    recording: Sequence, descriptors: Mapping[str, Descriptor], folder: Path
+) -> dict[str, SegmentMap]:
+    """Maps by all methods, as they are made by default, kept in a folder.
+
+    The first of them has the cloud of all.
+    """
+    paths = {name: folder / f"{name}.segmap" for name in descriptors}
+    if not all(path.exists() for path in paths.values()):
+        folder.mkdir(parents=True, exist_ok=True)
+        compact = Config().mapping.compact
+        for name, each in build_maps(recording, descriptors).items():
+            compacted(each, compact).save(paths[name])
+    return {name: SegmentMap.load(path) for name, path in paths.items()}
 
 
 class Place:
@@ -70,6 +80,7 @@ class Place:
         base = Localizer(prior_map, shared_config(method, 1))
         self._first = first or base
         self.base = on_the_cloud_of(self._first, base)
+        self._localizers: dict[str, Localizer] = {}
         pose = self.base.config.pose
         self._estimators = {
             name: PoseEstimator(
@@ -80,7 +91,11 @@ class Place:
 
     def with_config(self, config: Config) -> Localizer:
         """A localizer in the same map, on the cloud of all methods."""
-        return on_the_cloud_of(self._first, Localizer(self.base.prior_map, config))
+        key = config.model_dump_json()
+        if key not in self._localizers:
+            new = Localizer(self.base.prior_map, config)
+            self._localizers[key] = on_the_cloud_of(self._first, new)
+        return self._localizers[key]
 
     def unverified(
         self, query: Query, truth: Pose, wanted: Mapping[str, tuple[int, ...]]
@@ -124,12 +139,13 @@ class Asked:
     row: Mapping[str, Any]
 
 
-def queries(part: Part, descriptors: Mapping[str, Descriptor]) -> Iterator[Asked]:
-    """Every query of a part; clouds are gathered and segmented once for all methods."""
+def queries(part: Part, descriptors: Mapping[str, Descriptor], first: int = 0) -> Iterator[Asked]:
+    """The queries of a part from ``first`` on; each is gathered and segmented once for all."""
     config = Config()
     segmenter = Segmenter(config.segmentation)
-    clouds = query_clouds(part.queried, part.positions, config)
-    rows = zip(part.positions, part.distances, part.truths, strict=True)
+    positions = part.positions[first:]
+    clouds = query_clouds(part.queried, positions, config)
+    rows = zip(positions, part.distances[first:], part.truths[first:], strict=True)
     for (cloud, _), (position, distance, truth) in zip(clouds, rows, strict=True):
         scene = segmenter.segment(cloud)
         described = describe_all(descriptors, scene.segments)

@@ -203,6 +203,10 @@ def time_table(
     for name, (prepare, describe) in (gpu["times"] if gpu else {}).items():
         times = {**several[name], "preprocessing": prepare, "descriptor": describe}
         rows.append(_row(name, gpu["device"], descriptors, times))
+    if not gpu:
+        columns = len(STAGES) + 5
+        missing = (name for name in descriptors if name in GPU_METHODS)
+        rows += [(name, "GPU: not measured", *(None,) * columns) for name in missing]
     return Table(
         f"times-{label}",
         f"Milliseconds a query, {label}",
@@ -214,7 +218,7 @@ def time_table(
         f"Medians over {measured['queries']} clouds of {measured['segments']:g} segments; the map "
         f"has {max(measured['map'], MAP_SEGMENTS)} segments, {measured['map']} of this place, and "
         "the others of perturbed copies."
-        + ("" if gpu else " There was no GPU to run the networks on."),
+        + ("" if gpu else " There was no GPU: its rows were not measured."),
     )  # fmt: skip
 
 
