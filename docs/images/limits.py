@@ -1,6 +1,6 @@
 """Draw the picture of docs/limits.md: one scan on the two equal storeys of a simulated building.
 
-python docs/images/limits.py    # writes beside itself; needs segloc-experiments and the extra report
+python docs/images/limits.py    # writes beside itself; needs segloc-experiments, `report`
 """
 
 from __future__ import annotations
