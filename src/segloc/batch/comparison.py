@@ -117,29 +117,27 @@ def place_of(maps: Mapping[str, SegmentMap], threads: int = 1) -> MappedPlace:
         name: Localizer(prior_map, shared_config(name, threads)) for name, prior_map in maps.items()
     }
     first = next(iter(bases.values()))
-    localizers = {name: _localizers(on_the_cloud_of(first, base)) for name, base in bases.items()}
+    localizers = {name: _localizers(base, first) for name, base in bases.items()}
     return MappedPlace(
         localizers, first.prior_map.trajectory, first.prior_map.cloud + first.prior_map.origin
     )
 
 
 def on_the_cloud_of(first: Localizer, other: Localizer) -> Localizer:
-    """A localizer whose map has no cloud with that of another, and all that is prepared of it."""
-    if other is first:
-        return first
+    """A copy of a localizer with the cloud of another's map, and all that is prepared of it."""
     changed = copy(other)
     changed.verifier = first.verifier
     changed.fallback = other.fallback.on_the_cloud_of(first.fallback)
     return changed
 
 
-def _localizers(base: Localizer) -> dict[str, Localizer]:
+def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
     config = base.config
     found = {}
     for name in ESTIMATORS:
         chosen = published_estimator(config.method) if name == "published" else name
         pose = config.pose.model_copy(update={"estimator": chosen})
-        localizer = copy(base)
+        localizer = on_the_cloud_of(first, base)
         localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
         found[name] = localizer
     return found

@@ -18,6 +18,9 @@ def kitti_paper(
     kitti: Annotated[Path, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")],
     out: own.Out = own.OUT,
     methods: own.Methods = DEFAULT,
+    verify: Annotated[
+        bool, typer.Option(help="Also with our verification, which takes three times as long.")
+    ] = True,
     store: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Also keep the tables there, as JSON.")
     ] = None,
@@ -37,8 +40,9 @@ def kitti_paper(
     chosen = ready(own.chosen(methods))
     if chosen.left_out:
         note(chosen.note())
-    answers = answers_of(chosen.names, kitti, out / "kitti-paper", say)
+    answers = answers_of(chosen.names, kitti, out / "kitti-paper", say, verify)
     command = f"segloc evaluate kitti-paper --kitti DATA --methods {','.join(chosen.names)}"
+    command += "" if verify else " --no-verify"
     results = [counts(answers, command)]
     if "dsm" in chosen.names:
         results.append(differences(answers, command))

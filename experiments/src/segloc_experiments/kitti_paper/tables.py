@@ -36,7 +36,7 @@ def outcomes_of(answers: Mapping[str, Any]) -> dict[str, str]:
         if name in ESTIMATORS:
             key = f"{name} {answers['neighbours'][name]}"
             found[name] = outcomes(answers["test"], key, threshold(answers["training"], key))
-        else:
+        elif all(name in row for row in answers["test"]):
             found[name] = outcomes(answers["test"], name)
     return found
 
@@ -50,7 +50,7 @@ def counts(stored: Stored, command: str) -> Result:
     rows, letters = [], {}
     for name in _ordered(stored):
         letters[name] = outcomes_of(stored[name])
-        cells = [_count(letters[name][variant]) for variant in VARIANTS]
+        cells = [_count(letters[name].get(variant)) for variant in VARIANTS]
         k = stored[name]["neighbours"]
         rows.append((name, PUBLISHED.get(name), f"{k['published']}, {k['votes']}", *cells))
     first = stored[_ordered(stored)[0]]["test"]
@@ -67,7 +67,9 @@ def counts(stored: Stored, command: str) -> Result:
     )  # fmt: skip
 
 
-def _count(letters: str) -> str:
+def _count(letters: str | None) -> str:
+    if letters is None:
+        return "not measured"
     false = letters.count("x")
     return f"{letters.count('+')}{f' ({false} false)' if false else ''}"
 
@@ -85,6 +87,9 @@ def differences(stored: Stored, command: str) -> Result:
     for name in _ordered(stored):
         cells = []
         for variant in ("published", "everything"):
+            if not (variant in letters[name] and variant in letters[REFERENCE]):
+                cells += ["not measured", "-"]
+                continue
             own, other = letters[name][variant], letters[REFERENCE][variant]
             right = [letter == "+" for letter in own]
             p = mcnemar(right, [letter == "+" for letter in other])

@@ -24,7 +24,7 @@ COLUMNS = (
 
 def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
     """A row for each set of queries."""
-    found = []
+    found: list[tuple[str | int, ...]] = []
     for name in dict.fromkeys(r["queries"] for r in records):
         here = [r for r in records if r["queries"] == name]
         near = [r for r in here if r["within_coverage"]]
