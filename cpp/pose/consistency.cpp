@@ -46,8 +46,8 @@ class Partners {
     for (std::size_t p = 0; p < order_.size(); ++p) {
       const auto [x, y] = cell_of(pairs_[order_[p]]);
       compare(p, p + 1, cells_.at({x, y}).second);
-      for (const auto& next : {Cell{x, y + 1}, Cell{x + 1, y - 1}, Cell{x + 1, y},
-                               Cell{x + 1, y + 1}}) {
+      for (const auto& next :
+           {Cell{x, y + 1}, Cell{x + 1, y - 1}, Cell{x + 1, y}, Cell{x + 1, y + 1}}) {
         const auto cell = cells_.find(next);
         if (cell != cells_.end()) compare(p, cell->second.first, cell->second.second);
       }
@@ -129,9 +129,9 @@ class Partners {
   double resolution_, width_ = 1.0;
   float loose_ = 0.0f;
   std::vector<std::vector<std::uint32_t>> found_;
-  std::vector<std::uint32_t> order_;              // pairs by cell
-  std::array<std::vector<float>, 6> columns_;     // sources and targets in that order
-  std::vector<std::uint8_t> maybe_;               // whether a position may be consistent with p
+  std::vector<std::uint32_t> order_;           // pairs by cell
+  std::array<std::vector<float>, 6> columns_;  // sources and targets in that order
+  std::vector<std::uint8_t> maybe_;            // whether a position may be consistent with p
   std::map<Cell, std::pair<std::size_t, std::size_t>> cells_;  // first position, and past the last
 };
 
@@ -222,10 +222,9 @@ std::vector<ConsistentSet> consistent_sets(const double* source, const double* t
   Grower grower(partners, options.min_size);
   std::vector<std::size_t> seeds(n);
   std::iota(seeds.begin(), seeds.end(), std::size_t{0});
-  std::stable_sort(seeds.begin(), seeds.end(),
-                   [&](std::size_t a, std::size_t b) {
-                     return partners.of(a).size() > partners.of(b).size();
-                   });
+  std::stable_sort(seeds.begin(), seeds.end(), [&](std::size_t a, std::size_t b) {
+    return partners.of(a).size() > partners.of(b).size();
+  });
   std::vector<ConsistentSet> sets;
   std::vector<bool> taken(n, false);
   for (const std::size_t seed : seeds) {

@@ -55,8 +55,8 @@ void poses() {
                                  consensus_options(), 2);
     const auto sampled =
         prosac(query.data(), map.data(), index.data(), index.data(), n, prosac_options());
-    const auto sets = consistent_sets(query.data(), map.data(), index.data(), index.data(), n,
-                                      {0.4, 4, 8});
+    const auto sets =
+        consistent_sets(query.data(), map.data(), index.data(), index.data(), n, {0.4, 4, 8});
     if (n < 200) continue;
     CHECK(sets[0].members.size() >= n / 2 && std::fabs(sets[0].T.t[0] - 5e6) < 0.5);
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
@@ -106,8 +106,8 @@ void absurd_segments() {
       for (const auto& pose : prosac(query.data(), map.data(), index.data(), index.data(), n, {})) {
         CHECK(std::isfinite(pose.T.t[0] + pose.T.t[1] + pose.T.t[2]));
       }
-      for (const auto& set : consistent_sets(query.data(), map.data(), index.data(), index.data(), n,
-                                             {1e-3, 3, 8})) {
+      for (const auto& set :
+           consistent_sets(query.data(), map.data(), index.data(), index.data(), n, {1e-3, 3, 8})) {
         CHECK(std::isfinite(set.T.t[0] + set.T.t[1] + set.T.t[2]));
       }
     }
