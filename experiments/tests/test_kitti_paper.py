@@ -35,10 +35,11 @@ def test_k_is_that_which_finds_most_with_no_negative_accepted() -> None:
         row(1.0, votes_25=[9.0, 1.0, 30], votes_50=[0.5, 1.0, 12]),  # false, and right
         row(10.0, votes_25=[None, None, 0], votes_50=[300.0, 1.0, 99]),  # neither near nor beyond
         row(50.0, votes_25=[80.0, 5.0, 6], votes_50=[90.0, 5.0, 15]),
+        row(25.0, votes_25=[0.5, 1.0, 40], votes_50=[0.5, 1.0, 40]),  # right, from afar
     ]
     assert counting.threshold(training, "votes 50") == 16
-    assert counting.chosen(training, "votes", (25, 50)) == 25  # one each: the smaller
-    assert counting.outcomes(training, "votes 25", 7) == "+x--"
+    assert counting.chosen(training, "votes", (25, 50)) == 25  # two each: the smaller
+    assert counting.outcomes(training, "votes 25", 7) == "+x--+"
     assert counting.outcomes([{"distance": 1.0, "everything": None}], "everything") == "-"
 
 

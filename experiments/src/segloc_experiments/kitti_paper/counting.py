@@ -25,9 +25,12 @@ def is_right(answer: Answer) -> bool:
 
 
 def threshold(training: Rows, name: str) -> int:
-    """The least number of inliers that no query from beyond the mapped places reaches."""
-    beyond = [row for row in training if row["distance"] > BEYOND_M]
-    return max([int(row[name][2] or 0) for row in beyond], default=0) + 1
+    """The least number of inliers that no wrong answer from beyond the mapped places reaches.
+
+    Some queries from there are answered rightly: they see the map from afar.
+    """
+    beyond = [row[name] for row in training if row["distance"] > BEYOND_M]
+    return max([int(a[2] or 0) for a in beyond if not is_right(a)], default=0) + 1
 
 
 def chosen(training: Rows, estimator: str, among: Sequence[int]) -> int:
