@@ -114,7 +114,10 @@ def main() -> None:
     for cells in rows:
         print(row(*cells))
     if args.store:
-        command = "python -m segloc_experiments.protocols.starts DATA --store docs/results"
+        command = (
+            "python -m segloc_experiments.protocols.starts DATA "
+            f"--every {args.every} --store docs/results"
+        )
         Result.measured("starts", command, COLUMNS, rows, methods=(args.method,)).save(args.store)
 
 
