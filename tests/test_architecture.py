@@ -33,8 +33,8 @@ LAYERS = (
     Layer("map.build map.sessions map.update", together=True),
     Layer("config"),
     Layer(
-        "local_cloud scan_window rolling_cloud levelling segmentation matching pose occupancy "
-        "landmarks registration verification map",
+        "local_cloud scan_window rolling_cloud levelling segmentation matching pose "
+        "consistency occupancy landmarks registration verification map",
         together=True,
     ),
     Layer("attitude mounting"),

@@ -14,6 +14,8 @@ from segloc import _native, geometry
 from segloc.pose import PoseConfig, PoseEstimator
 from segloc.types import Candidate, Matches
 
+ESTIMATORS = ["consensus", "prosac", "ransac", "geometric_consistency"]
+
 
 def scene(
     seed: int,
@@ -54,7 +56,7 @@ def error(found: Candidate, T: np.ndarray, query: np.ndarray) -> float:
     return float(np.linalg.norm(gap, axis=1).max())
 
 
-@pytest.mark.parametrize("estimator", ["consensus", "prosac", "ransac"])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("seed", range(5))
 def test_the_true_pose_comes_first(estimator: str, seed: int) -> None:
     # Unordered samples of three need far more of the matches to be right.
@@ -75,7 +77,7 @@ def test_prosac_needs_no_gravity() -> None:
     assert error(found[0], T, query) < 0.5
 
 
-@pytest.mark.parametrize("estimator", ["consensus", "prosac"])
+@pytest.mark.parametrize("estimator", ["consensus", "prosac", "geometric_consistency"])
 def test_utm_coordinates_lose_no_precision(estimator: str) -> None:
     query, prior_map, matches, T = scene(3, origin=5e6)
     found = PoseEstimator(PoseConfig(estimator=estimator)).estimate(query, prior_map, matches)
@@ -225,7 +227,7 @@ def test_a_turned_query_gives_the_turned_pose(
     assert error(found[0], T @ geometry.inverse(T_new_old), moved) < 0.5
 
 
-@pytest.mark.parametrize("estimator", ["consensus", "prosac", "ransac"])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_same_input_same_bits_for_any_number_of_threads(estimator: str) -> None:
     query, prior_map, matches, _ = scene(4)
     runs = [
@@ -240,7 +242,7 @@ def test_same_input_same_bits_for_any_number_of_threads(estimator: str) -> None:
             np.testing.assert_array_equal(a.T_map_local, b.T_map_local)
 
 
-@pytest.mark.parametrize("estimator", ["consensus", "prosac", "ransac"])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_degenerate_matches_give_no_pose_or_a_rigid_one(estimator: str) -> None:
     find = PoseEstimator(PoseConfig(estimator=estimator)).estimate
     nothing = Matches(*(np.empty(0, t) for t in (np.int64, np.int64, np.float32, np.float32)))

@@ -6,6 +6,7 @@
 #include "common/portability.h"
 #include "common/rigid.h"
 #include "pose/consensus.h"
+#include "pose/consistency.h"
 #include "pose/match_table.h"
 #include "pose/pose_votes.h"
 #include "pose/prosac.h"
@@ -157,6 +158,41 @@ auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::in
   return std::make_tuple(to_numpy(std::move(poses), {found, 4, 4}), to_numpy(std::move(inliers)));
 }
 
+auto consistent_sets_(const In2<double>& query, const In2<double>& map,
+                      const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                      const In1<std::int64_t>& objects, double resolution, std::size_t min_size,
+                      std::size_t max_sets) {
+  require_matches(query, map, match_query, match_map);
+  require(objects.shape(0) == query.shape(0), "objects must have one entry for each query segment");
+  require_between(resolution, kLeastTolerance, 1e6, "resolution");
+  require(min_size >= 3, "min_size must be at least 3");
+  const ConsistencyOptions options{resolution, min_size, max_sets};
+  std::vector<double> poses;
+  std::vector<std::int64_t> members, offsets = {0};
+  {
+    nb::gil_scoped_release release;
+    const std::size_t n = match_query.shape(0);
+    std::vector<double> source, target;
+    std::vector<std::int64_t> object;
+    for (std::size_t k = 0; k < n; ++k) {
+      const double* a = query.data() + 3 * match_query.data()[k];
+      const double* b = map.data() + 3 * match_map.data()[k];
+      source.insert(source.end(), a, a + 3);
+      target.insert(target.end(), b, b + 3);
+      object.push_back(objects.data()[match_query.data()[k]]);
+    }
+    for (const ConsistentSet& set : consistent_sets(source.data(), target.data(), object.data(),
+                                                    match_map.data(), n, options)) {
+      append_matrix(set.T, poses);
+      members.insert(members.end(), set.members.begin(), set.members.end());
+      offsets.push_back(static_cast<std::int64_t>(members.size()));
+    }
+  }
+  const std::size_t found = offsets.size() - 1;
+  return std::make_tuple(to_numpy(std::move(poses), {found, 4, 4}), to_numpy(std::move(members)),
+                         to_numpy(std::move(offsets)));
+}
+
 }  // namespace
 
 void bind_pose(nb::module_& m) {
@@ -175,6 +211,11 @@ void bind_pose(nb::module_& m) {
         nb::arg("yaw_only"), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
         nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("separation_deg"),
         nb::arg("max_draws"), nb::arg("max_hypotheses"), nb::arg("seed"));
+
+  m.def("consistent_sets", &consistent_sets_, nb::arg("query").noconvert(),
+        nb::arg("map").noconvert(), nb::arg("match_query").noconvert(),
+        nb::arg("match_map").noconvert(), nb::arg("objects").noconvert(), nb::arg("resolution"),
+        nb::arg("min_size"), nb::arg("max_sets"));
 }
 
 }  // namespace segloc::bindings

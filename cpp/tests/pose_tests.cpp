@@ -4,6 +4,7 @@
 #include <random>
 
 #include "pose/consensus.h"
+#include "pose/consistency.h"
 #include "pose/prosac.h"
 #include "tests/check.h"
 
@@ -58,7 +59,10 @@ void poses() {
       digest("consensus", std::vector<double>{pose.yaw, pose.t[0], pose.t[1], pose.t[2]});
     }
     for (const SampledHypothesis& pose : sampled) digest("prosac", pose.T.t);
+    const auto sets =
+        consistent_sets(query.data(), map.data(), index.data(), index.data(), n, {0.4, 4, 8});
     if (n < 200) continue;
+    CHECK(sets[0].members.size() >= n / 2 && std::fabs(sets[0].T.t[0] - 5e6) < 0.5);
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
     CHECK(std::fabs(found[0].t[0] - 5e6) < 0.5 && std::fabs(sampled[0].T.t[0] - 5e6) < 0.5);
   }
@@ -105,6 +109,10 @@ void absurd_segments() {
       }
       for (const auto& pose : prosac(query.data(), map.data(), index.data(), index.data(), n, {})) {
         CHECK(std::isfinite(pose.T.t[0] + pose.T.t[1] + pose.T.t[2]));
+      }
+      for (const auto& set :
+           consistent_sets(query.data(), map.data(), index.data(), index.data(), n, {1e-3, 3, 8})) {
+        CHECK(std::isfinite(set.T.t[0] + set.T.t[1] + set.T.t[2]));
       }
     }
   }

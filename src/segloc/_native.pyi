@@ -58,6 +58,16 @@ def prosac(
     max_hypotheses: int,
     seed: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+def consistent_sets(
+    query: NDArray[np.float64],
+    map: NDArray[np.float64],
+    match_query: NDArray[np.int64],
+    match_map: NDArray[np.int64],
+    objects: NDArray[np.int64],
+    resolution: float,
+    min_size: int,
+    max_sets: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]: ...
 
 class VoxelWindow:
     def __init__(self, voxel_size: float, reach: float) -> None: ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 from .config import Config
@@ -43,6 +44,13 @@ class Fallback:
         self.occupancy = OccupancySearch(
             cloud, origin, prior_map.trajectory, config.occupancy, config.segmentation
         )
+
+    def on_the_cloud_of(self, other: Fallback) -> Fallback:
+        """The same for another map of the same place, whose cloud is the one that is compared."""
+        changed = copy(self)
+        changed._verifier = other._verifier
+        changed.stems, changed.occupancy = other.stems, other.occupancy
+        return changed
 
     @property
     def is_thorough(self) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from . import _native, geometry
+from .consistency import ConsistencyConfig, ConsistentMatches
 from .geometry import Separation
 from .section import Section
 from .types import Candidate, Float64, Int64, Matches, Pose
@@ -16,9 +17,10 @@ from .types import Candidate, Float64, Int64, Matches, Pose
 class PoseConfig(Section):
     """How candidate poses are found."""
 
-    estimator: Literal["consensus", "prosac", "ransac"] = Field(
+    estimator: Literal["consensus", "prosac", "ransac", "geometric_consistency"] = Field(
         "consensus", description="consensus: yaw and translation, by votes; the others: SE(3)"
     )
+    consistency: ConsistencyConfig = ConsistencyConfig()
     edge_tolerance: float = Field(
         0.5, gt=0, le=100, description="edges of a sample differ by less, metres (prosac, ransac)"
     )
@@ -96,6 +98,12 @@ class PoseEstimator:
         self.config = config or PoseConfig()
         self._threads = threads
         self._seed = seed
+        self._find = {
+            "consensus": self._consensus,
+            "prosac": self._sampled,
+            "ransac": self._sampled,
+            "geometric_consistency": self._consistent,
+        }[self.config.estimator]
 
     def estimate(self, query: Float64, map_centroids: Float64, matches: Matches) -> list[Candidate]:
         """Candidate poses T_map_local.
@@ -108,8 +116,7 @@ class PoseEstimator:
             Segment centroids of the map, map frame (z up).
         matches : Matches
         """
-        find = self._consensus if self.config.estimator == "consensus" else self._sampled
-        poses, inliers = find(query, map_centroids, matches)
+        poses, inliers = self._find(query, map_centroids, matches)
         return [Candidate(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
 
     def agreement(self, query: Float64, map_centroids: Float64, matches: Matches) -> Agreement:
@@ -157,3 +164,11 @@ class PoseEstimator:
             max_hypotheses=config.max_candidates,
             seed=self._seed,
         )
+
+    def _consistent(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> tuple[Float64, Int64]:
+        config = self.config
+        sets = ConsistentMatches(config.consistency, config.separation)
+        objects = _objects(query, config.distinct_radius)
+        return sets.poses(query, map_centroids, matches, objects, config.max_candidates)

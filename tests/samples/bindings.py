@@ -131,6 +131,10 @@ def _poses() -> Iterator[tuple[str, Call]]:
         "seed": 0,
     }
     yield "prosac", Call(_native.prosac, prosac)
+    matches = _matches()
+    consistency = matches | {"objects": np.arange(len(matches["query"]), dtype=np.int64)}
+    consistency |= {"resolution": 0.4, "min_size": 4, "max_sets": 4}
+    yield "consistent_sets", Call(_native.consistent_sets, consistency)
 
 
 def _clouds() -> Iterator[tuple[str, Call]]:
@@ -300,7 +304,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         *("VoxelWindow", "VoxelWindow.push", "VoxelWindow.drop", "VoxelWindow.move"),
         "VoxelWindow.cloud",
     ),
-    _poses: ("consensus", "pose_votes", "prosac"),
+    _poses: ("consensus", "pose_votes", "prosac", "consistent_sets"),
     _clouds: (
         *("PointIndex", "PointIndex.overlap", "PointIndex.sample", "PointIndex.correlate"),
         *("VisibilityCheck", "VisibilityCheck.count", "Surface", "Surface.align"),

@@ -1,6 +1,8 @@
-"""How far a share that was counted may be from the true one."""
+"""How far a share that was counted may be from the true one, and whether two shares differ."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from scipy.stats import binomtest
 
@@ -11,3 +13,36 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
         return 0.0, 1.0
     interval = binomtest(successes, trials).proportion_ci(method="wilson")
     return float(interval.low), float(interval.high)
+
+
+def share(successes: int, trials: int) -> str:
+    """A count with its interval in percent, as "8 of 10 (49 to 94 %)"."""
+    low, high = wilson(successes, trials)
+    digits = 0 if trials < 200 else 1
+    interval = f" ({100 * low:.{digits}f} to {100 * high:.{digits}f} %)" if trials else ""
+    return f"{successes} of {trials}{interval}"
+
+
+def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
+    """McNemar's exact test: how likely two methods that are equally good differ so much.
+
+    Parameters
+    ----------
+    a, b : sequences of bool
+        Whether each method succeeded, query by query, in the same order.
+
+    Returns
+    -------
+    float
+        Two-sided p-value; 1 where no query tells them apart.
+
+    Raises
+    ------
+    ValueError
+        If they are not of the same queries.
+    """
+    only_a = sum(x and not y for x, y in zip(a, b, strict=True))
+    only_b = sum(y and not x for x, y in zip(a, b, strict=True))
+    if not only_a + only_b:
+        return 1.0
+    return float(binomtest(only_a, only_a + only_b, 0.5).pvalue)

@@ -80,7 +80,7 @@ def test_the_tables_count_what_was_answered(study: Study) -> None:
     assert (name, kind, sensor) == ("tiny", "City park", "vlp16")
     assert queries == 8 and isinstance(places, int) and 3 <= places <= 8
     assert all(isinstance(cell, int) and cell >= 4 for cell in found)
-    for negatives in ("negatives-consensus", "negatives-prosac"):
+    for negatives in ("negatives-consensus", "negatives-published"):
         assert table(study, negatives).rows == (("tiny", 8, 0, 0), ("all", 8, 0, 0))
     details = table(study, "details")
     assert {(row[1], row[2]) for row in details.rows} == {

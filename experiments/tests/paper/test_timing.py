@@ -60,7 +60,7 @@ def test_every_stage_of_every_method_is_timed(
 
 
 def test_the_table_adds_up_and_says_what_was_missing() -> None:
-    stages = dict.fromkeys(STAGES, 2.0) | {"pose, PROSAC": 5.0}
+    stages = dict.fromkeys(STAGES, 2.0) | {"pose, published": 5.0}
     measured = {
         "times": {"one core": {"nsm": stages}, "2 cores": {"nsm": stages}},
         "gpu": {"device": "G", "times": {"nsm": [1.0, 0.5]}},
@@ -73,9 +73,11 @@ def test_the_table_adds_up_and_says_what_was_missing() -> None:
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [row["processor"] for row in rows] == ["one core", "2 cores", "G"]
     assert [row["total"] for row in rows] == [14.0, 14.0, 11.5]
-    assert rows[0]["total, PROSAC"] == 17.0 and rows[0]["K"] == 200 and rows[0]["numbers"] == 66
+    assert rows[0]["total, published"] == 17.0 and rows[0]["K"] == 200 and rows[0]["numbers"] == 66
     assert "no GPU" not in table.note
-    assert "no GPU" in timing.time_table("x", {**measured, "gpu": {}}, descriptors).note
+    descriptors["esm"] = create("esm", 1)
+    alone = timing.time_table("x", {**measured, "gpu": {}}, descriptors)
+    assert "no GPU" in alone.note and alone.rows[-1][:3] == ("esm", "GPU: not measured", None)
 
 
 def test_networks_run_through_the_training_framework(segments: Segments) -> None:

@@ -20,13 +20,13 @@ from ..pose import PoseEstimator
 from ..search import Query
 from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
-from ..verification.verifier import Verifier
+from .methods import published_estimator
 from .run import query_clouds
 from .scenario import OpenedScenario, QuerySet, Scenario
 from .score import Evaluation
 
-ESTIMATORS = ("consensus", "prosac")
-"""Ours, and the one of the paper."""
+ESTIMATORS = ("consensus", "published")
+"""Ours, and the one that a method was published with."""
 
 QUALITY = "-fq"
 """What the name of a method ends with that orders its matches by quality."""
@@ -116,21 +116,28 @@ def place_of(maps: Mapping[str, SegmentMap], threads: int = 1) -> MappedPlace:
     bases = {
         name: Localizer(prior_map, shared_config(name, threads)) for name, prior_map in maps.items()
     }
-    # The cloud is the same for all methods, and so is what verification prepares of it.
     first = next(iter(bases.values()))
-    localizers = {name: _localizers(base, first.verifier) for name, base in bases.items()}
+    localizers = {name: _localizers(base, first) for name, base in bases.items()}
     return MappedPlace(
         localizers, first.prior_map.trajectory, first.prior_map.cloud + first.prior_map.origin
     )
 
 
-def _localizers(base: Localizer, verifier: Verifier) -> dict[str, Localizer]:
+def on_the_cloud_of(first: Localizer, other: Localizer) -> Localizer:
+    """A copy of a localizer with the cloud of another's map, and all that is prepared of it."""
+    changed = copy(other)
+    changed.verifier = first.verifier
+    changed.fallback = other.fallback.on_the_cloud_of(first.fallback)
+    return changed
+
+
+def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
     config = base.config
     found = {}
     for name in ESTIMATORS:
-        pose = config.pose.model_copy(update={"estimator": name})
-        localizer = copy(base)
-        localizer.verifier = verifier
+        chosen = published_estimator(config.method) if name == "published" else name
+        pose = config.pose.model_copy(update={"estimator": chosen})
+        localizer = on_the_cloud_of(first, base)
         localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
         found[name] = localizer
     return found

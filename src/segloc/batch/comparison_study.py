@@ -30,7 +30,7 @@ best left unanswered.
 
 All methods see the same segments and the same thresholds, those of the package: fitted once on
 simulated worlds and on real scans in wrong maps, a few of them set by hand with KITTI 00 in view.
-Each query is made twice, with our pose estimator (consensus) and with the paper's (PROSAC), and,
+Each query is made twice, with our pose estimator (consensus) and with the published one, and,
 where there is one, in the map of another place, seen by the same kind of sensor: there every answer
 is false."""
 

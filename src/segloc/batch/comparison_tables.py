@@ -16,7 +16,10 @@ from .report.study import Cell, Table
 from .scenario import Scenario
 from .score import Evaluation
 
-_TITLES = {"consensus": "our estimator (consensus)", "prosac": "the paper's estimator (PROSAC)"}
+_TITLES = {
+    "consensus": "our estimator (consensus)",
+    "published": "the published estimator (PROSAC; SegMatch: geometric consistency)",
+}
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,11 @@ METHODS = (
 """Those of the paper by year, and ours."""
 
 
+def published_estimator(method: str) -> str:
+    """What a method of the paper recognises places by: ``pose.estimator`` of its publication."""
+    return "geometric_consistency" if method.startswith("segmatch-") else "prosac"
+
+
 @dataclass(frozen=True)
 class Methods:
     """Methods to compare.

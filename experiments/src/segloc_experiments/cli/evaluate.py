@@ -13,6 +13,8 @@ from segloc.cli import evaluate as own
 from segloc.cli.console import note, progress, say
 from segloc.errors import ConfigError, MissingDependency
 
+from .kitti_paper import kitti_paper
+
 if TYPE_CHECKING:
     from ..paper.workspace import Workspace
 
@@ -44,6 +46,7 @@ def register(app: typer.Typer) -> None:
     for name in _EXPLAINED:
         _add(group, name)
     group.command("localization")(localization)
+    group.command("kitti-paper")(kitti_paper)
 
 
 def _add(group: typer.Typer, name: str) -> None:

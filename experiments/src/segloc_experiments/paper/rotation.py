@@ -214,6 +214,8 @@ def _figure(found: Mapping[str, Deviation], augmented: bool) -> Figure:
         )
         for alignment in _ALIGNMENTS
     }
+    # Both drawings to one scale, or the smaller deviations would look like the larger ones.
+    most = max(float(each.delta.mean(axis=1).max()) for each in found.values())
     title = "Trained with random turns" if augmented else "Trained without random turns"
     name = f"rotation_{'augmented' if augmented else 'plain'}"
-    return Figure(name, title, "polar", series, "degrees", "delta")
+    return Figure(name, title, "polar", series, "degrees", "delta", top=1.05 * most)

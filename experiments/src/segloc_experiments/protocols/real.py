@@ -27,9 +27,9 @@ from segloc.datasets import NO_POSES, open_sequence
 from segloc.types import Float64, Int64, Pose, Recording
 
 from .. import kitti00
-from ..intervals import wilson
 from ..recordings import FewerBeams, Files, Turned
-from ..script import head, parser, row
+from ..script import parser
+from .real_results import report, result
 
 OUT, BACK = "0:74", "82:104"
 """The scans of the corridor that are mapped, and those on the way back."""
@@ -208,24 +208,6 @@ def outcome(estimate: Pose | None, truth: Pose | None) -> str:
     return "found" if right else "false"
 
 
-def report(records: list[dict[str, Any]]) -> None:
-    """A row for each set of queries, and what is false in it."""
-    print(head("queries", "within coverage", "found", "95 %", "false", "elsewhere", "false", "ms"))
-    for name in dict.fromkeys(r["queries"] for r in records):
-        here = [r for r in records if r["queries"] == name]
-        near = [r for r in here if r["within_coverage"]]
-        far = [r for r in here if not r["within_coverage"]]
-        found = sum(r["outcome"] == "found" for r in near)
-        low, high = wilson(found, len(near))
-        wrong = [sum(r["outcome"] == "false" for r in part) for part in (near, far)]
-        ms = float(np.median([r["ms"] for r in near or far]))
-        interval = f"{100 * low:.1f} to {100 * high:.1f}" if near else "-"
-        print(row(name, len(near), found, interval, wrong[0], len(far), wrong[1], f"{ms:.0f}"))
-    for r in records:
-        if r["outcome"] == "false":
-            print(json.dumps(r))
-
-
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("data", type=Path)
@@ -234,6 +216,7 @@ def main() -> None:
     options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
     options.add_argument("--out", type=Path)
+    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     judge = Judge(_kept(args.data, args.maps, config), config)
@@ -245,6 +228,8 @@ def main() -> None:
     report(judge.records)
     if args.out:
         args.out.write_text(json.dumps(judge.records, indent=0))
+    if args.store:
+        result(judge.records, args.method, args.step).save(args.store)
 
 
 def _kept(data: Path, folder: Path | None, config: Config) -> dict[str, SegmentMap]:

@@ -152,7 +152,7 @@ def _roc(axes: Axes, figure: Figure) -> None:
 def _polar(axes: Axes, figure: Figure) -> None:
     for k, (label, (degrees, radius)) in enumerate(figure.series.items()):
         axes.plot(np.radians(degrees), radius, color=_colour(k), lw=1.5, label=label)
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(bottom=0, top=figure.top)
     axes.grid(True)
     _legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.06), ncol=2)
 

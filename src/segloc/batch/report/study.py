@@ -73,6 +73,8 @@ class Figure:
     xlabel, ylabel : str
     note : str
         How to read it.
+    top : float or None
+        Largest radius of a polar drawing, so that several are drawn to one scale.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Figure:
     xlabel: str = ""
     ylabel: str = ""
     note: str = ""
+    top: float | None = None
 
 
 @dataclass(frozen=True)
@@ -207,8 +210,8 @@ def _key(figure: str, number: int, axis: str) -> str:
     return f"{figure}.{number}.{axis}"
 
 
-def _described(figure: Figure) -> dict[str, str]:
-    names = ("name", "title", "kind", "xlabel", "ylabel", "note")
+def _described(figure: Figure) -> dict[str, Any]:
+    names = ("name", "title", "kind", "xlabel", "ylabel", "note", "top")
     return {name: getattr(figure, name) for name in names}
 
 

@@ -1,0 +1,124 @@
+"""Fingerprints of the stages of a query: of what their code says, not of how it is laid out."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import io
+import re
+import tokenize
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[4]
+"""The clone that this package is installed from."""
+
+STAGES: dict[str, tuple[str, ...]] = {
+    "local cloud": (
+        "src/segloc/local_cloud.py",
+        "src/segloc/scan_window.py",
+        "src/segloc/attitude.py",
+        "cpp/local_cloud",
+    ),
+    "segmentation": ("src/segloc/segmentation.py", "cpp/segmentation"),
+    "descriptors": ("src/segloc/descriptors", "cpp/descriptors", "cpp/network"),
+    "map": ("src/segloc/map",),
+    "matching": ("src/segloc/matching.py", "cpp/matching"),
+    "pose": ("src/segloc/pose.py", "src/segloc/consistency.py", "cpp/pose"),
+    "occupancy": ("src/segloc/occupancy", "cpp/occupancy"),
+    "stems": ("src/segloc/landmarks",),
+    "verification": (
+        "src/segloc/verification",
+        "src/segloc/registration.py",
+        "cpp/verification",
+        "cpp/registration",
+    ),
+    "localizer": ("src/segloc/localizer.py", "src/segloc/fallback.py", "src/segloc/config.py"),
+    "confidence": ("src/segloc/weights/confidence.json",),
+}
+"""Folders and files of each stage."""
+
+DESCRIBING = ("local cloud", "segmentation", "descriptors")
+"""The stages that figures of descriptors alone depend on."""
+
+_WEIGHTS = Path("src/segloc/weights")
+
+_PREFIX = 12
+
+
+def fingerprints(
+    stages: Iterable[str] = tuple(STAGES), methods: Iterable[str] = (), root: Path = PROJECT
+) -> dict[str, str]:
+    """A short hash of each stage, and of what is shipped for each method.
+
+    No change of comments, docstrings or layout changes it. The weights of a method are named
+    "weights of METHOD".
+    """
+    found = {stage: _of(root, [root / path for path in STAGES[stage]]) for stage in stages}
+    for method in methods:
+        name = method.removesuffix("-fq")
+        files = sorted((root / _WEIGHTS).glob(f"{name}*.safetensors"))
+        own = [file for file in files if file.stem in (name, f"{name}-forest")]
+        if own:
+            found[f"weights of {method}"] = _of(root, own)
+    return found
+
+
+def changed(before: Mapping[str, str], root: Path = PROJECT) -> list[str]:
+    """Of what a result names, what is no longer as it was."""
+    stages = [name for name in before if name in STAGES]
+    methods = [name.removeprefix("weights of ") for name in before if name not in STAGES]
+    now = fingerprints(stages, methods, root)
+    return [name for name, value in before.items() if now.get(name) != value]
+
+
+def _of(root: Path, paths: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        for file in _files(path):
+            digest.update(file.relative_to(root).as_posix().encode() + b"\0")
+            digest.update(meaning(file) + b"\0")
+    return digest.hexdigest()[:_PREFIX]
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+    for file in sorted(path.rglob("*")) if path.is_dir() else ():
+        if file.is_file() and "__pycache__" not in file.parts:
+            yield file
+
+
+def meaning(file: Path) -> bytes:
+    """A file without what does not count: Python and C++ without comments and white space."""
+    content = file.read_bytes()
+    if file.suffix == ".py":
+        content = _python(content.decode("utf-8")).encode()
+    elif file.suffix in (".cpp", ".h"):
+        text = re.sub(r"//[^\n]*|/\*.*?\*/", "", content.decode("utf-8"), flags=re.DOTALL)
+        content = "".join(text.split()).encode()
+    return content
+
+
+def _python(text: str) -> str:
+    """Python source without docstrings, comments and white space."""
+    lines = text.splitlines(keepends=True)
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            line, column = token.start
+            lines[line - 1] = lines[line - 1][:column] + "\n"
+    for first, last in _docstrings(text):
+        lines[first - 1 : last] = [""] * (last - first + 1)
+    return "".join("".join(lines).split())
+
+
+def _docstrings(text: str) -> Iterator[tuple[int, int]]:
+    """First and last line of every string that stands by itself."""
+    for node in ast.walk(ast.parse(text)):
+        if (
+            isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+            and node.end_lineno is not None
+        ):
+            yield node.lineno, node.end_lineno

@@ -1,0 +1,106 @@
+"""Tables of the documentation, generated from stored results.
+
+A page shows a result where it says ``<!-- begin result NAME -->`` and ``<!-- end result NAME -->``.
+Below each table stands what measured it, and whether that code is still the one of this clone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from .fingerprints import PROJECT, changed
+from .store import FOLDER, Cell, Result
+
+DOCS = PROJECT / "docs"
+_PLACE = re.compile(
+    r"(<!-- begin result ([\w-]+) -->\n)(.*?)(<!-- end result \2 -->)", flags=re.DOTALL
+)
+_STATUS = re.compile(r"^\*(?:Measured at|Outdated:).*$", flags=re.MULTILINE)
+
+
+def table(result: Result) -> str:
+    """A result as Markdown, with its note and its command."""
+    head = (result.columns, ("---",) * len(result.columns))
+    rows = "\n".join(f"| {' | '.join(map(_shown, row))} |" for row in (*head, *result.rows))
+    note = f"{result.note}\n\n" if result.note else ""
+    return f"    {result.command}\n\n{rows}\n\n{note}"
+
+
+def _shown(cell: Cell) -> str:
+    return "-" if cell is None else f"{cell:g}" if isinstance(cell, float) else str(cell)
+
+
+def status(result: Result, root: Path = PROJECT) -> str:
+    """One line: the commit, and what has changed since."""
+    gone = changed(result.produced_by, root)
+    if gone:
+        return f"*Outdated: measured at {result.commit}; changed since: {', '.join(gone)}.*"
+    return f"*Measured at {result.commit}, and nothing that it depends on has changed since.*"
+
+
+def written(page: str, folder: Path = FOLDER, root: Path = PROJECT) -> str:
+    """The page with all its results filled in anew.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a result is not stored.
+    """
+
+    def filled(match: re.Match[str]) -> str:
+        result = Result.load(folder / f"{match[2]}.json")
+        return f"{match[1]}\n{table(result)}{status(result, root)}\n\n{match[4]}"
+
+    return _PLACE.sub(filled, page)
+
+
+def stale(page: str, folder: Path = FOLDER) -> list[str]:
+    """Results that the page shows otherwise than they are stored; their age does not count."""
+    shown = dict(zip(_names(page), _bodies(page), strict=True))
+    stored = dict(zip(_names(page), _bodies(written(page, folder)), strict=True))
+    return [name for name, body in shown.items() if _ageless(body) != _ageless(stored[name])]
+
+
+def _names(page: str) -> list[str]:
+    return [match[2] for match in _PLACE.finditer(page)]
+
+
+def _bodies(page: str) -> list[str]:
+    return [match[3] for match in _PLACE.finditer(page)]
+
+
+def _ageless(body: str) -> str:
+    return _STATUS.sub("", body)
+
+
+def pages(docs: Path = DOCS) -> Iterator[Path]:
+    """The pages that show a result."""
+    for path in sorted(docs.rglob("*.md")):
+        if _PLACE.search(path.read_text("utf-8")):
+            yield path
+
+
+def main() -> None:
+    """Write all pages, or say what is stale and what is outdated."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a page is stale")
+    options = parser.parse_args()
+    faults = []
+    for path in pages():
+        text = path.read_text("utf-8")
+        if options.check:
+            faults += [f"{path.name}: {name} is not as it is stored" for name in stale(text)]
+        else:
+            path.write_text(written(text), "utf-8")
+        for name in _names(text):
+            print(f"{path.name}: {name}: {status(Result.load(FOLDER / f'{name}.json'))}")
+    print("\n".join(faults))
+    sys.exit(bool(faults))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""Stored results: pages show them as they are, and say where the code has changed since."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from segloc_experiments.results import fingerprints as prints
+from segloc_experiments.results.pages import pages, stale, status, written
+from segloc_experiments.results.store import FOLDER, Result
+
+STORED = sorted(FOLDER.glob("*.json"))
+PAGE = "# A page\n\n<!-- begin result two -->\nold\n<!-- end result two -->\n"
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
+    """A tree of files where the stages are looked for."""
+    for paths in prints.STAGES.values():
+        for path in paths:
+            folder = tmp_path / path
+            file = folder if folder.suffix else folder / "code.py"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text('"""What it does."""\nx = 1  # why\n')
+    (tmp_path / "src/segloc/weights/dsm.safetensors").write_bytes(b"numbers")
+    return tmp_path
+
+
+def result(root: Path) -> Result:
+    produced = prints.fingerprints(("pose", "matching"), ("dsm", "dsm-fq", "geo"), root)
+    rows = (("dsm", 41, 0.25), ("geo", None, "0 of 3"))
+    return Result("two", "a command", "abc", produced, ("method", "n", "share"), rows, "A note.")
+
+
+def test_a_result_is_read_as_it_was_written(tmp_path: Path, clone: Path) -> None:
+    each = result(clone)
+    assert Result.load(each.save(tmp_path / "kept")) == each
+    with pytest.raises(ValueError, match="two"):
+        replace(each, rows=(("dsm", 1),))
+
+
+def test_words_about_code_change_nothing_and_code_does(clone: Path) -> None:
+    each, pose = result(clone), clone / "src/segloc/pose.py"
+    assert "nothing" in status(each, clone)
+    pose.write_text('"""Other words."""\n\n# and a comment\nx   =  1\n')
+    assert "nothing" in status(each, clone)
+    pose.write_text('"""What it does."""\nx = 2  # why\n')
+    assert "Outdated" in status(each, clone) and "changed since: pose." in status(each, clone)
+    (clone / "src/segloc/weights/dsm.safetensors").write_bytes(b"others")
+    assert "weights of dsm, weights of dsm-fq" in status(each, clone)
+
+
+def test_a_page_is_filled_and_found_stale(tmp_path: Path, clone: Path) -> None:
+    result(clone).save(tmp_path)
+    assert stale(PAGE, tmp_path) == ["two"]
+    page = written(PAGE, tmp_path, clone)
+    assert "| geo | - | 0 of 3 |" in page and "    a command" in page and "A note." in page
+    (clone / "src/segloc/pose.py").write_text("x = 3\n")
+    marked = written(page, tmp_path, clone)
+    assert "Outdated" in marked and "Outdated" not in page
+    assert stale(page, tmp_path) == stale(marked, tmp_path) == []
+    assert stale(page.replace("| 41 |", "| 42 |"), tmp_path) == ["two"]
+
+
+def test_the_documentation_shows_what_is_stored() -> None:
+    shown = [path for path in pages() for _ in stale(path.read_text("utf-8"))]
+    assert not shown, "run `python docs/results.py`"
+
+
+@pytest.mark.parametrize("path", STORED, ids=lambda path: path.stem)
+def test_what_is_stored_can_be_read_and_says_what_made_it(path: Path) -> None:
+    each = Result.load(path)
+    assert each.name == path.stem and each.rows and each.command and each.produced_by
+    known = set(prints.STAGES)
+    assert all(name in known or name.startswith("weights of ") for name in each.produced_by)
