@@ -16,7 +16,8 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Segments
 from .base import Descriptor
-from .weightfile import faults_of_weights, read_weights, write_weights
+from .pair_head import PREFIX, PairHead
+from .weightfile import digest_of, faults_of_weights, read_weights, write_weights
 
 Alignment = Literal["none", "pca2d", "pca3d"]
 
@@ -75,12 +76,24 @@ def prepare(segments: Segments, alignment: Alignment = "pca2d", threads: int = 0
 
 @dataclass(frozen=True)
 class Weights:
-    """A network that is ready to run, and what its file says of it."""
+    """A network that is ready to run, and what its file says of it.
+
+    Attributes
+    ----------
+    network : segloc._native.Network
+    alignment : {"none", "pca2d", "pca3d"}
+    card : dict
+    sha256 : str
+        Of what decides the descriptors: the same with FC4 and without.
+    pair_head : PairHead or None
+        FC4, where the file has it.
+    """
 
     network: _native.Network
     alignment: Alignment
     card: dict[str, Any]
     sha256: str
+    pair_head: PairHead | None
 
 
 def save_weights(
@@ -117,10 +130,14 @@ def load_weights(path: Path) -> Weights:
         rows = [Layer(**row) for row in json.loads(file.settings["layers"])]
         points = int(file.settings["points"])
         specs = [(row.points, row.neighbors, row.dilation, row.channels) for row in rows]
-        network = _native.Network(specs, file.tensors, points)
+        trunk = {k: v for k, v in file.tensors.items() if not k.startswith(PREFIX)}
+        pairs = {k: v for k, v in file.tensors.items() if k.startswith(PREFIX)}
+        network = _native.Network(specs, trunk, points)
+        pair_head = PairHead(pairs, network.dim) if pairs else None
     if alignment not in get_args(Alignment) or points != POINTS:
         raise WeightsError(f"{path}: made for another preparation of the segments")
-    return Weights(network, cast(Alignment, alignment), file.card, file.sha256)
+    sha256 = digest_of(trunk, file.settings)
+    return Weights(network, cast(Alignment, alignment), file.card, sha256, pair_head)
 
 
 class PointSetDescriptor(Descriptor):

@@ -90,12 +90,3 @@ LOSSES: dict[str, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
     "esm": ratio_triplet,
     "multi_similarity": multi_similarity,
 }
-
-
-def pair_match(logits: Tensor, same: Tensor, different: Tensor) -> Tensor:
-    """Cross-entropy of FC4 over all pairs of a batch, both kinds weighted alike.
-
-    ``logits`` is (B, B, 2).
-    """
-    log_p = functional.log_softmax(logits, dim=-1)
-    return -(log_p[..., 1][same].mean() + log_p[..., 0][different].mean()) / 2
