@@ -9,6 +9,7 @@ from scipy.special import expit
 
 from ..types import Float32, Float64, Int64
 from .base import Pruner
+from .weightfile import digest_of
 
 PREFIX = "pair."
 """What the names of its tensors begin with: ``pair.0.weight``, ``pair.0.bias`` and so on."""
@@ -54,6 +55,7 @@ class PairHead(Pruner):
             inputs = weight.shape[1]
         if inputs != 1:
             raise ValueError(f"FC4 has {inputs} outputs, not 1")
+        self.fingerprint = f"fc4-{digest_of(tensors, {})[:16]}"
 
     def probability(
         self, query: Float32, mapped: Float32, rows: Int64, columns: Int64, threads: int = 0

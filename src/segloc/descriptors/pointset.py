@@ -20,6 +20,7 @@ from .pair_head import PREFIX, PairHead
 from .weightfile import digest_of, faults_of_weights, read_weights, write_weights
 
 Alignment = Literal["none", "pca2d", "pca3d"]
+Judge = Literal["none", "pair", "nearest"]
 
 POINTS = 256
 """Points of a prepared segment."""
@@ -148,27 +149,31 @@ class PointSetDescriptor(Descriptor):
     name : str
     path : Path
         Weights file.
-    with_quality : bool
-        Also return each descriptor's quality, in [0, 1]: the network's estimate of how likely the
-        nearest map descriptor is to be of the same object.
+    judge : {"none", "pair", "nearest"}
+        By what matches are ordered beside their distance. "pair": FC4's probability that two
+        descriptors show one object. "nearest": each descriptor's quality, in [0, 1], the estimate
+        of how likely the nearest map descriptor is to be of the same object.
     threads : int
         0 is all cores; results do not depend on it.
 
     Raises
     ------
     WeightsError
-        If the weights are missing or damaged.
+        If the weights are missing or damaged, or have no FC4 where it is to judge.
     """
 
-    def __init__(self, name: str, path: Path, with_quality: bool = False, threads: int = 0) -> None:
+    def __init__(self, name: str, path: Path, *, judge: Judge = "none", threads: int = 0) -> None:
         weights = load_weights(path)
+        if judge == "pair" and weights.pair_head is None:
+            raise WeightsError(f"{path}: no FC4 in it, which {name} needs; train the weights anew")
         self.name = name
         self.dim: int = weights.network.dim
         self.card = weights.card
         self.fingerprint = f"pointset-{PREPROCESSING_VERSION}-{weights.sha256[:16]}"
         self._network = weights.network
         self._alignment = weights.alignment
-        self._with_quality = with_quality
+        self.rates = judge == "nearest"
+        self.pruner = weights.pair_head if judge == "pair" else None
         self._threads = threads
 
     def prepare(self, segments: Segments) -> Float32:
@@ -178,4 +183,4 @@ class PointSetDescriptor(Descriptor):
     def encode(self, prepared: Float32) -> Descriptors:
         """Describe prepared segments: (P, 16) float32 vectors."""
         vectors, quality = self._network.describe(prepared, self._threads)
-        return Descriptors(vectors, quality if self._with_quality else None)
+        return Descriptors(vectors, quality if self.rates else None)

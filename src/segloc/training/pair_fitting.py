@@ -28,9 +28,7 @@ class Labelled(Protocol):
     def labels(self) -> Int64:
         """(P,) of one object where they are equal."""
 
-    def different(
-        self, a: NDArray[np.integer], b: NDArray[np.integer]
-    ) -> NDArray[np.bool_]:
+    def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Whether segments (broadcast) surely show different objects."""
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -26,9 +28,7 @@ class PairHead(nn.Module):
         super().__init__()
         self.squares = kind == "quadratic"
         widths = [dim, _HIDDEN, 1] if kind == "two_layer" else [2 * dim if self.squares else dim, 1]
-        self.layers = nn.ModuleList(
-            nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
-        )
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
         """Logits of descriptors (..., dim) that broadcast; one axis less."""

@@ -34,9 +34,7 @@ class PointSetTask(Task):
     """
 
     def network(self, objects: int) -> DescriptorNetwork:
-        return DescriptorNetwork(
-            LAYERS[self.config.network], pair_head=self.config.pair_head
-        )
+        return DescriptorNetwork(LAYERS[self.config.network], pair_head=self.config.pair_head)
 
     def inputs(
         self,

@@ -1,4 +1,4 @@
-"""Areas under the ROC of two judges of the same pairs, and a paired bootstrap of their difference."""
+"""Areas under the ROC by two judges of the same pairs, and a paired bootstrap between them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def difference(judged: Areas, plain: Areas) -> dict[str, float]:
     generator = torch.Generator().manual_seed(1)
     chosen = torch.randint(M, each.shape, generator=generator).to(each.device)
     means = each.gather(1, chosen).mean(dim=1)
-    low, high = torch.quantile(means, torch.tensor([0.025, 0.975], dtype=means.dtype, device=means.device))
+    low, high = (torch.quantile(means, q) for q in (0.025, 0.975))
     own = judged.value - plain.value
     return {
         "mean": float(own.mean()),

@@ -10,9 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .compact import Segments
+from .compact import FAR_M, Segments
 
-_FAR_M = 20.0
 _OBJECTS, _HARD, _ACROSS = 32, 16, 0.8
 
 
@@ -62,12 +61,10 @@ class Objects:
         self._places = torch.from_numpy(segments.places[self.kept]).to(device)
         self._centroids = torch.from_numpy(segments.centroids[self.kept]).to(device)
         groups = _groups(labels)
-        self._any = _Table([_pairs(group) for group in groups], device)
+        near = [_pairs(group) for group in groups]
         across = [_pairs(group, sessions) for group in groups]
-        self._across = _Table(
-            [far if len(far) else near for far, near in zip(across, map(_pairs, groups), strict=True)],
-            device,
-        )
+        across = [far if len(far) else own for far, own in zip(across, near, strict=True)]
+        self._any, self._across = _Table(near, device), _Table(across, device)
 
     def __len__(self) -> int:
         return len(self._any)
@@ -113,7 +110,7 @@ class Objects:
         labels, places = self._labels[indices], self._places[indices]
         at = self._centroids[indices]
         same = labels[:, :, None] == labels[:, None]
-        apart = (at[:, :, None] - at[:, None]).norm(dim=-1) > _FAR_M
+        apart = (at[:, :, None] - at[:, None]).norm(dim=-1) > FAR_M
         different = ~same & (apart | (places[:, :, None] != places[:, None]))
         self_pair = torch.eye(indices.shape[1], dtype=torch.bool, device=self.device)
         random = torch.ones(indices.shape[1], dtype=torch.bool, device=self.device)

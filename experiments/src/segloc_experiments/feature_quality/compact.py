@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import io
 import lzma
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,10 @@ from numpy.typing import NDArray
 POINTS = 320
 _STEP_M = 0.01
 _LARGEST = 32_767
+_COLUMNS = ("labels", "sessions", "places", "squares", "held", "centroids")
+FAR_M = 20.0
+"""Beyond this distance segments surely show different objects."""
+
 _PRESET = 6
 
 
@@ -58,6 +62,19 @@ class Segments:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Whether segments (broadcast) surely show different objects."""
+        apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > FAR_M
+        result: NDArray[np.bool_] = (self.labels[a] != self.labels[b]) & (
+            apart | (self.places[a] != self.places[b])
+        )
+        return result
+
+    def only(self, rows: NDArray[np.bool_]) -> Segments:
+        """Some segments, without the points and the pairs of all."""
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return replace(self, points=self.points[:0], offsets=self.offsets[:0], **columns)
 
     def padded(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """(P, 320, 3) points in metres, zeros behind the last, and how many each has, (P,)."""

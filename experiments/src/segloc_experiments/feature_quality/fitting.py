@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from segloc.training.config import HeadKind
-from segloc.training.pair_heads import PairHead, pair_loss
 from torch import Tensor
 from torch.func import functional_call, stack_module_state, vmap
 
-from .compact import Segments
+from segloc.training.config import HeadKind
+from segloc.training.pair_fitting import random_pairs
+from segloc.training.pair_heads import PairHead, pair_loss
 
-_FAR_M = 20.0
+from .compact import FAR_M, Segments
+from .prepare import distances
+
+_NEAREST = 5
 _RATE, _DECAY = 0.02, 1e-5
 KINDS: tuple[HeadKind, ...] = ("linear", "quadratic", "two_layer")
 
@@ -44,39 +47,42 @@ class Pairs:
     kind: Tensor
 
 
-def draw_pairs(
-    segments: Segments, rows: np.ndarray, vectors: Tensor, count: int, seed: int = 0
-) -> Pairs:
-    """Pairs among some segments, as many of each kind; the nearest ones by each network's vectors.
+def draw_pairs(segments: Segments, vectors: Tensor, count: int, seed: int = 0) -> Pairs:
+    """Up to so many pairs of each kind; the nearest ones by each network's own vectors.
 
     Parameters
     ----------
     segments : Segments
-    rows : (R,) int64
-        The segments that ``vectors`` describe.
-    vectors : (M, R, dim)
+        P of them.
+    vectors : (M, P, dim)
     count : int
-        Of each kind.
     seed : int
     """
     rng = np.random.default_rng(seed)
-    labels, device = segments.labels[rows], vectors.device
-    groups = [g for g in np.split(*_sorted(labels)) if len(g) > 1]
-    chosen = rng.integers(len(groups), size=count)
-    same = np.array([rng.choice(groups[g], 2, replace=False) for g in chosen])
-    drawn = rng.integers(len(rows), size=(4 * count, 2))
-    far = drawn[_differ(segments, rows, *drawn.T)][:count]
-    fixed = torch.from_numpy(np.concatenate([same, far])).to(device).expand(len(vectors), -1, -1)
-    queries = rng.integers(len(rows), size=count)
-    wrong = torch.from_numpy(_differ(segments, rows, queries[:, None], np.arange(len(rows)))).to(device)
-    near = []
+    device = vectors.device
+    drawn = random_pairs(segments, count, rng)
+    fixed = torch.from_numpy(np.stack([drawn.first, drawn.second], axis=1)).to(device)
+    queries = torch.from_numpy(rng.integers(len(segments), size=count)).to(device)
+    wrong = _different_from(segments, queries)
+    hard = []
     for own in vectors:
-        apart = torch.cdist(own[queries], own).masked_fill(~wrong, torch.inf)
-        near.append(apart.topk(5, largest=False).indices[:, int(rng.integers(5))])
-    hard = torch.stack([torch.from_numpy(queries).to(device).expand(len(vectors), -1), torch.stack(near)], dim=2)
-    pairs = torch.cat([fixed, hard], dim=1)
-    kind = torch.tensor([0] * len(same) + [1] * len(far) + [2] * len(queries), device=device)
-    return Pairs(pairs[..., 0], pairs[..., 1], kind)
+        apart = distances(own[queries], own).masked_fill(~wrong, torch.inf)
+        near = apart.topk(_NEAREST, largest=False).indices
+        rank = torch.arange(count, device=device) % _NEAREST
+        hard.append(torch.stack([queries, near.gather(1, rank[:, None])[:, 0]], dim=1))
+    pairs = torch.cat([fixed.expand(len(vectors), -1, -1), torch.stack(hard)], dim=1)
+    kind = np.concatenate([np.where(drawn.same, 0, 1), np.full(count, 2)])
+    return Pairs(pairs[..., 0], pairs[..., 1], torch.from_numpy(kind).to(device))
+
+
+def _different_from(segments: Segments, queries: Tensor) -> Tensor:
+    """(Q, P) whether segments surely show other objects than some of them."""
+    labels, places, at = (
+        torch.from_numpy(column).to(queries.device)
+        for column in (segments.labels, segments.places, segments.centroids)
+    )
+    apart = distances(at[queries], at) > FAR_M
+    return (labels[queries][:, None] != labels) & (apart | (places[queries][:, None] != places))
 
 
 def fitted(
@@ -125,19 +131,3 @@ def choices() -> Iterator[tuple[str, HeadKind, bool]]:
     for kind in KINDS:
         yield f"frozen-{kind}", kind, False
         yield f"frozen-{kind}-mixed", kind, True
-
-
-def _sorted(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    order = np.argsort(labels, kind="stable")
-    return order, np.flatnonzero(np.diff(labels[order])) + 1
-
-
-def _differ(segments: Segments, rows: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Whether segments (broadcast) surely show different objects."""
-    a, b = rows[a], rows[b]
-    at = segments.centroids
-    apart = ((at[a] - at[b]) ** 2).sum(axis=-1) > _FAR_M**2
-    differ: np.ndarray = (segments.labels[a] != segments.labels[b]) & (
-        apart | (segments.places[a] != segments.places[b])
-    )
-    return differ

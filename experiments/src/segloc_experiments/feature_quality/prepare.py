@@ -53,14 +53,17 @@ def neighbors(points: Tensor, layers: Sequence[Layer]) -> list[Tensor]:
     for layer in layers:
         parts = []
         for p in points.split(_AT_ONCE // 4):
-            apart = torch.cdist(
-                p[:, : layer.points], p[:, :sources], compute_mode="donot_use_mm_for_euclid_dist"
-            )
+            apart = distances(p[:, : layer.points], p[:, :sources])
             near = apart.topk(layer.neighbors * layer.dilation, largest=False).indices
             parts.append(near[..., :: layer.dilation].to(torch.int16))
         found.append(torch.cat(parts))
         sources = layer.points
     return found
+
+
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """(..., N, M) Euclidean distances, each from its own differences: products round too much."""
+    return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def _random(generator: torch.Generator, *shape: int) -> Tensor:
@@ -99,9 +102,7 @@ def _aligned(p: Tensor, valid: Tensor) -> Tensor:
     weight = valid[..., None].to(p.dtype)
     count = weight.sum(dim=1, keepdim=True)
     p = (p - (p * weight).sum(dim=1, keepdim=True) / count) * weight
-    xx, xy, yy = (
-        (p[..., i] * p[..., j]).double().sum(dim=1) for i, j in ((0, 0), (0, 1), (1, 1))
-    )
+    xx, xy, yy = ((p[..., i] * p[..., j]).double().sum(dim=1) for i, j in ((0, 0), (0, 1), (1, 1)))
     angle = 0.5 * torch.atan2(2 * xy, xx - yy)
     c, s = angle.cos().float()[:, None], angle.sin().float()[:, None]
     x, y = c * p[..., 0] + s * p[..., 1], c * p[..., 1] - s * p[..., 0]

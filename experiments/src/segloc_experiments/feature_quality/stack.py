@@ -15,14 +15,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from segloc.training.models import LAYERS, DescriptorNetwork
-from segloc.training.ops import torch_forms
-from segloc.training.pair_heads import PairHead, pair_loss
 from torch import Tensor
 from torch.func import functional_call, stack_module_state, vmap
 
+from segloc.training.models import LAYERS, DescriptorNetwork
+from segloc.training.ops import torch_forms
+from segloc.training.pair_heads import PairHead, pair_loss
+
 from .batches import Batch, Objects
-from .prepare import neighbors, prepared
+from .prepare import distances, neighbors, prepared
 
 _CLIP, _WARMUP, _DECAY = 5.0, 100, 1e-5
 _MINE_EVERY, _RIVALS = 400, 16
@@ -116,7 +117,8 @@ class Stack:
         M, parts = len(self.names), []
         with torch.no_grad():
             for some in points.split(at_once):
-                found = [index.long().expand(M, *index.shape) for index in neighbors(some, self.layers)]
+                near = [index.long() for index in neighbors(some, self.layers)]
+                found = [index.expand(M, *index.shape) for index in near]
                 parts.append(self.encode(some.expand(M, *some.shape), found, training=False))
         return torch.cat(parts, dim=1)
 
@@ -140,9 +142,7 @@ class Stack:
             total = total + self._weights[head, True] * both + self._weights[head, False] * mined
         return total
 
-    def train(
-        self, steps: int, seconds: float, rate: float, say: Callable[[str], None]
-    ) -> int:
+    def train(self, steps: int, seconds: float, rate: float, say: Callable[[str], None]) -> int:
         """Train all networks; the learning rate ends when the steps or the time do."""
         start = time.monotonic()
         views = self._views()
@@ -151,6 +151,7 @@ class Stack:
         for tensor in parameters:
             tensor.requires_grad_(True)
         optimizer = torch.optim.Adam(parameters, lr=rate, weight_decay=_DECAY, foreach=True)
+        torch.set_float32_matmul_precision("high")
         rivals: Tensor | None = None
         step = 0
         while True:
@@ -160,8 +161,9 @@ class Stack:
             if step and step % _MINE_EVERY == 0:
                 rivals = self._mine(views)
             batch = self.objects.draw(self.seeds, step, len(VARIANTS), rivals)
-            view = torch.randint(_VIEWS, batch.indices.shape, generator=generator, device=self.device)
-            view = view[: len(self.seeds)].repeat(len(VARIANTS), 1)
+            shape = len(self.seeds), batch.indices.shape[1]
+            view = torch.randint(_VIEWS, shape, generator=generator, device=self.device)
+            view = view.repeat(len(VARIANTS), 1)
             points, *found = (table[view, batch.indices] for table in views)
             losses = self.loss(self.encode(points, [i.long() for i in found], training=True), batch)
             optimizer.param_groups[0]["lr"] = rate * _schedule(step, done)
@@ -173,6 +175,7 @@ class Stack:
             if step % 250 == 0:
                 mean = losses.detach().view(len(VARIANTS), -1).mean(dim=1)
                 say(f"step {step} {time.monotonic() - start:.0f} s, losses {mean.tolist()}")
+        torch.set_float32_matmul_precision("highest")
         for tensor in parameters:
             tensor.requires_grad_(False)
         return step
@@ -189,7 +192,7 @@ class Stack:
     def _mine(self, views: Sequence[Tensor]) -> Tensor:
         """(M, G, 16): for every object those whose descriptors are nearest to its own."""
         vectors = self.describe(views[0][0, self.objects.first_views()])
-        near: Tensor = torch.cdist(vectors, vectors).topk(_RIVALS + 1, largest=False).indices
+        near: Tensor = distances(vectors, vectors).topk(_RIVALS + 1, largest=False).indices
         return near[..., 1:]
 
     def state(self, number: int) -> dict[str, Tensor]:
@@ -204,8 +207,7 @@ class Stack:
 
 def _info_nce(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
     """:func:`segloc.training.losses.info_nce` of each of M batches, (M,)."""
-    squares = x.square().sum(dim=-1)
-    logits = -(squares[:, :, None] + squares[:, None] - 2 * x @ x.transpose(1, 2)).clamp(min=0)
+    logits = -(x[:, :, None] - x[:, None]).square().sum(dim=-1)
     others = torch.logsumexp(logits.masked_fill(~different, -1e9), dim=2, keepdim=True)
     losses = (torch.logaddexp(logits, others) - logits).masked_fill(~same, 0.0)
     return losses.sum(dim=(1, 2)) / same.sum(dim=(1, 2)).clamp(min=1)
@@ -223,5 +225,3 @@ def _clip(parameters: Sequence[Tensor]) -> None:
 def _schedule(step: int, done: float) -> float:
     """Linear warm-up, then half a cosine down to 1 %."""
     return min(1.0, (step + 1) / _WARMUP) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * done)))
-
-

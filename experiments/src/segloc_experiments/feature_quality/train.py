@@ -3,8 +3,8 @@
     python -m segloc_experiments.feature_quality.train DATA OUT --device cuda --minutes 8
 
 DATA is a file of ``feature_quality.compact``. For each network and domain OUT gets a JSON file of
-areas under the ROC, by FC4 and by plain distance, on the test splits of all domains, and the tensors
-of the first seed's networks. What is there already is not trained again.
+areas under the ROC, by FC4 and by plain distance, on the test splits of all domains, and a file of
+the tensors of the first seed's networks. What is there already is not trained again.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from .areas import Areas, areas, difference
 from .batches import Objects
 from .compact import Segments, read
 from .fitting import Effort, choices, draw_pairs, fitted, logits
-from .prepare import prepared
+from .prepare import distances, prepared
 from .stack import VARIANTS, Stack
 
 STEPS = {"dsm": 3000, "esm": 1500}
 _RATE = 2e-3
 _CANDIDATES = 25
-_TRAINING_SHARE = 0.8
+_TRAINING_SHARE = 0.65
 
 
 def main() -> None:
@@ -49,7 +49,6 @@ def main() -> None:
     options.add_argument("--fit-pairs", type=int, default=Effort.pairs)
     given = options.parse_args()
     end = time.monotonic() + 60 * given.minutes
-    torch.set_float32_matmul_precision("high")
     splits = read(given.data)
     given.out.mkdir(parents=True, exist_ok=True)
     tasks = [(n, d) for n in given.networks for d in given.domains]
@@ -123,7 +122,9 @@ def run(job: Job, splits: dict[str, Segments], out: Path, device: torch.device) 
         if seed == 0
         for name, tensor in stack.state(number).items()
     }
-    tensors |= {f"{k}/{n}": t[0].cpu().contiguous() for k, (_, p) in heads.items() for n, t in p.items()}
+    tensors |= {
+        f"{k}/{n}": t[0].cpu().contiguous() for k, (_, p) in heads.items() for n, t in p.items()
+    }
     save_file(tensors, out / f"{network}-{domain}.safetensors")
     _result(out, network, domain).write_text(json.dumps(found, indent=1))
     say("done")
@@ -138,9 +139,8 @@ def _fit(stack: Stack, own: Segments, effort: Effort, say: Callable[[str], None]
     vectors = stack.describe(prepared(points, sizes))[: len(stack.seeds)]
     heads: Heads = {}
     for where, rows in (("seen", ~own.held), ("held", own.held)):
-        chosen = np.flatnonzero(rows)
-        among = vectors[:, torch.from_numpy(chosen).to(stack.device)]
-        pairs = draw_pairs(own, chosen, among, effort.pairs)
+        among = vectors[:, torch.from_numpy(rows).to(stack.device)]
+        pairs = draw_pairs(own.only(rows), among, effort.pairs)
         for name, kind, nearest in choices():
             heads[f"{name}-{where}"] = kind, fitted(among, pairs, nearest, kind, effort.steps)
     say(f"{len(heads)} heads fitted")
@@ -151,7 +151,9 @@ def _judge(stack: Stack, heads: Heads, split: Segments) -> dict[str, Any]:
     """Areas on the pairs of a test split, and among the candidates that a map would propose."""
     points, sizes = (torch.from_numpy(each).to(stack.device) for each in split.padded())
     vectors = stack.describe(prepared(points, sizes))
-    pairs = tuple(torch.from_numpy(x).to(stack.device) for x in (split.first, split.second, split.same))
+    pairs = tuple(
+        torch.from_numpy(x).to(stack.device) for x in (split.first, split.second, split.same)
+    )
     places = torch.from_numpy(split.squares).to(stack.device)
     found: dict[str, Any] = {"pairs": len(split.first), "segments": len(split)}
     found["any"] = _compare(stack, heads, vectors, pairs, places)
@@ -225,7 +227,7 @@ def _candidates(own: Tensor, split: Segments) -> tuple[Tensor, Tensor, Tensor, T
     sessions = torch.from_numpy(split.sessions).to(own.device)
     centroids = torch.from_numpy(split.centroids).to(own.device)
     worlds = torch.from_numpy(split.places).to(own.device)
-    apart = torch.cdist(own, own).masked_fill(sessions[:, None] == sessions[None], torch.inf)
+    apart = distances(own, own).masked_fill(sessions[:, None] == sessions[None], torch.inf)
     near = apart.topk(_CANDIDATES, largest=False)
     query = torch.arange(len(own), device=own.device)[:, None].expand_as(near.indices).flatten()
     mapped = near.indices.flatten()
