@@ -28,7 +28,11 @@ POINTS = 256
 PREPROCESSING_VERSION = 1
 """Counts changes of `prepare` that change its result."""
 
-_KIND = "network"
+KIND = "network"
+"""Of weights files."""
+
+DIM = 16
+"""Length of a descriptor."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ def save_weights(
         "layers": json.dumps([asdict(layer) for layer in layers]),
         "alignment": alignment,
     }
-    write_weights(path, _KIND, tensors, settings, card)
+    write_weights(path, KIND, tensors, settings, card)
 
 
 def load_weights(path: Path) -> Weights:
@@ -125,7 +129,7 @@ def load_weights(path: Path) -> Weights:
         If the file is missing, truncated, of another format, does not match its hash, or if a
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
-    file = read_weights(path, _KIND)
+    file = read_weights(path, KIND)
     with faults_of_weights(path):
         alignment = file.settings["alignment"]
         rows = [Layer(**row) for row in json.loads(file.settings["layers"])]

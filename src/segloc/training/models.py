@@ -14,14 +14,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from .. import _native
-from ..descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
+from ..descriptors.pointset import DIM, DSM_LAYERS, ESM_LAYERS, Layer
 from ..types import Float32
 from .config import HeadKind
 from .ops import column_maps, elu_norm, gather, xconv_apply
 from .pair_heads import PairHead
 
 LAYERS = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
-DIM = 16
 
 
 class Norm(nn.Module):
