@@ -40,7 +40,7 @@ def segments(seed: int, objects: int, held: bool = False) -> Segments:
     pairs = np.concatenate([same, np.roll(same, 1, axis=0) * [1, 0] + same * [0, 1]])
     return Segments(
         points, np.arange(P + 1) * 60, labels, np.arange(P) % 2, np.zeros(P, np.int64),
-        labels // 4, (labels % 4 == 0) & held, at, pairs[:, 0], pairs[:, 1], np.arange(P) < objects,
+        (labels % 4 == 0) & held, at, pairs[:, 0], pairs[:, 1], np.arange(P) < objects,
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from segloc import _native
 from segloc.training.dataset import SegmentDataset
-from segloc.training.metrics import bootstrap_places
 from segloc.training.shards import load_dataset
 
 from ..paper.pairs import labelled_pairs
@@ -30,7 +29,6 @@ def compacted(folder: Path, split: str, most: int, pairs: int, seed: int = 0) ->
     seed : int
     """
     dataset = load_dataset(folder).limited(most, seed)
-    squares = bootstrap_places(dataset)
     held = np.zeros(len(dataset), bool)
     first = second = np.empty(0, np.int64)
     same = np.empty(0, bool)
@@ -42,7 +40,7 @@ def compacted(folder: Path, split: str, most: int, pairs: int, seed: int = 0) ->
         first, second, same = found.first, found.second, found.same
     points, offsets = _points(dataset)
     return Segments(
-        points, offsets, dataset.labels, dataset.sessions, dataset.places, squares, held,
+        points, offsets, dataset.labels, dataset.sessions, dataset.places, held,
         dataset.centroids, first, second, same,
     )  # fmt: skip
 

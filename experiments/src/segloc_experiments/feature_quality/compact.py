@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 POINTS = 320
 _STEP_M = 0.01
 _LARGEST = 32_767
-_COLUMNS = ("labels", "sessions", "places", "squares", "held", "centroids")
+_SQUARE_M = 40.0
+_COLUMNS = ("labels", "sessions", "places", "held", "centroids")
 FAR_M = 20.0
 """Beyond this distance segments surely show different objects."""
 
@@ -36,8 +37,8 @@ class Segments:
     points : (M, 3) int16
         About the centroid, centimetres.
     offsets : (P + 1,) int64
-    labels, sessions, places, squares : (P,) int64
-        The object, the recording, the world, and the place that a bootstrap draws.
+    labels, sessions, places : (P,) int64
+        The object, the recording, and the world.
     held : (P,) bool
         Of worlds that are kept from training.
     centroids : (P, 3) float64
@@ -53,7 +54,6 @@ class Segments:
     labels: NDArray[np.int64]
     sessions: NDArray[np.int64]
     places: NDArray[np.int64]
-    squares: NDArray[np.int64]
     held: NDArray[np.bool_]
     centroids: NDArray[np.float64]
     first: NDArray[np.int64]
@@ -62,6 +62,14 @@ class Segments:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    def squares(self) -> NDArray[np.int64]:
+        """(P,) the square of 40 m that each lies in: what a bootstrap draws."""
+        at = np.floor(self.centroids[:, :2] / _SQUARE_M)
+        keys = np.column_stack([self.places, at])
+        _, number = np.unique(keys, axis=0, return_inverse=True)
+        result: NDArray[np.int64] = number.reshape(-1)
+        return result
 
     def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Whether segments (broadcast) surely show different objects."""

@@ -154,7 +154,7 @@ def _judge(stack: Stack, heads: Heads, split: Segments) -> dict[str, Any]:
     pairs = tuple(
         torch.from_numpy(x).to(stack.device) for x in (split.first, split.second, split.same)
     )
-    places = torch.from_numpy(split.squares).to(stack.device)
+    places = torch.from_numpy(split.squares()).to(stack.device)
     found: dict[str, Any] = {"pairs": len(split.first), "segments": len(split)}
     found["any"] = _compare(stack, heads, vectors, pairs, places)
     found["nearest"] = _nearest(stack, heads, vectors, split)

@@ -36,7 +36,9 @@ def build_along(site: Site, front: Frontage) -> list[Lot]:
     rng, lots = site.rng, []
     s = float(rng.uniform(3, 9))
     while s < front.street.length - 6:
-        building, setback, gap = _draw_building(site.like(f"house {front.character}"), front.character)
+        building, setback, gap = _draw_building(
+            site.like(f"house {front.character}"), front.character
+        )
         setback *= front.setback
         width = building.width + gap if building else float(rng.uniform(8, 18))
         beyond = front.pavement + setback
