@@ -91,7 +91,7 @@ class Transfer:
 
     def __init__(self, workspace: Workspace, plan: Plan | None = None) -> None:
         self.workspace = workspace
-        self.plan = plan or PLANS[workspace.scale]
+        self.plan = plan or PLANS[workspace.effort]
         self.domains = Domains(workspace, self.plan.sizes)
         self.methods = tuple(m for m in METHODS if m in (workspace.methods or METHODS))
         if not self.methods:

@@ -109,7 +109,7 @@ class Site:
     people: list[Float64] = field(default_factory=list)
     bicycles: list[tuple[float, float, float]] = field(default_factory=list)
     green: float = 0.5
-    catalogue: Catalogue = Catalogue()
+    catalogue: Catalogue = field(default_factory=Catalogue)
 
     def like(self, kind: str) -> np.random.Generator:
         """What to make the next thing of a kind from: see :meth:`Catalogue.source`."""

@@ -116,7 +116,7 @@ class World:
     spots: Spots
     recipe: tuple[Callable[..., World], tuple[Any, ...]] | None = None
     interior: Interior | None = None
-    catalogue: Catalogue = Catalogue()
+    catalogue: Catalogue = field(default_factory=Catalogue)
     _scenes: dict[tuple[int, Conditions], Scene] = field(default_factory=dict, repr=False)
 
     def floor(self, storey: int = 0) -> Terrain:
