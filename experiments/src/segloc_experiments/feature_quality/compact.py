@@ -122,7 +122,7 @@ def read(path: Path) -> dict[str, Segments]:
     return found
 
 
-def _main() -> None:
+def main() -> None:
     from ..script import parser
     from .collect import compacted
 
@@ -145,4 +145,4 @@ def _main() -> None:
 
 
 if __name__ == "__main__":
-    _main()
+    main()
