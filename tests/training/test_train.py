@@ -115,7 +115,7 @@ def test_fc4_finds_what_matters(kind: HeadKind, nearest: bool) -> None:
     )  # fmt: skip
     torch.manual_seed(0)
     head = PairHead(kind, 2)
-    fit_pair_head(head, vectors, segments, nearest, QUICK)
+    fit_pair_head(head, [(vectors, segments)], nearest=nearest)
     a, b = np.triu_indices(120, 1)
     same = labels[a] == labels[b]
     with torch.inference_mode():

@@ -35,7 +35,7 @@ class TrainConfig(Section):
     )
     pair_negatives: PairNegatives = Field(
         "any",
-        description="pairs that do not match: of a batch, half of them mined, or random ones, too",
+        description="pairs that do not match: mined ones beside others, or random ones, too",
     )
     steps: int = Field(3000, ge=1)
     classes: int = Field(32, ge=2, description="objects a batch")

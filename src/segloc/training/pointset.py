@@ -83,8 +83,13 @@ class PointSetTask(Task):
         found = judged(self, network, training, held)
         fit_logistic(network.quality_head, found.vectors[found.known], found.right)
         if self.config.pair_weight > 0 and self.config.pair_training == "frozen":
-            nearest = self.config.pair_negatives == "any"
-            fit_pair_head(network.pair_head, found.vectors, found.dataset, nearest, self.config)
+            fit_pair_head(
+                network.pair_head,
+                [(found.vectors, found.dataset)],
+                nearest=self.config.pair_negatives == "batch",
+                seed=self.config.seed,
+                threads=self.config.threads,
+            )
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, DescriptorNetwork)

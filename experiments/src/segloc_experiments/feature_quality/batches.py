@@ -104,7 +104,8 @@ class Objects:
         pick = torch.rand(_OBJECTS, generator=generator)
         which = torch.randint(16, (_OBJECTS,), generator=generator)
         across = torch.rand(_OBJECTS, generator=generator) < _ACROSS
-        return tuple(t.to(self.device) for t in (chosen, pick, which, across))  # type: ignore[return-value]
+        chosen, pick, which, across = (t.to(self.device) for t in (chosen, pick, which, across))
+        return chosen, pick, which, across
 
     def _related(self, indices: Tensor, mined: bool) -> Batch:
         labels, places = self._labels[indices], self._places[indices]
@@ -155,4 +156,5 @@ def _pairs(
     pairs = np.column_stack([group[i], group[j]])
     if sessions is None:
         return pairs
-    return pairs[sessions[pairs[:, 0]] != sessions[pairs[:, 1]]]
+    across: NDArray[np.int64] = pairs[sessions[pairs[:, 0]] != sessions[pairs[:, 1]]]
+    return across

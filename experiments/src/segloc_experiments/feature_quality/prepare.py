@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
+from segloc.descriptors.pointset import Layer
+
 _SAMPLES = 256
 _AT_ONCE = 8192
 _MIN_POINTS = 20
-
-
-class Layer(Protocol):
-    """What is needed of a :class:`segloc.descriptors.pointset.Layer`."""
-
-    points: int
-    neighbors: int
-    dilation: int
 
 
 def prepared(points: Tensor, sizes: Tensor, generator: torch.Generator | None = None) -> Tensor:

@@ -16,8 +16,7 @@ import torch
 
 from segloc.descriptors.pointset import DIM, KIND
 from segloc.descriptors.weightfile import read_weights, write_weights
-from segloc.training.config import HeadKind, TrainConfig
-from segloc.training.dataset import SegmentDataset
+from segloc.training.config import HeadKind
 from segloc.training.pair_fitting import fit_pair_head
 from segloc.training.pair_heads import PairHead
 from segloc.training.scoring import describe, load_descriptor
@@ -33,29 +32,30 @@ def main() -> None:
     options.add_argument("weights", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("datasets", type=Path, nargs="+")
-    options.add_argument("--head", choices=get_args(HeadKind), default="quadratic")
-    options.add_argument("--negatives", choices=("far", "any"), default="any")
+    options.add_argument("--head", choices=get_args(HeadKind), default="two_layer")
+    options.add_argument("--negatives", choices=("any", "mined"), default="any")
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
-    parts = [load_dataset(path).limited(_LIMIT, given.seed) for path in given.datasets]
-    dataset = SegmentDataset.concatenate(parts)
-    vectors, _ = describe(load_descriptor(str(given.weights), 1), dataset)
+    descriptor = load_descriptor(str(given.weights), 1)
+    parts = []
+    for path in given.datasets:
+        dataset = load_dataset(path).limited(_LIMIT, given.seed)
+        parts.append((describe(descriptor, dataset)[0], dataset))
     torch.manual_seed(given.seed)
     head = PairHead(given.head, DIM)
-    config = TrainConfig(seed=given.seed)
-    fit_pair_head(head, vectors, dataset, given.negatives == "any", config)
+    fit_pair_head(head, parts, nearest=given.negatives == "mined", seed=given.seed)
     tensors = {name: np.ascontiguousarray(t.numpy()) for name, t in head.tensors().items()}
     file = read_weights(given.weights, KIND)
     note = {
         "head": given.head,
         "negatives": given.negatives,
         "data": [path.name for path in given.datasets],
-        "segments": len(dataset),
+        "segments": sum(len(dataset) for _, dataset in parts),
         "seed": given.seed,
     }
     kept = {name: t for name, t in file.tensors.items() if not name.startswith("pair.")}
     write_weights(given.out, KIND, {**kept, **tensors}, file.settings, {**file.card, "fc4": note})
-    print(f"{given.out}: FC4 ({given.head}) fitted to {len(dataset)} segments")
+    print(f"{given.out}: FC4 ({given.head}) fitted to {note['segments']} segments")
 
 
 if __name__ == "__main__":

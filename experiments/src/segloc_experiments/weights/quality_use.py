@@ -21,12 +21,13 @@ import torch
 from segloc import _native
 from segloc.descriptors.pointset import load_weights
 from segloc.training.dataset import SegmentDataset
+from segloc.training.pair_fitting import SAME_M
 from segloc.training.scoring import describe, load_descriptor
 from segloc.training.shards import load_dataset
 from segloc.types import Float32, Float64, Int64
 
 from ..feature_quality.areas import areas, difference
-from ..paper.pairs import SAME_M, labelled_pairs
+from ..paper.pairs import labelled_pairs
 from ..script import parser
 
 _TOPS = (0.01, 0.1)
