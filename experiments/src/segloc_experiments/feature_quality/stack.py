@@ -26,7 +26,7 @@ from .batches import Batch, Objects
 from .prepare import distances, neighbors, prepared
 
 _CLIP, _WARMUP, _DECAY = 5.0, 100, 1e-5
-_MINE_EVERY, _RIVALS = 400, 16
+_MINE_EVERY, _RIVALS = 150, 16
 _PAIR_WEIGHT = 0.1
 _VIEWS = 6
 
