@@ -29,9 +29,9 @@ class TrainConfig(Section):
     pair_weight: float = Field(
         0.1, ge=0, description="weight of FC4's loss beside the descriptor's; 0: no FC4"
     )
-    pair_head: HeadKind = Field("linear", description="the form of FC4")
+    pair_head: HeadKind = Field("two_layer", description="the form of FC4")
     pair_training: PairTraining = Field(
-        "joint", description="with the descriptor, or after it on finished ones of held-out places"
+        "frozen", description="with the descriptor, or after it on finished ones of held-out places"
     )
     pair_negatives: PairNegatives = Field(
         "any",
