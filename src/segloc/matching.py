@@ -51,7 +51,7 @@ class MatchingConfig(Section):
         0.5,
         ge=0,
         le=1,
-        description="matches that the method's forest finds less likely are dropped",
+        description="matches that the method's forest or FC4 finds less likely are dropped",
     )
 
     def schedule(self, segments: int) -> tuple[int, ...]:

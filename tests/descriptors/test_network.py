@@ -26,6 +26,9 @@ torch = pytest.importorskip("torch")
 export = pytest.importorskip("segloc.training.export")
 models = pytest.importorskip("segloc.training.models")
 
+from segloc.training.config import HeadKind  # noqa: E402
+from segloc.training.pair_heads import PairHead  # noqa: E402
+
 torch.set_num_threads(1)  # small problems: more threads only wait for each other
 
 ODD_LAYERS = (Layer(70, 7, 2, 20), Layer(33, 9, 3, 24), Layer(5, 11, 2, 36))
@@ -230,10 +233,56 @@ def test_weights_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(weights.network.describe(segments)[0], expected)
 
 
+@pytest.mark.parametrize("kind", ["linear", "quadratic", "two_layer"])
+def test_fc4_travels_with_the_weights_and_changes_no_descriptor(
+    kind: HeadKind, tmp_path: Path
+) -> None:
+    without, path = tmp_path / "without.safetensors", tmp_path / "with.safetensors"
+    model = random_model("dsm")
+    model.pair_head = PairHead(kind, 16)
+    export.export(model, without, {})
+    export.export(model, path, {}, with_pairs=True)
+    plain, judged = PointSetDescriptor("dsm", without), PointSetDescriptor("fq", path, judge="pair")
+    assert plain.fingerprint == judged.fingerprint  # maps stay valid
+    assert plain.pruner is None and judged.pruner is not None
+    assert not judged.rates and judged.encode(prepared(3)).quality is None
+    with pytest.raises(WeightsError, match="no FC4 in it, which fq needs"):
+        PointSetDescriptor("fq", without, judge="pair")
+    a, b = np.random.default_rng(0).normal(size=(2, 30, 16)).astype(np.float32)
+    index = np.arange(30)
+    likely = judged.pruner.probability(a, b, index, index[::-1])
+    with torch.inference_mode():
+        logits = model.pair_logits(torch.from_numpy(a), torch.from_numpy(b[::-1].copy()))
+    np.testing.assert_allclose(likely, torch.sigmoid(logits).numpy(), atol=1e-6)
+    np.testing.assert_array_equal(  # of all pairs together or of one
+        judged.pruner.probability(a, b, index[:1], index[::-1][:1]), likely[:1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("tensors", "fault"),
+    [
+        ({"pair.0.weight": (16, 1)}, "FC4 has the tensors pair.0.weight"),
+        ({"pair.0.weight": (15, 1), "pair.0.bias": (1,)}, "15 inputs for descriptors of 16"),
+        ({"pair.0.weight": (16, 2), "pair.0.bias": (2,)}, "2 outputs, not 1"),
+        ({"pair.0.weight": (16, 4), "pair.0.bias": (3,)}, "do not fit together"),
+    ],
+)
+def test_a_damaged_fc4_is_named(
+    tensors: dict[str, tuple[int, ...]], fault: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "network.safetensors"
+    model = random_model("dsm")
+    pairs = {name: np.ones(shape, np.float32) for name, shape in tensors.items()}
+    save_weights(path, {**export.folded(model), **pairs}, model.layers, "pca2d", {})
+    with pytest.raises(WeightsError, match=fault):
+        load_weights(path)
+
+
 def test_shipped_descriptor() -> None:
     """Loads, knows where it comes from, and ignores the order of points and the yaw."""
-    descriptor = create("dsm-fq", threads=1)
-    assert isinstance(descriptor, PointSetDescriptor)
+    descriptor = create("dsm-nq", threads=1)
+    assert isinstance(descriptor, PointSetDescriptor) and descriptor.rates
     assert {"data", "command", "figures", "licence"} <= set(descriptor.card)
     json.dumps(descriptor.card)
     rng = np.random.default_rng(4)

@@ -12,7 +12,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from segloc.training.losses import LOSSES, pair_match  # noqa: E402
+from segloc.training.losses import LOSSES  # noqa: E402
+from segloc.training.pair_heads import pair_loss  # noqa: E402
 
 TOGETHER = """
 import json
@@ -38,8 +39,8 @@ def test_losses_stay_in_single_precision_under_autocast() -> None:
     labels = torch.arange(32) // 2
     same = (labels[:, None] == labels[None, :]) & ~torch.eye(32, dtype=torch.bool)
     different = labels[:, None] != labels[None, :]
-    x, logits = 3 + torch.randn(32, 16), torch.randn(32, 32, 2)
-    for loss, values in [*((loss, x) for loss in LOSSES.values()), (pair_match, logits)]:
+    x, logits = 3 + torch.randn(32, 16), torch.randn(32, 32)
+    for loss, values in [*((loss, x) for loss in LOSSES.values()), (pair_loss, logits)]:
         expected = loss(values, same, different)
         with torch.autocast("cpu", dtype=torch.bfloat16):
             assert (x @ x.T).dtype == torch.bfloat16  # or there is nothing to be shown

@@ -18,15 +18,18 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("segloc.training.train")
 
 from segloc.datasets.base import Selection  # noqa: E402
+from segloc.descriptors.pair_head import PairHead as NumpyHead  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 from segloc.training.augment import AugmentConfig, augment  # noqa: E402
 from segloc.training.batches import draw_batch  # noqa: E402
-from segloc.training.config import TrainConfig  # noqa: E402
+from segloc.training.config import HeadKind, TrainConfig  # noqa: E402
 from segloc.training.dataset import SegmentDataset  # noqa: E402
 from segloc.training.extract import ExtractConfig, extract_session  # noqa: E402
 from segloc.training.labels import LabelConfig, groups_of, label_objects  # noqa: E402
-from segloc.training.losses import LOSSES, pair_match  # noqa: E402
+from segloc.training.losses import LOSSES  # noqa: E402
 from segloc.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
+from segloc.training.pair_fitting import fit_pair_head  # noqa: E402
+from segloc.training.pair_heads import PairHead, pair_loss  # noqa: E402
 from segloc.training.pointset import prepared_points  # noqa: E402
 from segloc.training.sampling import reorder  # noqa: E402
 from segloc.training.shapes import shapes_dataset  # noqa: E402
@@ -91,8 +94,44 @@ def test_losses_fall_as_objects_come_apart() -> None:
     for name, loss in LOSSES.items():
         few, many = loss(apart, same, different), loss(mixed, same, different)
         assert few < (0.1 if name == "multi_similarity" else 1e-2) < many
-    certain = torch.stack([-10.0 * same + 10.0 * different, 10.0 * same - 10.0 * different], dim=-1)
-    assert pair_match(certain, same, different) < 1e-3
+    certain = 20.0 * same - 20.0 * different
+    assert pair_loss(certain, same, different) < 1e-3 < pair_loss(-certain, same, different)
+    nothing = torch.zeros_like(same)
+    half = (pair_loss(certain, same, different) + pair_loss(certain, same, nothing)) / 2
+    assert pair_loss(certain, same, different, nothing) == pytest.approx(float(half))
+
+
+@pytest.mark.parametrize("kind", ["linear", "quadratic", "two_layer"])
+@pytest.mark.parametrize("nearest", [False, True])
+def test_fc4_finds_what_matters(kind: HeadKind, nearest: bool) -> None:
+    """Of two numbers one says nothing: a fitted head tells pairs apart better than distance."""
+    rng = np.random.default_rng(0)
+    labels = np.repeat(np.arange(40), 3)
+    useful = np.repeat(rng.normal(0, 3, 40), 3) + 0.1 * rng.normal(size=120)
+    vectors = np.column_stack([useful, rng.normal(0, 3, 120)]).astype(np.float32)
+    segments = SegmentDataset(
+        np.zeros((120, 3), np.float32), np.arange(121), labels, np.arange(120) % 3,
+        np.zeros(120, np.int64), 50.0 * labels[:, None] * [1.0, 0, 0], np.zeros(120, np.float32),
+    )  # fmt: skip
+    torch.manual_seed(0)
+    head = PairHead(kind, 2)
+    fit_pair_head(head, [(vectors, segments)], nearest=nearest)
+    a, b = np.triu_indices(120, 1)
+    same = labels[a] == labels[b]
+    with torch.inference_mode():
+        logits = head(torch.from_numpy(vectors[a]), torch.from_numpy(vectors[b])).numpy()
+    distance = np.linalg.norm(vectors[a] - vectors[b], axis=1)
+
+    def area(score: np.ndarray) -> float:
+        return float((score[same][:, None] > score[~same]).mean())
+
+    assert area(logits) > max(0.93, area(-distance) + 0.05)
+    tensors = {name: tensor.numpy() for name, tensor in head.tensors().items()}
+    native = NumpyHead(tensors, 2)
+    index = np.arange(len(vectors))
+    likely = native.probability(vectors, vectors[::-1], index, index)
+    wanted = head(torch.from_numpy(vectors), torch.from_numpy(vectors[::-1].copy()))
+    np.testing.assert_allclose(likely, torch.sigmoid(wanted).detach().numpy(), atol=1e-6)
 
 
 def test_augmentation_keeps_what_it_must() -> None:
@@ -251,7 +290,8 @@ def test_views_of_a_batch_come_from_different_sessions(shapes: SegmentDataset) -
     rng = np.random.default_rng(0)
     sessions = shapes.sessions // 2  # of three views two share a session
     for _ in range(5):
-        chosen = draw_batch(groups, sessions, np.empty((0, 0), np.int64), always, rng)
+        chosen, random = draw_batch(groups, sessions, np.empty((0, 0), np.int64), always, rng)
+        assert random == len(chosen)
         pairs = chosen.reshape(-1, 2)
         assert (shapes.labels[pairs[:, 0]] == shapes.labels[pairs[:, 1]]).all()
         assert (sessions[pairs[:, 0]] != sessions[pairs[:, 1]]).all()

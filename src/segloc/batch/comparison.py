@@ -29,7 +29,7 @@ ESTIMATORS = ("consensus", "published")
 """Ours, and the one that a method was published with."""
 
 QUALITY = "-fq"
-"""What the name of a method ends with that orders its matches by quality."""
+"""What the name of a method ends with whose matches are ordered by FC4, the feature quality."""
 
 _CELL_M, _TALL_M = 0.5, 1.0
 
@@ -94,13 +94,15 @@ def build_maps(
 def describe_all(
     descriptors: Mapping[str, Descriptor], segments: Segments
 ) -> dict[str, Descriptors]:
-    """The same segments described by every method; with and without quality it is one network."""
+    """The same segments described by every method; those of one network run it once."""
     found: dict[str, Descriptors] = {}
-    for name in sorted(descriptors, key=len, reverse=True):  # those with quality first
-        rated = found.get(name + QUALITY)
-        found[name] = (
-            descriptors[name].describe(segments) if rated is None else Descriptors(rated.vectors)
-        )
+    once: dict[str, Descriptors] = {}
+    for name, descriptor in sorted(descriptors.items(), key=lambda item: not item[1].rates):
+        same = once.get(descriptor.fingerprint)
+        if same is None:
+            found[name] = once[descriptor.fingerprint] = descriptor.describe(segments)
+        else:
+            found[name] = same if descriptor.rates else Descriptors(same.vectors)
     return found
 
 

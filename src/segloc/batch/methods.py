@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 
 from ..descriptors import available, create
-from ..descriptors.random_forest import shipped_forest
 from ..errors import ConfigError, WeightsError
 
 METHODS = (
@@ -36,7 +34,7 @@ class Methods:
     Attributes
     ----------
     fingerprints : dict of str to str
-        Of descriptor, weights and forest, by the name of each method that is ready.
+        Of descriptor, weights, and forest or FC4, by the name of each method that is ready.
     left_out : dict of str to str
         Why the others are not.
     """
@@ -81,7 +79,7 @@ def ready(names: tuple[str, ...] | None = None) -> Methods:
 
 
 def fingerprint(name: str) -> str:
-    """Of everything that decides what a method computes: its descriptor and its forest.
+    """Of everything that decides what a method computes: its descriptor and its forest or FC4.
 
     Raises
     ------
@@ -91,5 +89,4 @@ def fingerprint(name: str) -> str:
     descriptor = create(name, 1)
     if descriptor.pruner is None:
         return descriptor.fingerprint
-    forest = hashlib.sha256(shipped_forest(name).read_bytes()).hexdigest()
-    return f"{descriptor.fingerprint}+forest-{forest[:16]}"
+    return f"{descriptor.fingerprint}+{descriptor.pruner.fingerprint}"

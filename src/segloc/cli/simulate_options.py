@@ -20,7 +20,7 @@ Out = Annotated[
 Suite = Annotated[
     str | None, typer.Option(metavar="NAME", help="Instead of a scene: six named test sets.")
 ]
-Scale = Annotated[str, typer.Option(metavar="NAME", help="Of a suite: small or full.")]
+Scale = Annotated[str, typer.Option(metavar="NAME", help="Of a suite: small, full or paper.")]
 Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
 Thin = Annotated[int, typer.Option(metavar="COUNT", help="Only one of so many firings.")]
 Platform = Annotated[

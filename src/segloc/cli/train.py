@@ -11,6 +11,9 @@ import typer
 from .console import say
 from .train_extract import extract
 
+Commit = Annotated[
+    str | None, typer.Option(metavar="HASH", help="Of the sources that train; goes into the file.")
+]
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="What `train extract` wrote.")]
 train = typer.Typer(
     help="Make datasets, train descriptors, score them.",
@@ -69,6 +72,7 @@ def forest(
     licence: Annotated[
         str, typer.Option(metavar="NAME", help="Of the forest; goes into the file.")
     ] = "MIT",
+    commit: Commit = None,
 ) -> None:
     """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
     from ..files import checked_target
@@ -76,7 +80,7 @@ def forest(
     from ..training.shards import load_dataset
 
     checked_target(out)
-    card = _card(dataset, licence)
+    card = _card(dataset, licence, commit)
     config = ForestConfig(seed=seed, threads=threads)
     found = train_forest(load_dataset(dataset), out, method, config, card, say)
     typer.echo(
@@ -85,9 +89,10 @@ def forest(
     )
 
 
-def _card(dataset: Path, licence: str) -> dict[str, Any]:
+def _card(dataset: Path, licence: str, commit: str | None) -> dict[str, Any]:
     command = " ".join(["segloc", *sys.argv[1:]])
-    return {"data": dataset.name, "command": command, "licence": licence}
+    card = {"data": dataset.name, "command": command, "licence": licence}
+    return card if commit is None else {**card, "commit": commit}
 
 
 _EXPLAINED = {
@@ -125,6 +130,7 @@ def _add(network: str, help_text: str) -> None:
         licence: Annotated[
             str, typer.Option(metavar="NAME", help="Of the weights; goes into the file.")
         ] = "MIT",
+        commit: Commit = None,
     ) -> None:
         given = {
             "network": network,
@@ -135,14 +141,15 @@ def _add(network: str, help_text: str) -> None:
             "loss": loss,
             "seed": seed,
         }
-        _train(dataset, out, config, {k: v for k, v in given.items() if v is not None}, licence)
+        chosen = {k: v for k, v in given.items() if v is not None}
+        _train(_card(dataset, licence, commit), dataset, out, config, chosen)
 
     command.__doc__ = help_text
     train.command(network)(command)
 
 
 def _train(
-    dataset: Path, out: Path, config: Path | None, given: dict[str, Any], licence: str
+    card: dict[str, Any], dataset: Path, out: Path, config: Path | None, given: dict[str, Any]
 ) -> None:
     from ..files import checked_target
     from ..training.options import load_train_config, require_torch
@@ -153,7 +160,7 @@ def _train(
 
     settings = load_train_config(config, given)
     checked_target(out)
-    scores = run(load_dataset(dataset), out, settings, _card(dataset, licence), say)
+    scores = run(load_dataset(dataset), out, settings, card, say)
     typer.echo(f"{out}: auc {scores.auc:.4f}, recall@25 {scores.recall:.4f}")
 
 

@@ -18,7 +18,15 @@ from ..types import Descriptors, Float32, Int64, Segments
 
 
 class Pruner(ABC):
-    """Judges candidate matches more closely than the distance of their descriptors does."""
+    """Judges candidate matches more closely than the distance of their descriptors does.
+
+    Attributes
+    ----------
+    fingerprint : str
+        Hash of what decides its answers.
+    """
+
+    fingerprint: str
 
     @abstractmethod
     def probability(
@@ -48,13 +56,16 @@ class Descriptor(ABC):
         Length of a vector; vectors are compared by Euclidean distance.
     fingerprint : str
         Hash of weights and preprocessing: maps and queries must agree on it.
+    rates : bool
+        Whether it gives each of its vectors a quality.
     pruner : Pruner or None
-        Sorts out candidate matches, for a method that has such a stage.
+        Orders candidate matches and sorts some out, for a method that has such a stage.
     """
 
     name: str
     dim: int
     fingerprint: str
+    rates: bool = False
     pruner: Pruner | None = None
 
     def prepare(self, segments: Segments) -> Any:

@@ -19,5 +19,13 @@ def dsm(threads: int = 0, weights: Path | None = None) -> PointSetDescriptor:
 
 @register("dsm-fq", preset={"matching": {"growth": 0.0, "escalation": 1}})
 def dsm_fq(threads: int = 0, weights: Path | None = None) -> PointSetDescriptor:
-    """The same with a quality for each descriptor."""
-    return PointSetDescriptor("dsm-fq", weights or shipped_weights(FILE), True, threads)
+    """The same; FC4 orders and prunes the matches by how likely they are."""
+    path = weights or shipped_weights(FILE)
+    return PointSetDescriptor("dsm-fq", path, judge="pair", threads=threads)
+
+
+@register("dsm-nq", preset={"matching": {"growth": 0.0, "escalation": 1}})
+def dsm_nq(threads: int = 0, weights: Path | None = None) -> PointSetDescriptor:
+    """The same; matches are ordered by a quality of each descriptor, fitted afterwards."""
+    path = weights or shipped_weights(FILE)
+    return PointSetDescriptor("dsm-nq", path, judge="nearest", threads=threads)

@@ -19,5 +19,13 @@ def esm(threads: int = 0, weights: Path | None = None) -> PointSetDescriptor:
 
 @register("esm-fq", preset={"matching": {"growth": 0.0, "escalation": 1}})
 def esm_fq(threads: int = 0, weights: Path | None = None) -> PointSetDescriptor:
-    """The same with a quality for each descriptor."""
-    return PointSetDescriptor("esm-fq", weights or shipped_weights(FILE), True, threads)
+    """The same; FC4 orders and prunes the matches by how likely they are."""
+    path = weights or shipped_weights(FILE)
+    return PointSetDescriptor("esm-fq", path, judge="pair", threads=threads)
+
+
+@register("esm-nq", preset={"matching": {"growth": 0.0, "escalation": 1}})
+def esm_nq(threads: int = 0, weights: Path | None = None) -> PointSetDescriptor:
+    """The same; matches are ordered by a quality of each descriptor, fitted afterwards."""
+    path = weights or shipped_weights(FILE)
+    return PointSetDescriptor("esm-nq", path, judge="nearest", threads=threads)

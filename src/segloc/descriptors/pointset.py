@@ -16,9 +16,11 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Segments
 from .base import Descriptor
-from .weightfile import faults_of_weights, read_weights, write_weights
+from .pair_head import PREFIX, PairHead
+from .weightfile import digest_of, faults_of_weights, read_weights, write_weights
 
 Alignment = Literal["none", "pca2d", "pca3d"]
+Judge = Literal["none", "pair", "nearest"]
 
 POINTS = 256
 """Points of a prepared segment."""
@@ -26,7 +28,11 @@ POINTS = 256
 PREPROCESSING_VERSION = 1
 """Counts changes of `prepare` that change its result."""
 
-_KIND = "network"
+KIND = "network"
+"""Of weights files."""
+
+DIM = 16
+"""Length of a descriptor."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +81,24 @@ def prepare(segments: Segments, alignment: Alignment = "pca2d", threads: int = 0
 
 @dataclass(frozen=True)
 class Weights:
-    """A network that is ready to run, and what its file says of it."""
+    """A network that is ready to run, and what its file says of it.
+
+    Attributes
+    ----------
+    network : segloc._native.Network
+    alignment : {"none", "pca2d", "pca3d"}
+    card : dict
+    sha256 : str
+        Of what decides the descriptors: the same with FC4 and without.
+    pair_head : PairHead or None
+        FC4, where the file has it.
+    """
 
     network: _native.Network
     alignment: Alignment
     card: dict[str, Any]
     sha256: str
+    pair_head: PairHead | None
 
 
 def save_weights(
@@ -99,7 +117,7 @@ def save_weights(
         "layers": json.dumps([asdict(layer) for layer in layers]),
         "alignment": alignment,
     }
-    write_weights(path, _KIND, tensors, settings, card)
+    write_weights(path, KIND, tensors, settings, card)
 
 
 def load_weights(path: Path) -> Weights:
@@ -111,16 +129,20 @@ def load_weights(path: Path) -> Weights:
         If the file is missing, truncated, of another format, does not match its hash, or if a
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
-    file = read_weights(path, _KIND)
+    file = read_weights(path, KIND)
     with faults_of_weights(path):
         alignment = file.settings["alignment"]
         rows = [Layer(**row) for row in json.loads(file.settings["layers"])]
         points = int(file.settings["points"])
         specs = [(row.points, row.neighbors, row.dilation, row.channels) for row in rows]
-        network = _native.Network(specs, file.tensors, points)
+        trunk = {k: v for k, v in file.tensors.items() if not k.startswith(PREFIX)}
+        pairs = {k: v for k, v in file.tensors.items() if k.startswith(PREFIX)}
+        network = _native.Network(specs, trunk, points)
+        pair_head = PairHead(pairs, network.dim) if pairs else None
     if alignment not in get_args(Alignment) or points != POINTS:
         raise WeightsError(f"{path}: made for another preparation of the segments")
-    return Weights(network, cast(Alignment, alignment), file.card, file.sha256)
+    sha256 = digest_of(trunk, file.settings)
+    return Weights(network, cast(Alignment, alignment), file.card, sha256, pair_head)
 
 
 class PointSetDescriptor(Descriptor):
@@ -131,27 +153,31 @@ class PointSetDescriptor(Descriptor):
     name : str
     path : Path
         Weights file.
-    with_quality : bool
-        Also return each descriptor's quality, in [0, 1]: the network's estimate of how likely the
-        nearest map descriptor is to be of the same object.
+    judge : {"none", "pair", "nearest"}
+        By what matches are ordered beside their distance. "pair": FC4's probability that two
+        descriptors show one object. "nearest": each descriptor's quality, in [0, 1], the estimate
+        of how likely the nearest map descriptor is to be of the same object.
     threads : int
         0 is all cores; results do not depend on it.
 
     Raises
     ------
     WeightsError
-        If the weights are missing or damaged.
+        If the weights are missing or damaged, or have no FC4 where it is to judge.
     """
 
-    def __init__(self, name: str, path: Path, with_quality: bool = False, threads: int = 0) -> None:
+    def __init__(self, name: str, path: Path, *, judge: Judge = "none", threads: int = 0) -> None:
         weights = load_weights(path)
+        if judge == "pair" and weights.pair_head is None:
+            raise WeightsError(f"{path}: no FC4 in it, which {name} needs; train the weights anew")
         self.name = name
         self.dim: int = weights.network.dim
         self.card = weights.card
         self.fingerprint = f"pointset-{PREPROCESSING_VERSION}-{weights.sha256[:16]}"
         self._network = weights.network
         self._alignment = weights.alignment
-        self._with_quality = with_quality
+        self.rates = judge == "nearest"
+        self.pruner = weights.pair_head if judge == "pair" else None
         self._threads = threads
 
     def prepare(self, segments: Segments) -> Float32:
@@ -161,4 +187,4 @@ class PointSetDescriptor(Descriptor):
     def encode(self, prepared: Float32) -> Descriptors:
         """Describe prepared segments: (P, 16) float32 vectors."""
         vectors, quality = self._network.describe(prepared, self._threads)
-        return Descriptors(vectors, quality if self._with_quality else None)
+        return Descriptors(vectors, quality if self.rates else None)

@@ -75,6 +75,8 @@ class ProfileDescriptor(Descriptor):
 
     name = "profile"
 
+    rates = True
+
     def __init__(self, path: Path, threads: int = 0) -> None:
         weights = read_weights(path, KIND)
         if weights.settings.get("profile") != str(PROFILE_VERSION):

@@ -15,7 +15,7 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Float32, Int64
 from .base import Descriptor, Pruner
-from .weightfile import faults_of_weights, read_weights, shipped_weights, write_weights
+from .weightfile import digest_of, faults_of_weights, read_weights, shipped_weights, write_weights
 
 _KIND = "forest"
 _DTYPES = {"roots": np.int32, "feature": np.int32, "threshold": np.float32, "first_child": np.int32}
@@ -99,6 +99,7 @@ class PairForest(Pruner):
     ) -> None:
         self.layout = layout
         self.card = dict(card or {})
+        self.fingerprint = f"forest-{digest_of(trees.arrays(), {})[:16]}"
         self._forest = _native.Forest(**trees.arrays(), features=layout.features(dim))
 
     def probability(

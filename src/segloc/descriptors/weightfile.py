@@ -69,7 +69,7 @@ def write_weights(
         "version": _VERSION,
         "settings": json.dumps(dict(settings), sort_keys=True),
         "card": json.dumps(dict(card), sort_keys=True),
-        "sha256": _digest(tensors, settings),
+        "sha256": digest_of(tensors, settings),
     }
     contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -106,7 +106,7 @@ def read_weights(
         raise WeightsError(f"{path}: the metadata is damaged ({error})") from error
     if not texts or not isinstance(card, dict):
         raise WeightsError(f"{path}: the metadata is damaged")
-    digest = _digest(tensors, settings)
+    digest = digest_of(tensors, settings)
     if digest != metadata.get("sha256"):
         raise WeightsError(f"{path}: the tensors do not match their hash")
     return WeightFile(tensors, settings, card, digest)
@@ -179,7 +179,8 @@ def faults_of_weights(path: Path) -> Iterator[None]:
         raise WeightsError(f"{path}: {error}") from error
 
 
-def _digest(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:
+def digest_of(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:
+    """SHA-256 of tensors and settings, whatever their order."""
     digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True).encode())
     for name in sorted(tensors):
         tensor = tensors[name]

@@ -18,6 +18,9 @@ SWATHE_M = 30.0
 _SHORTEST_M = 90.0
 _UNKNOWN_WORLDS = 500  # seeds of training worlds lie this far from those of test worlds
 
+PAPER = "paper"
+"""The scale with all of the published length and as many queries as were published."""
+
 SUMMER = Conditions()
 LATER = Conditions(foliage=0.8, replaced=0.1)
 AUTUMN = Conditions(foliage=0.5, replaced=0.15, scaffolding=0.03)
@@ -51,6 +54,10 @@ class TestSet:
         How much of the published length is driven, by scale.
     platform : str or None
         Of :data:`PLATFORMS`.
+    repetition : float or None
+        How much of the world is of a few types, for scenes that take it.
+    first_seed : int
+        Added to every seed, so that no two sets have a world in common.
     """
 
     __test__ = False  # no test case, whatever a test runner makes of the name
@@ -66,6 +73,15 @@ class TestSet:
     size_m: dict[str, float]
     share: dict[str, float]
     platform: str | None = None
+    repetition: float | None = None
+    first_seed: int = 0
+
+    def every_m(self, scale: str) -> float | None:
+        """Metres from query to query at which there are as many as published, at the paper's size.
+
+        None at other scales.
+        """
+        return self.length_m / self.clouds if scale == PAPER else None
 
     def session_length_m(self, scale: str) -> float:
         """Metres of each session.
@@ -86,7 +102,7 @@ class TestSet:
         ----------
         scale : str
             "small" for a drive of some hundred metres, "full" for the published length, where a
-            simulated world of reasonable size has room for it.
+            simulated world of reasonable size has room for it, "paper" for all of it.
         seed : int
             Another seed is another world.
 
@@ -116,7 +132,9 @@ class TestSet:
 
     def _drive(self, scale: str, seed: int, conditions: list[Conditions]) -> list[Sequence]:
         length_m = self.session_length_m(scale)
-        world = SCENES[self.scene](seed, size_m=self.size_m[scale])
+        seed += self.first_seed
+        more = {} if self.repetition is None else {"repetition": self.repetition}
+        world = SCENES[self.scene](seed, size_m=self.size_m[scale], **more)
         drives = simulate_sessions(
             world,
             self._lidar(scale),
@@ -141,33 +159,49 @@ class TestSet:
 SIX: tuple[TestSet, ...] = (
     TestSet(
         "robotcar", "Urban", "town", "lms151", 50_310, 1118, (LATER, AUTUMN, WINTER, LATER),
-        spacing_m=0.2, size_m={"small": 260, "full": 560}, share={"small": 0.012, "full": 0.1},
+        spacing_m=0.2, size_m={"small": 260, "full": 560, "paper": 1600},
+        share={"small": 0.012, "full": 0.1, "paper": 1.0}, first_seed=100_000,
     ),
     TestSet(
         "kitti", "Urban", "town", "hdl64e", 1300, 134, (LATER,),
-        spacing_m=1.0, size_m={"small": 260, "full": 450}, share={"small": 0.12, "full": 1.0},
+        spacing_m=1.0, size_m={"small": 260, "full": 450, "paper": 450},
+        share={"small": 0.12, "full": 1.0, "paper": 1.0},
     ),
     TestSet(
         "fire_college", "Industrial", "industrial", "vlp16", 190, 169, (LATER,),
-        spacing_m=0.5, size_m={"small": 200, "full": 200}, share={"small": 0.6, "full": 1.0},
+        spacing_m=0.5, size_m={"small": 200, "full": 200, "paper": 200},
+        share={"small": 0.6, "full": 1.0, "paper": 1.0},
         platform="legged",
     ),
     TestSet(
         "george_square", "City park", "park", "lms151", 500, 30, (AUTUMN,),
-        spacing_m=0.2, size_m={"small": 200, "full": 240}, share={"small": 0.3, "full": 1.0},
+        spacing_m=0.2, size_m={"small": 200, "full": 240, "paper": 240},
+        share={"small": 0.3, "full": 1.0, "paper": 1.0},
     ),
     TestSet(
         "cornbury", "Forest", "forest", "hdl32e", 700, 1125, (LATER,),
-        spacing_m=0.6, size_m={"small": 180, "full": 240}, share={"small": 0.15, "full": 1.0},
+        spacing_m=0.6, size_m={"small": 180, "full": 240, "paper": 240},
+        share={"small": 0.15, "full": 1.0, "paper": 1.0},
         platform="wheeled",
     ),
     TestSet(
         "burgess", "Meadow", "meadow", "lms151", 2800, 130, (AUTUMN,),
-        spacing_m=0.2, size_m={"small": 240, "full": 340}, share={"small": 0.06, "full": 0.5},
+        spacing_m=0.2, size_m={"small": 240, "full": 340, "paper": 480},
+        share={"small": 0.06, "full": 0.5, "paper": 1.0},
     ),
 )  # fmt: skip
 """After Table II of Tinchev et al., "Real-time LIDAR localization in natural and urban
 environments": type, length, sensor and number of clouds are the published ones."""
 
-SUITES: dict[str, tuple[TestSet, ...]] = {"six": SIX}
+_ROBOTCAR, _KITTI, _FIRE_COLLEGE, _, _CORNBURY, _ = SIX
+
+REPEATED: tuple[TestSet, ...] = (
+    replace(_ROBOTCAR, name="terraces", scene="terraces", repetition=0.9, first_seed=200_000),
+    replace(_KITTI, name="streets", repetition=0.8, first_seed=300_000),
+    replace(_FIRE_COLLEGE, name="car_park", scene="car_park", repetition=0.9),
+    replace(_CORNBURY, name="rows", repetition=0.9, first_seed=400_000),
+)
+"""Harder ones: the same drives where most of what stands there is of a few types."""
+
+SUITES: dict[str, tuple[TestSet, ...]] = {"six": SIX, "repeated": REPEATED}
 """By name."""

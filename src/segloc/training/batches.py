@@ -25,19 +25,24 @@ def draw_batch(
     mistakable: NDArray[np.int64],
     config: TrainConfig,
     rng: np.random.Generator,
-) -> NDArray[np.int64]:
-    """Some views of some objects: random ones, and others that are easily taken for them."""
+) -> tuple[NDArray[np.int64], int]:
+    """Some views of some objects: random ones, and others that are easily taken for them.
+
+    The second number is how many of them, from the first on, are of the random ones.
+    """
     hard = round(config.hard_share * config.classes) if len(mistakable) else 0
     count = config.classes - hard
+    rivals: list[int] = []
     if not hard:
         chosen = list(rng.choice(len(groups), size=min(len(groups), count), replace=False))
     else:
         rows = rng.choice(len(mistakable), size=min(len(mistakable), count), replace=False)
         chosen = list(mistakable[rows, 0])
-        rivals = mistakable[rng.choice(rows, size=4 * hard), 1:]
-        picked = rivals[np.arange(len(rivals)), rng.integers(rivals.shape[1], size=len(rivals))]
-        chosen += list(dict.fromkeys(picked[~np.isin(picked, chosen)]))[:hard]
-    return np.concatenate([_views(groups[g], sessions, config, rng) for g in chosen])
+        near = mistakable[rng.choice(rows, size=4 * hard), 1:]
+        picked = near[np.arange(len(near)), rng.integers(near.shape[1], size=len(near))]
+        rivals = list(dict.fromkeys(picked[~np.isin(picked, chosen)]))[:hard]
+    parts = [_views(groups[g], sessions, config, rng) for g in [*chosen, *rivals]]
+    return np.concatenate(parts), sum(map(len, parts[: len(chosen)]))
 
 
 def _views(
@@ -101,10 +106,13 @@ class Batches:
         config = self._task.config
         seed = [config.seed, step, self._rank] if self._rank else [config.seed, step]
         rng = np.random.default_rng(seed)
-        indices = draw_batch(self.groups, self._dataset.sessions, self.mistakable, config, rng)
+        indices, random = draw_batch(
+            self.groups, self._dataset.sessions, self.mistakable, config, rng
+        )
         inputs = self._task.inputs(self._dataset, indices, rng)
         labels = torch.from_numpy(self._numbers[self._dataset.labels[indices]])
-        return Batch(inputs, labels, *relations(self._dataset, indices, config.different_m))
+        related = relations(self._dataset, indices, config.different_m)
+        return Batch(inputs, labels, *related, torch.arange(len(indices)) < random)
 
     def between(self, first: int, last: int) -> Iterator[Batch]:
         """Batches of the steps from ``first`` to before ``last``, made ahead in other threads.

@@ -14,6 +14,9 @@ from .dataset import FAR_M
 from .sampling import Sampler
 
 Loss = Literal["info_nce", "triplet", "esm", "multi_similarity"]
+HeadKind = Literal["linear", "quadratic", "two_layer"]
+PairTraining = Literal["joint", "frozen"]
+PairNegatives = Literal["batch", "any"]
 
 
 class TrainConfig(Section):
@@ -23,7 +26,17 @@ class TrainConfig(Section):
     alignment: Alignment = "pca2d"
     sampler: Sampler = "farthest"
     loss: Loss = "info_nce"
-    pair_weight: float = Field(0.1, ge=0, description="weight of FC4's loss")
+    pair_weight: float = Field(
+        0.1, ge=0, description="weight of FC4's loss beside the descriptor's; 0: no FC4"
+    )
+    pair_head: HeadKind = Field("two_layer", description="the form of FC4")
+    pair_training: PairTraining = Field(
+        "frozen", description="with the descriptor, or after it on finished ones of held-out places"
+    )
+    pair_negatives: PairNegatives = Field(
+        "any",
+        description="pairs that do not match: mined ones beside others, or random ones, too",
+    )
     steps: int = Field(3000, ge=1)
     classes: int = Field(32, ge=2, description="objects a batch")
     views: int = Field(2, ge=2, description="segments of each object a batch")

@@ -16,13 +16,21 @@ from .models import DescriptorNetwork, Norm, XConv
 
 
 def export(
-    model: DescriptorNetwork, path: Path, card: Mapping[str, Any], alignment: Alignment = "pca2d"
+    model: DescriptorNetwork,
+    path: Path,
+    card: Mapping[str, Any],
+    alignment: Alignment = "pca2d",
+    *,
+    with_pairs: bool = False,
 ) -> None:
     """Write the weights file that inference reads.
 
-    ``card`` says where the weights come from: data, command, figures, licence.
+    ``card`` says where the weights come from: data, command, figures, licence. ``with_pairs``: FC4
+    goes with them.
     """
-    save_weights(path, folded(model), model.layers, alignment, card)
+    pairs = model.pair_head.tensors() if with_pairs else {}
+    arrays = {name: np.ascontiguousarray(tensor.numpy()) for name, tensor in pairs.items()}
+    save_weights(path, {**folded(model), **arrays}, model.layers, alignment, card)
 
 
 @torch.no_grad()

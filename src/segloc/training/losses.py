@@ -108,13 +108,3 @@ LOSSES: dict[str, Loss] = {
     "esm": in_float32(ratio_triplet),
     "multi_similarity": in_float32(multi_similarity),
 }
-
-
-@in_float32
-def pair_match(logits: Tensor, same: Tensor, different: Tensor) -> Tensor:
-    """Cross-entropy of FC4 over all pairs of a batch, both kinds weighted alike.
-
-    ``logits`` is (B, B, 2).
-    """
-    log_p = functional.log_softmax(logits, dim=-1)
-    return -(log_p[..., 1][same].mean() + log_p[..., 0][different].mean()) / 2

@@ -14,12 +14,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from .. import _native
-from ..descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
+from ..descriptors.pointset import DIM, DSM_LAYERS, ESM_LAYERS, Layer
 from ..types import Float32
+from .config import HeadKind
 from .ops import column_maps, elu_norm, gather, xconv_apply
+from .pair_heads import PairHead
 
 LAYERS = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
-DIM = 16
 
 
 class Norm(nn.Module):
@@ -45,8 +46,9 @@ class Norm(nn.Module):
         output, mean, variance = elu_norm(flat, self.weight, self.bias, self.eps, self.activate)
         with torch.no_grad():
             unbiased = variance * (len(flat) / max(1, len(flat) - 1))
-            self.running_mean.lerp_(mean, self.momentum)
-            self.running_var.lerp_(unbiased, self.momentum)
+            # As lerp_, which torch.vmap would do network by network.
+            self.running_mean.add_(self.momentum * (mean - self.running_mean))
+            self.running_var.add_(self.momentum * (unbiased - self.running_var))
         return output.view(x.shape)
 
 
@@ -140,13 +142,14 @@ def neighbors_of(points: Float32, layers: Sequence[Layer], threads: int = 1) -> 
 class DescriptorNetwork(nn.Module):
     """Prepared segments to descriptors.
 
-    ``trunk_parameters`` counts what the paper counts: everything up to the descriptor. The two
-    heads add 51 more. `pair_head` (FC4) sees the absolute difference of two descriptors and says
-    whether they match. `quality_head` sees one descriptor and says how likely its nearest
-    neighbour is to be a true match.
+    ``trunk_parameters`` counts what the paper counts: everything up to the descriptor. `pair_head`
+    (FC4) sees the difference of two descriptors and says whether they match. `quality_head` sees
+    one descriptor and says how likely its nearest neighbour is to be a true match.
     """
 
-    def __init__(self, layers: Sequence[Layer], dim: int = DIM) -> None:
+    def __init__(
+        self, layers: Sequence[Layer], dim: int = DIM, pair_head: HeadKind = "linear"
+    ) -> None:
         super().__init__()
         self.layers = tuple(layers)
         inputs = [0] + [layer.channels for layer in self.layers[:-1]]
@@ -164,7 +167,7 @@ class DescriptorNetwork(nn.Module):
         self.fc2 = _weight(256, 128, inputs=256)
         self.fc2_norm = Norm(128)
         self.fc3 = nn.Linear(128, dim)
-        self.pair_head = nn.Linear(dim, 2)
+        self.pair_head = PairHead(pair_head, dim)
         self.quality_head = nn.Linear(dim, 1)
 
     def trunk_parameters(self) -> int:
@@ -172,7 +175,7 @@ class DescriptorNetwork(nn.Module):
         heads = sum(p.numel() for head in self._heads() for p in head.parameters())
         return sum(p.numel() for p in self.parameters()) - heads
 
-    def _heads(self) -> tuple[nn.Linear, nn.Linear]:
+    def _heads(self) -> tuple[nn.Module, nn.Module]:
         return self.pair_head, self.quality_head
 
     def activations(self, points: Tensor, *neighbors: Tensor) -> list[Tensor]:
@@ -205,6 +208,6 @@ class DescriptorNetwork(nn.Module):
         return torch.sigmoid(self.quality_head(descriptors)).squeeze(-1)
 
     def pair_logits(self, a: Tensor, b: Tensor) -> Tensor:
-        """Logits (B, 2) of "no match" and "match" for pairs of descriptors."""
-        logits: Tensor = self.pair_head((a - b).abs())
+        """The logarithm of the odds (...,) that descriptors (..., dim) are of one object."""
+        logits: Tensor = self.pair_head(a, b)
         return logits

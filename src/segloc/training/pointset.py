@@ -18,8 +18,10 @@ from .augment import augment
 from .config import TrainConfig
 from .dataset import SegmentDataset, packed
 from .export import export, folded
-from .losses import LOSSES, pair_match
+from .losses import LOSSES
 from .models import LAYERS, DescriptorNetwork, neighbors_of
+from .pair_fitting import fit_pair_head
+from .pair_heads import pair_loss
 from .quality import fit_logistic, judged
 from .sampling import reorder
 from .tasks import Batch, Inputs, Task
@@ -32,7 +34,7 @@ class PointSetTask(Task):
     """
 
     def network(self, objects: int) -> DescriptorNetwork:
-        return DescriptorNetwork(LAYERS[self.config.network])
+        return DescriptorNetwork(LAYERS[self.config.network], pair_head=self.config.pair_head)
 
     def inputs(
         self,
@@ -48,10 +50,16 @@ class PointSetTask(Task):
         assert isinstance(network, DescriptorNetwork)
         x = network(*batch.inputs).float()
         loss = LOSSES[self.config.loss](x, batch.same, batch.different)
-        if self.config.pair_weight > 0:
-            pairs = network.pair_logits(x[:, None], x[None, :])
-            loss = loss + self.config.pair_weight * pair_match(pairs, batch.same, batch.different)
+        if self.config.pair_weight > 0 and self.config.pair_training == "joint":
+            loss = loss + self.config.pair_weight * self._pair_loss(network, x, batch)
         return loss
+
+    def _pair_loss(self, network: DescriptorNetwork, x: Tensor, batch: Batch) -> Tensor:
+        logits = network.pair_logits(x[:, None], x[None, :])
+        negatives = [batch.different]
+        if self.config.pair_negatives == "any":
+            negatives.append(batch.different & batch.random[:, None] & batch.random)
+        return pair_loss(logits, batch.same, *negatives)
 
     def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
         """By the native network: what inference will see."""
@@ -66,14 +74,26 @@ class PointSetTask(Task):
         return np.concatenate(parts)
 
     def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
-        """Fit the quality head to how often the nearest descriptor is right, on held-out places."""
+        """Fit the heads to finished descriptors of held-out places.
+
+        The quality head to how often the nearest one is right, and FC4 if it was not trained with
+        the descriptor.
+        """
         assert isinstance(network, DescriptorNetwork)
         found = judged(self, network, training, held)
         fit_logistic(network.quality_head, found.vectors[found.known], found.right)
+        if self.config.pair_weight > 0 and self.config.pair_training == "frozen":
+            fit_pair_head(
+                network.pair_head,
+                [(found.vectors, found.dataset)],
+                nearest=self.config.pair_negatives == "batch",
+                seed=self.config.seed,
+                threads=self.config.threads,
+            )
 
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         assert isinstance(network, DescriptorNetwork)
-        export(network, path, card, self.config.alignment)
+        export(network, path, card, self.config.alignment, with_pairs=self.config.pair_weight > 0)
 
 
 def create(config: TrainConfig) -> PointSetTask:

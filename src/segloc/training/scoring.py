@@ -57,7 +57,7 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
     with opened(path) as file:
         kind = file.metadata.get("format", "")
     if kind == "segloc network":
-        return PointSetDescriptor(path.stem, path, True, threads)
+        return PointSetDescriptor(path.stem, path, judge="nearest", threads=threads)
     if kind == "segloc profile network":
         return ProfileDescriptor(path, threads)
     if kind == "segloc voxel network":

@@ -34,16 +34,20 @@ class Batch:
         Numbers of the objects, from 0 on, over the training set.
     same, different : (B, B) bool
         Pairs that are neither say nothing.
+    random : (B,) bool
+        Segments of objects that were drawn at random, not because they are easily mistaken.
     """
 
     inputs: Inputs
     labels: Tensor
     same: Tensor
     different: Tensor
+    random: Tensor
 
     def to(self, device: torch.device) -> Batch:
         """The batch on a device."""
-        move = [t.to(device, non_blocking=True) for t in (self.labels, self.same, self.different)]
+        others = (self.labels, self.same, self.different, self.random)
+        move = [t.to(device, non_blocking=True) for t in others]
         inputs = tuple(t.to(device, non_blocking=True) for t in self.inputs)
         return Batch(inputs, *move)
 

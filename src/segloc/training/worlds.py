@@ -24,7 +24,7 @@ from ..simulation import (
 _LANE_OF = 3.4  # half the width of a street that has room for all lanes, metres
 _SWEEP_SPACING_M = 0.15
 _USUAL_SENSORS = ("hdl64e", "hdl64e", "hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128", "lms151")
-_CARRIERS = {"town": ("car",)}
+_CARRIERS = {"town": ("car",), "terraces": ("car",)}
 _WALKERS = ("wheeled", "legged", "carried")
 
 

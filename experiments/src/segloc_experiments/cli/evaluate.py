@@ -29,7 +29,7 @@ _EXPLAINED = {
 }
 
 Suite = Annotated[str, typer.Option(metavar="NAME", help="The simulated test sets.")]
-Scale = Annotated[str, typer.Option(help="small or full.")]
+Scale = Annotated[str, typer.Option(help="small, full or paper.")]
 Kitti = Annotated[
     Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
 ]

@@ -105,7 +105,8 @@ def _jobs(folder: Path, domain: str, split: str, size: DomainSize, seed: int) ->
 
 def dataset_folder(root: Path, domain: str, split: str, size: DomainSize, seed: int) -> Path:
     """Where a simulated domain's segments are kept: another folder for other settings."""
-    key = [domain, split, size.worlds(split), size.scale, seed, _EXTRACT.model_dump(mode="json")]
+    first = seed + _suite(domain).first_seed
+    key = [domain, split, size.worlds(split), size.scale, first, _EXTRACT.model_dump(mode="json")]
     return root / f"{domain}-{split}-{_hash(key)}"
 
 

@@ -39,7 +39,7 @@ class Domains:
 
     def __init__(self, workspace: Workspace, sizes: Mapping[str, DomainSize] | None = None) -> None:
         self._workspace = workspace
-        self._sizes = SIZES[workspace.scale] if sizes is None else sizes
+        self._sizes = SIZES[workspace.effort] if sizes is None else sizes
         self._folders: dict[tuple[str, str], Path] = {}
         self._read: dict[Path, SegmentDataset] = {}
 

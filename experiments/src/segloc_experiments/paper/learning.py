@@ -11,28 +11,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.special import expit
-
 from segloc._native import __version__
 from segloc.batch.comparison import QUALITY
 from segloc.descriptors import create
-from segloc.descriptors.base import Descriptor, Pruner
-from segloc.descriptors.pointset import PointSetDescriptor
+from segloc.descriptors.base import Descriptor
+from segloc.descriptors.pointset import Judge, PointSetDescriptor
 from segloc.descriptors.profile import ProfileDescriptor
 from segloc.descriptors.random_forest import PairForest
 from segloc.descriptors.segmap import SegMapDescriptor
-from segloc.errors import MissingDependency, WeightsError
-from segloc.files import replacing
+from segloc.errors import MissingDependency
 from segloc.processes import in_parallel
 from segloc.training.config import TrainConfig
 from segloc.training.grow_forest import ForestConfig, train_forest
 from segloc.training.shards import INDEX, load_dataset
-from segloc.types import Float32, Float64, Int64
 
 NETWORKS = ("dsm", "esm", "segmap", "profile")
 FORESTS = ("segmatch-eigen", "segmatch-esf", "nsm")
-PAIRED = ("dsm", "esm")
 
 _WIDE = 1000
 _OWN: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-3, "hard_share": 0.0}}
@@ -79,51 +73,6 @@ EFFORTS = {
 minutes (full): methods then also differ in how fast they learn."""
 
 
-class PairHead(Pruner):
-    """FC4: whether two descriptors match, by a linear map of their absolute difference.
-
-    This is what the paper calls feature quality, a branch that is trained to tell "whether two
-    segments match each other". It is trained with the descriptor
-    (:meth:`segloc.training.models.DescriptorNetwork.pair_logits`); localization does without it.
-
-    Parameters
-    ----------
-    weights : (dim + 1,) float64
-        Of each difference, and the bias; their sum is the logarithm of the odds.
-    """
-
-    def __init__(self, weights: Float64) -> None:
-        self._weights, self._bias = weights[:-1], weights[-1]
-
-    def probability(
-        self, query: Float32, mapped: Float32, rows: Int64, columns: Int64, threads: int = 0
-    ) -> Float32:
-        """See :meth:`Pruner.probability`."""
-        differences = np.abs(query[rows].astype(np.float64) - mapped[columns])
-        likely: Float32 = expit(differences @ self._weights + self._bias).astype(np.float32)
-        return likely
-
-    @staticmethod
-    def load(path: Path) -> PairHead:
-        """Read the head that a training left beside its weights.
-
-        Raises
-        ------
-        WeightsError
-            If it is missing or damaged.
-        """
-        try:
-            weights = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise WeightsError(f"{path}: no pair head: {error}") from error
-        return PairHead(np.asarray(weights, dtype=np.float64))
-
-
-def pair_head_path(weights: Path) -> Path:
-    """Where the head that belongs to weights lies."""
-    return weights.with_suffix(".fc4.npy")
-
-
 @dataclass(frozen=True)
 class Training:
     """One method that is trained on one dataset.
@@ -155,9 +104,8 @@ class Training:
 
     @property
     def finished(self) -> bool:
-        """Whether everything it leaves behind is there."""
-        paired = self.method in PAIRED
-        return self.out.exists() and (not paired or pair_head_path(self.out).exists())
+        """Whether its weights are there."""
+        return self.out.exists()
 
 
 def network_config(network: str, steps: int, *, seed: int = 0, **more: Any) -> TrainConfig:
@@ -226,20 +174,7 @@ def _train(training: Training) -> None:
     from segloc.training.train import train
 
     train(dataset, training.out, config, card, _silent)
-    checkpoint = training.out.with_suffix(".checkpoint")
-    if training.method in PAIRED:
-        _save_head(checkpoint, pair_head_path(training.out))
-    checkpoint.unlink()
-
-
-def _save_head(checkpoint: Path, out: Path) -> None:
-    """Keep FC4 of the best weights, which weights files have no room for."""
-    import torch
-
-    state = torch.load(checkpoint, weights_only=True, map_location="cpu")["best_state"]
-    weight, bias = state["pair_head.weight"].double(), state["pair_head.bias"].double()
-    with replacing(out) as stream:
-        np.save(stream, torch.cat([weight[1] - weight[0], (bias[1] - bias[0])[None]]).numpy())
+    training.out.with_suffix(".checkpoint").unlink()
 
 
 def _silent(_: str) -> None:
@@ -272,10 +207,8 @@ def load_method(method: str, weights: Path | None, threads: int = 1) -> Descript
         return SegMapDescriptor(weights, threads)
     if method == "profile":
         return ProfileDescriptor(weights, threads)
-    descriptor = PointSetDescriptor(method, weights, True, threads)
-    if method.endswith(QUALITY):
-        descriptor.pruner = PairHead.load(pair_head_path(weights))
-    return descriptor
+    judge: Judge = "pair" if method.endswith(QUALITY) else "nearest"
+    return PointSetDescriptor(method, weights, judge=judge, threads=threads)
 
 
 def source_of(method: str) -> str:

@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from segloc.descriptors.base import Descriptor, Pruner
 from segloc.errors import DatasetError
 from segloc.training.dataset import FAR_M, SegmentDataset
 from segloc.training.metrics import Interval, area_interval, bootstrap_places
+from segloc.training.pair_fitting import near_pairs
 from segloc.training.scoring import describe
 from segloc.types import Float32, Float64, Int64
-
-SAME_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 
         If there are no pairs of one kind.
     """
     rng = np.random.default_rng(seed)
-    a, b = _near(dataset)
+    a, b = near_pairs(dataset).T
     if len(a) == 0:
         raise DatasetError("no object is seen in two sessions")
     chosen = np.sort(rng.permutation(len(a))[:limit])
@@ -123,19 +121,6 @@ def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 
     first, second = np.concatenate([a, c]), np.concatenate([b, d])
     same = np.arange(len(first)) < len(a)
     return Pairs(first, second, same, bootstrap_places(dataset)[first])
-
-
-def _near(dataset: SegmentDataset) -> tuple[Int64, Int64]:
-    """All pairs of one world, but different sessions, with centroids within 0.5 m."""
-    found = [np.empty((0, 2), np.int64)]
-    for place in np.unique(dataset.places):
-        inside = np.flatnonzero(dataset.places == place)
-        tree = cKDTree(dataset.centroids[inside])
-        found.append(inside[tree.query_pairs(SAME_M, output_type="ndarray").reshape(-1, 2)])
-    a, b = np.concatenate(found).T
-    across = dataset.sessions[a] != dataset.sessions[b]
-    order = np.lexsort((b[across], a[across]))
-    return a[across][order], b[across][order]
 
 
 def _far(dataset: SegmentDataset, count: int, rng: np.random.Generator) -> tuple[Int64, Int64]:
@@ -169,7 +154,7 @@ def pair_scores(found: Described, pruner: Pruner | None = None, threads: int = 1
 
     Minus the distance of the descriptors; where there is a pruner, the probability that it gives
     the pair: that of the forest of SegMatch and NSM, or of FC4 for ``-fq``
-    (:class:`~segloc_experiments.paper.learning.PairHead`).
+    (:class:`~segloc.descriptors.pair_head.PairHead`).
     """
     if pruner is None:
         return -_distances(found)

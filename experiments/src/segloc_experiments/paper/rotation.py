@@ -129,7 +129,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
         By default that of the workspace's scale.
     """
     start = time.monotonic()
-    plan = plan or PLANS[workspace.scale]
+    plan = plan or PLANS[workspace.effort]
     domains = Domains(workspace, plan.sizes)
     descriptors = _trained(workspace, domains, plan)
     dataset = domains.dataset(DOMAIN, "test")

@@ -80,7 +80,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
         By default that of the workspace's scale.
     """
     start = time.monotonic()
-    plan = plan or PLANS[workspace.scale]
+    plan = plan or PLANS[workspace.effort]
     with workspace.progress("Timing samplers") as update:
         update(0, 1)
         measured = in_process(1, fps, 1, plan.repeats)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from segloc import geometry
 from segloc.batch.run import query_positions
 from segloc.batch.scenario import MAX_GAP_M, Facts, OpenedScenario, QuerySet, Scenario, folder_size
 from segloc.datasets import Recording, Swathes
@@ -42,7 +43,10 @@ class SuiteScenario:
 
     def open(self) -> OpenedScenario:
         sessions = self.test.sessions(self.scale, seed=self.seed)
-        query_sets = {name: _simulated(item) for name, item in sessions.items() if name != "map"}
+        every_m = self.test.every_m(self.scale)
+        query_sets = {
+            name: _simulated(item, every_m) for name, item in sessions.items() if name != "map"
+        }
         return OpenedScenario(sessions["map"], self.negative(), query_sets)
 
     def negative(self) -> Recording:
@@ -54,8 +58,12 @@ class SuiteScenario:
         return self.test.length_m / len(self.test.tests)
 
 
-def _simulated(recording: Recording) -> QuerySet:
+def _simulated(recording: Recording, every_m: float | None = None) -> QuerySet:
+    """The queries of a session; ``every_m`` metres, where a scale says how many there are."""
     truth = np.asarray(getattr(recording, "truth", recording.poses))
+    if every_m is not None:
+        chosen = geometry.stations(geometry.travelled(truth), every_m, 0.5 * every_m)
+        return QuerySet(recording, chosen, truth[chosen])
     if isinstance(recording, Swathes):  # they lie 30 m apart: each is a query by itself
         return QuerySet(recording, np.arange(len(recording), dtype=np.int64), truth)
     positions = query_positions(truth, EVERY_M, MAX_GAP_M)

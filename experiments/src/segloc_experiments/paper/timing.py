@@ -85,7 +85,7 @@ def run(workspace: Workspace) -> Study:
                 "source": settings,
                 "methods": {name: d.fingerprint for name, d in descriptors.items()},
                 "machine": [processor(), os.cpu_count()],
-                "repeats": _REPEATS[workspace.scale],
+                "repeats": _REPEATS[workspace.effort],
                 "segments": MAP_SEGMENTS,
             },
             partial(_measured, source, descriptors, workspace),
@@ -129,7 +129,7 @@ def _measured(
 ) -> dict[str, Any]:
     recording, clouds = source()
     bench = Bench(build_maps(recording, descriptors), clouds)
-    repeats, cores = _REPEATS[workspace.scale], os.cpu_count() or 1
+    repeats, cores = _REPEATS[workspace.effort], os.cpu_count() or 1
     times: dict[str, Any] = {"one core": in_process(1, stage_times, bench, 1, repeats)}
     if cores > 1:
         times[f"{cores} cores"] = in_process(cores, stage_times, bench, cores, repeats)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from segloc.batch.comparison import QUALITY
 from segloc.batch.methods import METHODS
 from segloc.batch.methods import fingerprint as shipped_fingerprint
 from segloc.descriptors.base import Descriptor
@@ -23,7 +22,6 @@ from .learning import (
     Effort,
     Training,
     load_method,
-    pair_head_path,
     source_of,
     trained,
 )
@@ -93,7 +91,7 @@ class Transfer:
 
     def __init__(self, workspace: Workspace, plan: Plan | None = None) -> None:
         self.workspace = workspace
-        self.plan = plan or PLANS[workspace.scale]
+        self.plan = plan or PLANS[workspace.effort]
         self.domains = Domains(workspace, self.plan.sizes)
         self.methods = tuple(m for m in METHODS if m in (workspace.methods or METHODS))
         if not self.methods:
@@ -119,11 +117,8 @@ class Transfer:
     def curve(self, method: str, source: str, test: str) -> Roc | None:
         """How well a method that was trained on ``source`` tells the pairs of ``test`` apart.
 
-        None where there is nothing to tell: weights that are not shipped, or FC4, which shipped
-        weights do not have.
+        None where there is nothing to tell: weights that are not shipped.
         """
-        if source == SHIPPED and method.endswith(QUALITY):
-            return None
 
         def compute(descriptor: Descriptor) -> Roc | None:
             scores = pair_scores(self._describe(descriptor, test), descriptor.pruner)
@@ -215,7 +210,6 @@ def _fingerprint(descriptor: Descriptor, method: str, weights: Path | None) -> s
     """Of everything that decides a method's scores."""
     if weights is None:
         return shipped_fingerprint(method)
-    digest = hashlib.sha256(descriptor.fingerprint.encode() + weights.read_bytes())
-    if method.endswith(QUALITY):
-        digest.update(pair_head_path(weights).read_bytes())
+    pruner = descriptor.pruner.fingerprint if descriptor.pruner is not None else ""
+    digest = hashlib.sha256(f"{descriptor.fingerprint} {pruner}".encode() + weights.read_bytes())
     return digest.hexdigest()[:16]

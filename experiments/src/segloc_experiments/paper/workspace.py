@@ -9,9 +9,9 @@ from typing import Any
 
 from segloc.batch import workspace
 from segloc.errors import ConfigError
-from segloc.simulation.suites import SUITES, TestSet
+from segloc.simulation.suites import PAPER, SUITES, TestSet
 
-SCALES = ("small", "full")
+SCALES = ("small", "full", PAPER)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,8 @@ class Workspace(workspace.Workspace):
     Attributes
     ----------
     suite, scale : str
-        Of :data:`segloc.simulation.suites.SUITES`; "small" or "full".
+        Of :data:`segloc.simulation.suites.SUITES`; "small", "full", or "paper": poses are asked for
+        as often and as far along as in the paper, which takes hours.
     data : Path or None
         KITTI odometry 00: keyframes, scans and their poses, as ``protocols/kitti00.sh`` reads it.
     """
@@ -35,6 +36,11 @@ class Workspace(workspace.Workspace):
             raise ConfigError(f"scale must be one of {', '.join(SCALES)}, not {self.scale!r}")
         if self.suite not in SUITES:
             raise ConfigError(f"suite must be one of {', '.join(SUITES)}, not {self.suite!r}")
+
+    @property
+    def effort(self) -> str:
+        """By which scale everything but the test sets is measured."""
+        return "full" if self.scale == PAPER else self.scale
 
     @property
     def sets(self) -> tuple[TestSet, ...]:

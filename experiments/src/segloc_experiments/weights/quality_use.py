@@ -1,69 +1,123 @@
-"""What a descriptor's quality is good for.
+"""What FC4 and a descriptor's quality are good for, beside the distance of descriptors.
 
-    python -m segloc_experiments.weights.quality_use WEIGHTS DATASET
+    python -m segloc_experiments.weights.quality_use WEIGHTS DATASET [--out FILE.json]
 
-Each session of the dataset is matched against the others. Printed are: how well the quality tells
-right from wrong nearest neighbours; the recall of all queries and of the best 80 %; and how much of
-the top of the match list is right when it is ordered by distance, by quality, and by both.
+Given are the areas under the ROC of any pairs (centroids within 0.5 m against 20 m apart), with a
+bootstrap over squares of 100 m of the difference to plain distance; and how well the candidates
+that a map proposes, the nearest 25 of other sessions, are ordered: the area, and the share of right
+ones among the first 1 and 10 %.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 
 from segloc import _native
+from segloc.descriptors.pointset import load_weights
+from segloc.training.dataset import SegmentDataset
+from segloc.training.pair_fitting import SAME_M
 from segloc.training.scoring import describe, load_descriptor
 from segloc.training.shards import load_dataset
+from segloc.types import Float32, Float64, Int64
 
+from ..feature_quality.areas import areas, difference
+from ..paper.pairs import labelled_pairs
 from ..script import parser
 
-
-def area(score: np.ndarray, right: np.ndarray) -> float:
-    """Area under the ROC curve of a score."""
-    good, bad = score[right], np.sort(score[~right])
-    low, high = (np.searchsorted(bad, good, side=side) for side in ("left", "right"))
-    return float((low + high).mean() / (2 * max(len(bad), 1)))
+_TOPS = (0.01, 0.1)
 
 
 def main() -> None:
     options = parser(__doc__)
-    options.add_argument("weights")
+    options.add_argument("weights", type=Path)
     options.add_argument("dataset", type=Path)
     options.add_argument("--k", type=int, default=25)
+    options.add_argument("--limit", type=int, default=8000, help="segments")
+    options.add_argument("--out", type=Path)
     given = options.parse_args()
-    dataset = load_dataset(given.dataset)
-    vectors, quality = describe(load_descriptor(given.weights, 1), dataset)
-    if quality is None:
-        raise SystemExit(f"{given.weights}: a descriptor without quality")
-    ranks, distances, qualities = [], [], []
+    dataset = load_dataset(given.dataset).limited(given.limit, 0)
+    vectors, quality = describe(load_descriptor(str(given.weights), 1), dataset)
+    judges = _Judges(given.weights, vectors, quality)
+    found = {
+        "weights": given.weights.name,
+        "dataset": given.dataset.name,
+        "segments": len(dataset),
+        "any pairs": _any_pairs(judges, dataset),
+        "candidates": _candidates(judges, dataset, vectors, given.k),
+    }
+    print(json.dumps(found, indent=1))
+    if given.out is not None:
+        given.out.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+
+
+class _Judges:
+    """Scores of pairs by distance, by FC4, and by distance and both qualities."""
+
+    def __init__(self, weights: Path, vectors: Float32, quality: Float32 | None) -> None:
+        self._vectors, self._quality = vectors, quality
+        self._head = load_weights(weights).pair_head
+
+    def scores(self, a: Int64, b: Int64) -> dict[str, Float64]:
+        """By judge; higher for pairs that rather show one object."""
+        difference = self._vectors[a].astype(np.float64) - self._vectors[b]
+        found = {"distance": -np.linalg.norm(difference, axis=1)}
+        if self._head is not None:
+            found["FC4"] = self._head.logits(self._vectors[a], self._vectors[b])
+        if self._quality is not None:
+            sure = np.log(np.maximum(self._quality.astype(np.float64), 1e-12))
+            found["distance and quality"] = found["distance"] + sure[a] + sure[b]
+        return found
+
+
+def _any_pairs(judges: _Judges, dataset: SegmentDataset) -> dict[str, Any]:
+    pairs = labelled_pairs(dataset, limit=10_000)
+    same, places = torch.from_numpy(pairs.same), torch.from_numpy(pairs.places)
+    scores = judges.scores(pairs.first, pairs.second)
+    each = {k: areas(torch.from_numpy(v)[None], same, places) for k, v in scores.items()}
+    return {
+        name: {
+            "area": round(float(own.value[0]), 4),
+            "difference": _rounded(difference(own, each["distance"])),
+        }
+        for name, own in each.items()
+    }
+
+
+def _rounded(row: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(row[name], 4) for name in ("mean", "low", "high")}
+
+
+def _candidates(
+    judges: _Judges, dataset: SegmentDataset, vectors: Float32, k: int
+) -> dict[str, Any]:
+    queries, mapped = [], []
     for session in np.unique(dataset.sessions):
         own = np.flatnonzero(dataset.sessions == session)
         rest = np.flatnonzero(dataset.sessions != session)
-        own = own[np.isin(dataset.labels[own], dataset.labels[rest])]
-        if len(own) == 0:
-            continue
-        index, distance = _native.knn(vectors[own], vectors[rest], given.k, 1)
-        hit = dataset.labels[rest][index] == dataset.labels[own][:, None]
-        ranks.append(np.where(hit.any(axis=1), hit.argmax(axis=1), given.k))
-        distances.append(distance[:, 0])
-        qualities.append(quality[own])
-    rank, near, worth = (np.concatenate(parts) for parts in (ranks, distances, qualities))
-    right = rank == 0
-    best = worth >= np.quantile(worth, 0.2)
-    print(f"queries {len(rank)}; nearest right {right.mean():.4f}; mean quality {worth.mean():.4f}")
-    by_quality, by_distance = area(worth, right), area(-near, right)
-    print(f"ROC area of the quality {by_quality:.4f}, of the distance {by_distance:.4f}")
-    for k in (1, 5, given.k):
-        print(f"recall@{k}: all {(rank < k).mean():.4f}, best 80 % {(rank[best] < k).mean():.4f}")
-    logit = np.log(np.clip(worth, 1e-6, 1 - 1e-6) / np.clip(1 - worth, 1e-6, 1))
-    both = logit / max(logit.std(), 1e-9) - near / near.std()
-    for name, score in (("distance", -near), ("quality", worth), ("both", both)):
-        order = np.argsort(-score)
-        shares = [right[order[: round(len(order) * top)]].mean() for top in (0.1, 0.25, 0.5)]
-        print(f"right among the first 10, 25, 50 % by {name}: "
-              + ", ".join(f"{share:.4f}" for share in shares))  # fmt: skip
+        index, _ = _native.knn(vectors[own], vectors[rest], min(k, len(rest)), 1)
+        queries.append(np.repeat(own, index.shape[1]))
+        mapped.append(rest[index].reshape(-1))
+    a, b = np.concatenate(queries), np.concatenate(mapped)
+    near = np.linalg.norm(dataset.centroids[a] - dataset.centroids[b], axis=1) < SAME_M
+    right = near & (dataset.places[a] == dataset.places[b])
+    rows = {"right": round(float(right.mean()), 4)}
+    return rows | {name: _order(score, right) for name, score in judges.scores(a, b).items()}
+
+
+def _order(score: Float64, right: np.ndarray) -> dict[str, float]:
+    order = np.argsort(-score, kind="stable")
+    good, bad = score[right], np.sort(score[~right])
+    low, high = (np.searchsorted(bad, good, side=side) for side in ("left", "right"))
+    area = float((low + high).mean() / (2 * max(len(bad), 1)))
+    tops = {f"first {t:.0%}": round(float(right[order[: int(t * len(order))]].mean()), 4)
+            for t in _TOPS}  # fmt: skip
+    return {"area": round(area, 4), **tops}
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from ..objects.undergrowth import (
     thicket,
     woodpile,
 )
+from .catalogue import Catalogue
 from .land import Ground, Land, lay_out, scattered
 from .layout import check_world
 from .roads import street_network
@@ -76,16 +77,32 @@ STANDS: tuple[tuple[float, Stand], ...] = (
 """Shares and stands: beech, rows of spruce and of pine, mixed, young birches, ash, clearing."""
 
 
-@lru_cache(maxsize=2)
-def forest(seed: int, *, size_m: float = 280.0) -> World:
+_PLANTED = Stand({"spruce": 1.0}, (3.8, 4.4), 0.04, scale=(0.97, 1.03), growth=0.3, fallen=0.1)
+
+
+def forest(seed: int, *, size_m: float = 280.0, repetition: float = 0.0) -> World:
     """A forest of about ``size_m`` metres square; the same for the same seed.
+
+    Parameters
+    ----------
+    seed : int
+    size_m : float
+    repetition : float
+        Share of the stands that are spruces planted in rows, and of the trees that are of a few
+        shapes, 0 to 1.
 
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 100..400 or the seed is negative.
+        If ``size_m`` is not in 100..400, the seed is negative, or ``repetition`` not in 0..1.
     """
+    return _forest(seed, size_m, repetition)
+
+
+@lru_cache(maxsize=2)
+def _forest(seed: int, size_m: float, repetition: float) -> World:
     check_world(seed, size_m, 100.0, 400.0)
+    catalogue = Catalogue(seed, repetition)
     rng = np.random.default_rng([seed, 15_485_863])
     tracks = street_network(
         rng,
@@ -100,18 +117,16 @@ def forest(seed: int, *, size_m: float = 280.0) -> World:
         slope=rng.uniform(0.03, 0.06), humps=rng.uniform(0.05, 0.1), rough=0.045, ditches=0.7
     )
     land = lay_out(rng, tracks, size_m, ground)
+    land.catalogue = catalogue
     _by_the_tracks(land)
     seeds = rng.uniform(0, size_m, (max(4, int((size_m / _STAND) ** 2)), 2))
     shares = np.array([share for share, _ in STANDS])
     chosen = rng.choice(len(STANDS), len(seeds), p=shares / shares.sum())
     nearest = cKDTree(seeds)
     for k, pick in enumerate(chosen):
-        _plant(land, STANDS[pick][1], partial(_belongs, nearest, k))
-    return land.world("forest", seed, _remake, seed, size_m)
-
-
-def _remake(seed: int, size_m: float) -> World:
-    return forest(seed, size_m=size_m)
+        planted = repetition > 0 and rng.random() < repetition
+        _plant(land, _PLANTED if planted else STANDS[pick][1], partial(_belongs, nearest, k))
+    return land.world("forest", seed, _forest, seed, size_m, repetition)
 
 
 def _belongs(seeds: cKDTree, stand: int, xy: Float64) -> np.ndarray:
@@ -126,8 +141,9 @@ def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> N
     points = points[mine(points)]
     kinds = rng.choice(list(stand.mix), len(points), p=np.array(list(stand.mix.values())))
     for at, kind in zip(points[rng.random(len(points)) < 0.88], kinds, strict=False):
-        detail, scale = land.detail(at), float(rng.uniform(*stand.scale))
-        land.grow("tree", partial(grow, rng, str(kind), detail=detail, scale=scale), at, 1.2)
+        source = land.like(f"tree {kind}")
+        detail, scale = land.detail(at), float(source.uniform(*stand.scale))
+        land.grow("tree", partial(grow, source, str(kind), detail=detail, scale=scale), at, 1.2)
     patches = scattered(rng, size_m, 10.0 / np.sqrt(stand.growth), 0.6)
     for at in patches[mine(patches)]:
         if land.distance(at) < _LOOKED_AT:

@@ -10,6 +10,7 @@ from ...errors import ConfigError
 from ...types import Float32, Float64
 from ..objects.mesh import Mesh, loft, rectangle
 from ..objects.terrain import Terrain, relief, roughness
+from .catalogue import Catalogue
 from .roads import RoadNetwork, Street
 from .world import Spots
 
@@ -108,6 +109,11 @@ class Site:
     people: list[Float64] = field(default_factory=list)
     bicycles: list[tuple[float, float, float]] = field(default_factory=list)
     green: float = 0.5
+    catalogue: Catalogue = field(default_factory=Catalogue)
+
+    def like(self, kind: str) -> np.random.Generator:
+        """What to make the next thing of a kind from: see :meth:`Catalogue.source`."""
+        return self.catalogue.source(self.rng, kind)
 
     def stand(self, kind: str, mesh: Mesh, at: Float64, yaw: float, size: float) -> bool:
         """Stand an object of about ``size`` metres on free ground; False if there is none."""

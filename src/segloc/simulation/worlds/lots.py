@@ -36,7 +36,9 @@ def build_along(site: Site, front: Frontage) -> list[Lot]:
     rng, lots = site.rng, []
     s = float(rng.uniform(3, 9))
     while s < front.street.length - 6:
-        building, setback, gap = _draw_building(rng, front.character)
+        building, setback, gap = _draw_building(
+            site.like(f"house {front.character}"), front.character
+        )
         setback *= front.setback
         width = building.width + gap if building else float(rng.uniform(8, 18))
         beyond = front.pavement + setback
@@ -142,7 +144,7 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
         at, yaw = front.at(
             gate + rng.uniform(-1, 1) * opening, front.pavement + rng.uniform(0.1, 0.9)
         )
-        site.stand("bin", wheelie_bin(rng), at, float(yaw + rng.normal(0, 0.5)), 0.6)
+        site.stand("bin", wheelie_bin(site.like("bin")), at, float(yaw + rng.normal(0, 0.5)), 0.6)
 
 
 def _front_garden(site: Site, lot: Lot) -> None:
@@ -155,7 +157,7 @@ def _front_garden(site: Site, lot: Lot) -> None:
         if pick < 0.5:
             site.stand("bush", bush(rng), at, float(rng.uniform(0, 6)), 1.0)
         elif pick < 0.75:
-            site.stand("bush", trimmed_box_bush(rng), at, float(yaw), 0.8)
+            site.stand("bush", trimmed_box_bush(site.like("box bush")), at, float(yaw), 0.8)
         else:
             site.stand("tree", town_tree(rng, 3.0, 5.0 + 1.5 * setback), at, float(yaw), 0.8)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..objects.buildings import shed
 from ..objects.identity import Objects
 from ..objects.street import FURNITURE, lamp, traffic_light, traffic_sign, utility_pole
 from ..objects.vegetation import bush
+from .catalogue import Catalogue
 from .character import BUILDINGS, Character, draw_character
 from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
 from .lots import build_along, dress
@@ -22,23 +24,53 @@ _BLOCK = 68.0
 _OUTER_LANE = 3.85  # from the centre line: clear of whoever maps the street
 
 
-@lru_cache(maxsize=2)
-def town(seed: int, *, size_m: float = 330.0) -> World:
+_TERRACED = (0.0, 0.9, 0.1, 0.0, 0.0)
+
+
+def town(seed: int, *, size_m: float = 330.0, repetition: float = 0.0) -> World:
     """A town of about ``size_m`` metres square; the same for the same seed, whatever the process.
+
+    Parameters
+    ----------
+    seed : int
+    size_m : float
+    repetition : float
+        Share of the lamps, signs, benches, street trees, houses and cars that are of a few types,
+        0 to 1.
 
     Raises
     ------
     ConfigError
-        If ``size_m`` is not in 130..2000 or the seed is negative.
+        If ``size_m`` is not in 130..2000, the seed is negative, or ``repetition`` not in 0..1.
     """
+    return _town(seed, size_m, repetition, False)
+
+
+def terraces(seed: int, *, size_m: float = 330.0, repetition: float = 0.9) -> World:
+    """A town of terraced houses, nearly all of them of a few types, with little that grows.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`town`.
+    """
+    return _town(seed, size_m, repetition, True)
+
+
+@lru_cache(maxsize=2)
+def _town(seed: int, size_m: float, repetition: float, terraced: bool) -> World:
     check_world(seed, size_m, 130.0, 2000.0)
+    catalogue = Catalogue(seed, repetition)
     rng = np.random.default_rng([seed, 104729])
     character = draw_character(rng)
+    if terraced:
+        character = replace(character, buildings=_TERRACED, green=0.15, setback=0.6)
     roads = street_network(
         rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=character.half_width
     )
     terrain, reflectance = paved_ground(rng, roads, size_m, slope=float(rng.uniform(0.015, 0.045)))
     site = Site(rng, terrain, roads, Occupancy(size_m), green=character.green)
+    site.catalogue = catalogue
     fronts = [
         _frontage(rng, character, street, side) for street in roads.streets for side in (1, -1)
     ]
@@ -56,19 +88,16 @@ def town(seed: int, *, size_m: float = 330.0) -> World:
     _gardens(site, size_m)
     static = Objects.of(site.items, 1)
     return World(
-        f"town-{seed}",
+        f"{'terraces' if terraced else 'town'}-{seed}",
         seed,
         terrain,
         reflectance,
         roads,
         static,
         site.spots(),
-        (_remake, (seed, size_m)),
+        (_town, (seed, size_m, repetition, terraced)),
+        catalogue=catalogue,
     )
-
-
-def _remake(seed: int, size_m: float) -> World:
-    return town(seed, size_m=size_m)
 
 
 def _frontage(
@@ -84,24 +113,25 @@ def _pavement(site: Site, front: Frontage) -> None:
     if rng.random() < 0.75:
         for s in np.arange(rng.uniform(6, 20), length - 6, rng.uniform(24, 38)):
             at, yaw = front.at(s + rng.normal(0, 1.0), rng.uniform(0.3, 0.6))
-            site.stand("lamp", lamp(rng), at, float(yaw) - np.pi / 2, 0.4)
+            site.stand("lamp", lamp(site.like("lamp")), at, float(yaw) - np.pi / 2, 0.4)
     else:
         for s in np.arange(rng.uniform(6, 25), length - 6, rng.uniform(28, 42)):
             at, yaw = front.at(s + rng.normal(0, 1.5), front.pavement - 0.25)
-            site.stand("pole", utility_pole(rng), at, float(yaw), 0.4)
+            site.stand("pole", utility_pole(site.like("pole")), at, float(yaw), 0.4)
     if rng.random() < 0.25 + 0.6 * site.green:
         pitch = rng.uniform(6, 13)
         tall = float(rng.uniform(6, 13))
         for s in np.arange(rng.uniform(8, 14), length - 8, pitch):
             at, yaw = front.at(s + rng.normal(0, 0.5), rng.uniform(0.6, 0.9))
             if rng.random() < 0.85:
-                site.stand("tree", town_tree(rng, 0.7 * tall, 1.2 * tall), at, float(yaw), 0.7)
+                grown = town_tree(site.like("street tree"), 0.7 * tall, 1.2 * tall)
+                site.stand("tree", grown, at, float(yaw), 0.7)
     shares = np.array([share for _, _, share, _ in FURNITURE])
     for s in rng.uniform(7, max(8.0, length - 7), int(length / 17)):
         kind, make, _, out = FURNITURE[int(rng.choice(len(FURNITURE), p=shares / shares.sum()))]
         at, yaw = front.at(s, min(out, front.pavement - 0.2))
         turn = 0.0 if kind in ("traffic sign", "name sign") else -np.pi / 2
-        site.stand(kind, make(rng), at, float(yaw) + turn, min(2 * out, 1.6))
+        site.stand(kind, make(site.like(kind)), at, float(yaw) + turn, min(2 * out, 1.6))
     walkers = rng.uniform(3, max(4.0, length - 3), int(length / 7))
     site.people.extend(front.at(walkers, rng.uniform(0.4, front.pavement, len(walkers)))[0])
 
@@ -118,7 +148,8 @@ def _junction(site: Site, node: int) -> None:
                 if rng.random() < 0.45:
                     make = traffic_light if lights else traffic_sign
                     kind = "traffic light" if lights else "traffic sign"
-                    site.stand(kind, make(rng), at, float(angle + np.pi + rng.normal(0, 0.4)), 0.4)
+                    mesh = make(site.like(kind))
+                    site.stand(kind, mesh, at, float(angle + np.pi + rng.normal(0, 0.4)), 0.4)
                 break
 
 

@@ -16,6 +16,7 @@ from ..objects.scene import Scene
 from ..objects.street import person
 from ..objects.terrain import Terrain
 from ..objects.vehicles import bicycle, vehicle
+from .catalogue import Catalogue
 from .changes import BUILT, Extent, Footing, replace_some, road_works, scaffold
 from .interior import Interior
 from .movables import MOVABLES
@@ -102,6 +103,8 @@ class World:
         How to make the world again; with one, a pickled world is as small as its recipe.
     interior : Interior or None
         Of a world indoors: where its walls are, and its storeys.
+    catalogue : Catalogue
+        Of what comes and goes: how many of the vehicles are alike.
     """
 
     name: str
@@ -113,6 +116,7 @@ class World:
     spots: Spots
     recipe: tuple[Callable[..., World], tuple[Any, ...]] | None = None
     interior: Interior | None = None
+    catalogue: Catalogue = field(default_factory=Catalogue)
     _scenes: dict[tuple[int, Conditions], Scene] = field(default_factory=dict, repr=False)
 
     def floor(self, storey: int = 0) -> Terrain:
@@ -239,7 +243,7 @@ class World:
     def _park(
         self, rng: np.random.Generator, x: float, y: float, yaw: float, longest: float
     ) -> Mesh:
-        mesh, (length, _) = vehicle(rng, longest)
+        mesh, (length, _) = vehicle(self.catalogue.source(rng, "car"), longest)
         turn = yaw + rng.normal(0, 0.025) + np.pi * (rng.random() < 0.3)
         slack = max(0.0, longest - length) / 2
         along, across = rng.uniform(-slack, slack), rng.normal(0, 0.08)
@@ -260,4 +264,5 @@ class World:
         if self.recipe is not None:
             return self.recipe
         state = (self.name, self.seed, self.terrain, self.ground_reflectance)
-        return World, (*state, self.roads, self.static, self.spots, None, self.interior)
+        rest = (self.roads, self.static, self.spots, None, self.interior, self.catalogue)
+        return World, (*state, *rest)
