@@ -41,7 +41,8 @@ def live(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="TUM or KITTI, in any frame: the odometry. By default the recording's.",
+            help="TUM or KITTI, in any frame: the odometry.",
+            show_default="the recording's",
         ),
     ] = None,
     select: Select = None,

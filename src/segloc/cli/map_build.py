@@ -12,6 +12,7 @@ from .options import (
     Every,
     Level,
     MapOut,
+    Method,
     Odometry,
     Poses,
     Recording,
@@ -37,9 +38,7 @@ def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
 def build(
     sequence: Recording,
     out: MapOut,
-    method: Annotated[
-        str | None, typer.Option(metavar="NAME", help="How segments are described.")
-    ] = None,
+    method: Method = None,
     poses: Poses = None,
     select: Select = None,
     every: Every = None,

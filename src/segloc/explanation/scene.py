@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import geometry
 from ..map.segment_map import SegmentMap
+from ..pictures import BLUE, GREEN, ORANGE, PATH, RED, hue, rgb
 from ..types import Float32, Float64
 from .results import Outcome, Shown
 from .seen import Seen
@@ -19,14 +20,14 @@ from .seen import Seen
 Colors = NDArray[np.uint8]
 
 COLORS: dict[Outcome, tuple[int, int, int]] = {
-    "found": (18, 161, 80),
-    "refused": (240, 136, 62),
-    "false": (229, 36, 59),
+    "found": rgb(GREEN),
+    "refused": rgb(ORANGE),
+    "false": rgb(RED),
 }
 FIXED = ("map", "path", "queries")
 OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-up", "text")
 """Layers that can be hidden: those of the map, and those of the query that is looked at."""
-_GREEN, _RED, _GREY, _BLUE = (18, 161, 80), (229, 36, 59), (150, 158, 172), (46, 98, 214)
+_GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
 _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
 _MOST_POINTS = 400_000
 _LABEL_WIDTH = 50  # characters
@@ -169,5 +170,5 @@ def _by_height(points: Float32) -> Colors:
 def _distinct(owners: NDArray[np.int64]) -> Colors:
     """A colour for each segment, neighbours apart."""
     count = int(owners.max()) + 1 if len(owners) else 0
-    wheel = [colorsys.hsv_to_rgb((0.381966 * k) % 1.0, 0.75, 0.9) for k in range(count)]
+    wheel = [colorsys.hsv_to_rgb(hue(k), 0.75, 0.9) for k in range(count)]
     return (255 * np.array(wheel).reshape(-1, 3)).astype(np.uint8)[owners]
