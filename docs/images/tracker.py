@@ -86,9 +86,7 @@ def frames(prior_map: SegmentMap, steps: list[Step]) -> list[Image.Image]:
     truths = np.array([step.truth[:2, 3] for step in steps])
     low = np.minimum(np.percentile(cloud, 2, axis=0), truths.min(axis=0)) - 0.3 * MARGIN_M
     high = np.maximum(np.percentile(cloud, 98, axis=0), truths.max(axis=0)) + 0.3 * MARGIN_M
-    return [
-        _frame(cloud, steps[: k + 1], low, high) for k in range(EVERY - 1, len(steps), EVERY)
-    ]
+    return [_frame(cloud, steps[: k + 1], low, high) for k in range(EVERY - 1, len(steps), EVERY)]
 
 
 def _frame(cloud: Any, steps: list[Step], low: Float64, high: Float64) -> Image.Image:

@@ -60,9 +60,7 @@ def travelled(truths: Float64) -> Float64:
     return np.concatenate([[0.0], np.cumsum(np.where(steps > PATH_BREAK_M, 0.0, steps))])
 
 
-def _curve(
-    axes: Axes, way: Float64, evaluation: Evaluation, errors: Float64, ylabel: str
-) -> None:
+def _curve(axes: Axes, way: Float64, evaluation: Evaluation, errors: Float64, ylabel: str) -> None:
     chart(axes, ylabel=ylabel)
     right = evaluation.correct
     top = 1.25 * float(errors[right].max()) if right.any() else 1.0

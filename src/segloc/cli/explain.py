@@ -21,7 +21,8 @@ def explain(
     ],
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write a page with pictures.", show_default="none")
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write a page with pictures.", show_default="none"),
     ] = None,
     select: Annotated[
         int | None,

@@ -28,7 +28,8 @@ Poses = Annotated[
     ),
 ]
 Topic = Annotated[
-    str | None, typer.Option(
+    str | None,
+    typer.Option(
         metavar="NAME",
         help="Which of several topics, sensors or scenes.",
         show_default="the only one",
