@@ -26,6 +26,7 @@ LABORATORY = "measures for minutes to hours, most of it on real scans: its modul
 
 NOT_RUN = {
     r"pip install": "installs: `make wheel-check` does so",
+    r"python3 -m venv|\. ": "sets up an environment",
     r"make ": "of the Makefile, which has such a target",
     r"git clone": "fetches from elsewhere",
     r"cd ": "of the command before it",
@@ -64,6 +65,7 @@ SMALLER: tuple[tuple[str, str], ...] = (
     (r" \[(--[^]]*)\]", r" \1"),
     (r"--odometry\b", "--poses {bag_poses}"),
     (r"RECORDING|SEQUENCE", "monday"),
+    (r"--poses FILE", "--poses poses.tum"),
     (r"--every 5\b", "--every 6"),
     (r"/elsewhere/poses.tum", "poses_elsewhere.tum"),
     (r"--kitti DATA", ""),
@@ -73,6 +75,8 @@ SMALLER: tuple[tuple[str, str], ...] = (
     (r"(segloc odometry drive.bag)", r"\1 --select :1"),
     (r"(segloc explain .*)--select 412", r"\1--select 4"),
     (r"survey.laz", "scan.pcd"),
+    (r"--select 0:170", "--select 0:6"),
+    (r"--select 171:", "--select 5:"),
 )
 """What is written shorter, or where recordings of the reader's are meant, others."""
 
@@ -109,7 +113,7 @@ def smaller(text: str) -> str:
     for pattern, replacement in SMALLER:
         text = re.sub(pattern, replacement, text)
     named = re.search(r"(\w+)\.bag", text)
-    poses = "odometry.tum" if named is None else "tuesday.tum"
+    poses = "poses.tum" if named is None else "tuesday.tum"
     if "align" in text:
         poses = "monday.tum"
     return text.replace("{bag_poses}", poses)
@@ -196,7 +200,7 @@ def known(place: Path) -> dict[str, Any]:
     first = walk()
     stream = [Message(points_of(first, k), T) for k, T in enumerate(first.poses)]
     for k, message in enumerate(stream):
-        message.stamp = 10.0 + k  # type: ignore[misc]
+        message.stamp = 10.25 + k  # type: ignore[misc]
         message.times = None
     localizer = Localizer(SegmentMap.load(place / "site.segmap"))
     monday = open_sequence(place / "monday", place / "monday" / "poses.tum")

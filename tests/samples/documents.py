@@ -10,7 +10,9 @@ from typing import NamedTuple
 from .source import PROJECT
 
 SHELL = {"", "bash", "sh", "shell"}
-_PROMPT = re.compile(r"(segloc|python|pip|make|git|cd|ros2|docker|for|done|[A-Z]=|\S+\.sh)\b")
+_PROMPT = re.compile(
+    r"(SEGLOC_\w+|segloc|python3?|pip|make|git|cd|ros2|docker|for|done|\S+\.sh)\b|[A-Z]=|\. "
+)
 
 
 class Code(NamedTuple):

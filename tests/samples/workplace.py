@@ -58,13 +58,12 @@ def furnish(root: Path) -> Path:
     for k, name in enumerate(BAGS):
         _bag(root / name, walk(-6.0 + 0.2 * k))
     first = walk()
+    _kitti(root / "dataset", first)
     _mcap(root / "drive.mcap", first)
-    timed = Trajectory(10.0 + np.arange(SCANS), first.poses)
-    for name in ("monday", "tuesday", "thursday", "saturday", "truth", "FILE", "poses"):
-        numbered = name in ("saturday", "FILE", "poses")
-        write_tum(
-            root / f"{name}.tum", Trajectory(np.arange(SCANS), first.poses) if numbered else timed
-        )
+    timed = Trajectory(10.25 + np.arange(SCANS), first.poses)
+    for name in ("monday", "tuesday", "thursday", "truth"):
+        write_tum(root / f"{name}.tum", timed)
+    write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), first.poses))
     write_scan(root / "scan.pcd", points_of(first, 4))
     write_scan(root / "tuesday" / "0412.pcd", points_of(first, 4))
     build_map(_few(first), Config.preset("profile")).save(root / "site.segmap")
@@ -91,7 +90,7 @@ def _bag(file: Path, walked: PlazaSequence) -> None:
 
     bag = BagWriter("ros1")
     for i in range(SCANS):
-        bag.cloud("/points", 10.0 + i, points_of(walked, i))
+        bag.cloud("/points", 10.25 + i, points_of(walked, i))
     bag.write(file)
 
 
@@ -100,6 +99,26 @@ def _mcap(folder: Path, walked: PlazaSequence) -> None:
 
     bag = BagWriter("mcap")
     for i in range(SCANS):
-        bag.cloud("/ouster/points", 10.0 + i, points_of(walked, i))
-        bag.odometry("/odom", 10.0 + i, walked.poses[i], "lidar")
+        bag.cloud("/ouster/points", 10.25 + i, points_of(walked, i))
+        bag.odometry("/odom", 10.25 + i, walked.poses[i], "lidar")
     bag.write(folder)
+
+
+T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def _kitti(root: Path, walked: PlazaSequence) -> None:
+    """The layout of KITTI odometry; poses are those of a camera in the place of the sensor."""
+    sequence = root / "sequences" / "00"
+    (sequence / "velodyne").mkdir(parents=True)
+    (root / "poses").mkdir()
+    for i in range(SCANS):
+        points = np.column_stack([points_of(walked, i), np.zeros(MOST)]).astype("<f4")
+        points.tofile(sequence / "velodyne" / f"{i:06d}.bin")
+    rows = " ".join(f"{value:.9e}" for value in T_CAMERA_SENSOR[:3].reshape(-1))
+    (sequence / "calib.txt").write_text(f"Tr: {rows}\n")
+    (sequence / "times.txt").write_text("".join(f"{0.1 * i:.6e}\n" for i in range(SCANS)))
+    first = geometry.inverse(walked.poses[0])
+    poses = T_CAMERA_SENSOR @ (first @ walked.poses) @ geometry.inverse(T_CAMERA_SENSOR)
+    lines = (" ".join(f"{value:.9e}" for value in T[:3].reshape(-1)) for T in poses)
+    (root / "poses" / "00.txt").write_text("\n".join(lines) + "\n")
