@@ -30,11 +30,20 @@ def export(
     ] = 20.0,
     epsg: Annotated[
         int | None,
-        typer.Option(min=1, metavar="CODE", help="The map's frame, for GeoJSON to name."),
+        typer.Option(
+            min=1,
+            metavar="CODE",
+            help="The map's frame, for GeoJSON to name.",
+            show_default="not known",
+        ),
     ] = None,
     at: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Where the map's origin is; x east: GeoJSON by it."),
+        typer.Option(
+            metavar="LAT,LON",
+            help="Degrees, of the map's origin; x east: GeoJSON by it.",
+            show_default="not known",
+        ),
     ] = None,
 ) -> None:
     """Write a map or results in a format of others.

@@ -46,7 +46,12 @@ if TYPE_CHECKING:
     from .console import Update
 
 
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="A folder to write results to.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="A folder to write results to.", show_default="none: they are printed"
+    ),
+]
 Debug = Annotated[
     bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
 ]

@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
 Lengths = Annotated[
     list[float] | None,
-    typer.Option("--length", metavar="METRES", help="Way a local cloud spans; 0: single scans."),
+    typer.Option(
+        "--length",
+        metavar="METRES",
+        help="Way a local cloud spans; 0: single scans.",
+        show_default="40, 16 and 0",
+    ),
 ]
 
 Thin = Annotated[
@@ -32,7 +37,11 @@ def extract(
     out: Out,
     sequences: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[SEQUENCE]...", help="Recordings of one place, one a session."),
+        typer.Argument(
+            metavar="[SEQUENCE]...",
+            help="Recordings of one place, one a session.",
+            show_default="none: --simulate",
+        ),
     ] = None,
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
@@ -41,10 +50,18 @@ def extract(
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Of the sensor.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
     simulate: Annotated[
-        str | None, typer.Option(metavar="SCENE:N,...", help="Draw worlds instead of recordings.")
+        str | None,
+        typer.Option(
+            metavar="SCENE:N,...", help="Draw worlds instead of recordings.", show_default="none"
+        ),
     ] = None,
     sensors: Annotated[
-        str | None, typer.Option(metavar="NAME,...", help="Simulated sensors to choose from.")
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Simulated sensors to choose from.",
+            show_default="the usual ones",
+        ),
     ] = None,
     thin: Thin = 1,
     drive: Annotated[float, typer.Option(metavar="METRES", help="Of a simulated drive.")] = 500.0,

@@ -13,12 +13,18 @@ def view(
     results: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[RESULTS]", help="A folder of `segloc localize --out` or `segloc live --out`."
+            metavar="[RESULTS]",
+            help="A folder of `segloc localize --out` or `segloc live --out`.",
+            show_default="none",
         ),
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write one page that needs nothing else, and end."),
+        typer.Option(
+            metavar="FILE",
+            help="Write one page that needs nothing else, and end.",
+            show_default="none: a server",
+        ),
     ] = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, metavar="NUMBER", help="Of the server, on localhost.")

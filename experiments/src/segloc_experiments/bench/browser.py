@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -54,8 +55,8 @@ class Page:
         Addresses of all that the page asked for.
     """
 
-    def __init__(self, socket: Any) -> None:
-        self._socket, self._number = socket, 0
+    def __init__(self, socket: Any, pid: int) -> None:
+        self._socket, self._number, self._pid = socket, 0, pid
         self.faults: list[str] = []
         self.requested: list[str] = []
         for domain in ("Page", "Runtime", "Log", "Network"):
@@ -126,13 +127,28 @@ class Page:
             self.do("Input.dispatchMouseEvent", type="mouseMoved", x=aside, y=y, **mouse)
         self.do("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **mouse)
 
-    def frames_a_second(self, seconds: float) -> float:
-        """Frames that are drawn, to the end, while the view is dragged."""
+    def frame_rate(self, seconds: float) -> dict[str, float]:
+        """Frames that are drawn, to the end, while the view is dragged; a second of each time."""
         finish = "window.lastContext && window.lastContext.finish(), window.framesDrawn"
-        before, start = float(self.value(finish) or 0), time.monotonic()
+        before, start, worked = float(self.value(finish) or 0), time.monotonic(), self._worked_s()
         self.drag(seconds)
-        after = float(self.value(finish) or 0)
-        return (after - before) / (time.monotonic() - start)
+        frames = float(self.value(finish) or 0) - before
+        wall, processor = time.monotonic() - start, self._worked_s() - worked
+        return {
+            "frames": frames,
+            "frames_a_second": round(frames / wall, 2),
+            "frames_a_processor_second": round(frames / max(processor, 1e-9), 2),
+        }
+
+    def _worked_s(self) -> float:
+        """Processor time of the browser and all that it started."""
+        stats = [file.read_text() for file in Path("/proc").glob("[0-9]*/stat") if file.exists()]
+        fields = {int(text.split()[0]): text.rpartition(")")[2].split() for text in stats}
+        mine = {self._pid}
+        while more := {p for p, f in fields.items() if int(f[1]) in mine} - mine:
+            mine |= more
+        ticks = sum(int(f[11]) + int(f[12]) for p, f in fields.items() if p in mine)
+        return ticks / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
@@ -153,7 +169,7 @@ def browser(profile: Path) -> Iterator[Page]:
     try:
         address = _page_address(profile)
         with connect(address, max_size=None, open_timeout=_STARTS_S) as socket:
-            yield Page(socket)
+            yield Page(socket, process.pid)
     finally:
         process.terminate()
         try:
