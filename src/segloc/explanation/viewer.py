@@ -16,7 +16,7 @@ from ..errors import MissingDependency, SeglocError
 from ..map.segment_map import SegmentMap
 from ..types import Float64
 from .following import Moment, draw_moments, newest_points, read_moments
-from .panel import with_panel
+from .panel import drawn_fast, with_panel
 from .results import Shown
 from .scene import FIXED, OF_QUERY, ROBOT, MapScene
 
@@ -46,7 +46,7 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
         for query in shown:
             scene.draw_query(query)
             recorded.insert_sleep(SECONDS_A_QUERY)
-        page = str(recorded.as_html())
+        page = drawn_fast(str(recorded.as_html()))
         return with_panel(page, shown, SECONDS_A_QUERY) if shown else page
     finally:
         with redirect_stdout(StringIO()):
@@ -144,7 +144,7 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
         _look(server, scene, None)
         scene.draw_map()
         draw_moments(scene, moments)
-        return str(server.get_scene_serializer().as_html())
+        return drawn_fast(str(server.get_scene_serializer().as_html()))
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
