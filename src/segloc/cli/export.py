@@ -55,9 +55,11 @@ def export(
     from ..export import export as written
     from ..export.formats import Options
     from ..export.tracks import Place
-    from .console import note
+    from .console import busy, note
 
     place = None if at is None else Place.parse(at)
-    for line in written(source, to, out, Options(tile, epsg, place)):
+    with busy("Writing"):
+        notes = list(written(source, to, out, Options(tile, epsg, place)))
+    for line in notes:
         note(line)
     print(out)

@@ -118,9 +118,12 @@ def localize(
     tolerance = Tolerance(tolerance_m, tolerance_deg)
     evaluation = asked.scored(results, prior.trajectory, truths, tolerance)
     if out is not None:
-        write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)
+        with busy("Drawing"):
+            write_results(out, prior, evaluation, f"{recording.name} in {Path(name).stem}", kept)
     _show_all(evaluation, f"{recording.name} in {name}", json)
-    if line := hint(recording, results, localizer.config.local_cloud):
+    with busy("Looking why"):
+        line = hint(recording, results, localizer.config.local_cloud)
+    if line:
         note(line)
 
 

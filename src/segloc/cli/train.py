@@ -48,17 +48,18 @@ def score(
     """ROC area and recall among the k nearest, of each session against the others."""
     from ..training.scoring import KS, load_descriptor, score_descriptor
     from ..training.shards import load_dataset
-    from .console import table
+    from .console import busy, table
 
     descriptor = load_descriptor(weights, threads)
-    report = score_descriptor(
-        descriptor,
-        load_dataset(dataset),
-        [load_dataset(path) for path in distractors or []],
-        pools=pool or [],
-        seed=seed,
-        threads=threads,
-    )
+    with busy("Scoring"):
+        report = score_descriptor(
+            descriptor,
+            load_dataset(dataset),
+            [load_dataset(path) for path in distractors or []],
+            pools=pool or [],
+            seed=seed,
+            threads=threads,
+        )
     rows = [(f"{size:,}", *(f"{recall:.4f}" for recall in found)) for size, found in report.recalls]
     title = f"{weights} on {dataset}: {report.queries:,} queries, AUC {report.auc}"
     table(title, ("pool", *(f"recall@{k}" for k in KS)), rows)

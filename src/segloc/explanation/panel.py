@@ -65,8 +65,8 @@ _PANEL = Template("""
 """)
 
 
-# Edges of points need no smoothing, which takes software most of its time: without it 200 000 points
-# are drawn two to three times as fast.
+# Edges of points need no smoothing. It takes most of the time where a processor draws: without it
+# 200 000 points are drawn two to three times as fast.
 _SHARP = """<script>
 (() => {
   const get = HTMLCanvasElement.prototype.getContext;
