@@ -9,10 +9,11 @@ Each row is a recording of a simulated square with one thing wrong, given to a v
 from __future__ import annotations
 
 import argparse
+import io
 import re
-import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -28,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from samples.plaza import Plaza, PlazaSequence  # noqa: E402
-from samples.walk import Walk  # noqa: E402
+from samples.walk import Walk, run  # noqa: E402
 
 PAGE = ROOT / "docs" / "refusals.md"
 BEGIN, END = "<!-- begin wrong inputs -->", "<!-- end wrong inputs -->"
@@ -98,10 +99,10 @@ def write(folder: Path, wrong: Wrong) -> None:
 
 def said(*arguments: object) -> tuple[int, str]:
     """Exit status of a verb, and all that it said."""
-    call = "from segloc.cli import main; main()"
-    command = [sys.executable, "-c", call, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    text = io.StringIO()
+    with redirect_stdout(text), redirect_stderr(text):
+        status = run(*arguments)
+    return status, text.getvalue()
 
 
 def rows(work: Path) -> list[tuple[str, str, int, str]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import MissingDependency
-from .types import Float64
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +103,7 @@ def dots(axes: Axes, points: Any, **style: Any) -> None:
     axes.scatter(points[:, 0], points[:, 1], **{"linewidths": 0, **style})
 
 
-def density(axes: Axes, points: Any, low: Float64, high: Float64) -> None:
+def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
     """Many points from above as shades of grey: one image, however many there are."""
     if not len(points):
         return
