@@ -9,7 +9,6 @@ import numpy as np
 
 from .errors import MissingDependency
 
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
