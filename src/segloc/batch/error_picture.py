@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SeglocError
-from ..pictures import DARK, GREEN, GREY, RED, TEXT_PT, blank, chart, plan, png, scale, title
+from ..pictures import DARK, GREEN, GREY, RED, TEXT_PT, blank, chart, dots, plan, png, scale, title
 from ..types import Float64
 from .score import PATH_BREAK_M, Evaluation
 
@@ -38,7 +38,8 @@ def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
     """
     if evaluation.truths is None or not len(evaluation):
         raise SeglocError("errors are known only where the truth is")
-    figure = blank(_SIZE_IN, _DPI, layout="constrained")
+    figure = blank(_SIZE_IN, _DPI)
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.93))
     charts, ground = figure.subplots(1, 2, width_ratios=(1.5, 1))
     charts.remove()
     grid = charts.get_gridspec()[0, 0].subgridspec(2, 1)
@@ -49,7 +50,6 @@ def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
     _curve(lower, way, evaluation, evaluation.rotation_error, "error, degrees")
     lower.set_xlabel("distance travelled, m", fontsize=TEXT_PT, color=DARK)
     _path(ground, evaluation)
-    figure.get_layout_engine().set(rect=(0, 0, 1, 0.93))  # type: ignore[union-attr]
     title(figure, heading, 0.96)
     return png(figure)
 
@@ -84,9 +84,10 @@ def _path(axes: Axes, evaluation: Evaluation) -> None:
     axes.plot(*at.T, color=GREY, lw=1.0, zorder=1)
     hollow: dict[str, Any] = {"s": 22, "facecolors": "white", "edgecolors": DARK, "lw": 0.8}
     axes.scatter(*at[~evaluation.localized].T, zorder=2, **hollow)
-    axes.scatter(*at[evaluation.false].T, s=26, color=RED, marker="^", zorder=4)
+    dots(axes, at[evaluation.false], s=26, color=RED, marker="^", zorder=4)
     errors = evaluation.translation_error[right]
-    shown = axes.scatter(*at[right].T, c=errors, cmap="viridis", s=22, vmin=0.0, zorder=3)
+    x, y = at[right].T
+    shown = axes.scatter(x, y, c=errors, cmap="viridis", s=22, vmin=0.0, zorder=3)
     bar = axes.figure.colorbar(shown, ax=axes, shrink=0.7)
     bar.set_label("error, m", fontsize=TEXT_PT, color=DARK)
     scale(axes)

@@ -16,6 +16,7 @@ from ..pictures import (
     RED,
     blank,
     density,
+    dots,
     legend,
     plan,
     png,
@@ -112,27 +113,25 @@ def _draw_found(axes: Axes, evaluation: Evaluation) -> None:
 
 def _draw_dots(axes: Axes, poses: Float64, colour: str, label: str, layer: int) -> None:
     at, ahead = poses[:, :2, 3], poses[:, :2, 0]
-    axes.scatter(
-        *at.T, s=26, color=colour, edgecolors="white", linewidths=0.6, zorder=layer, label=label
-    )
+    style: dict[str, Any] = {"s": 26, "edgecolors": "white", "linewidths": 0.6}
+    dots(axes, at, color=colour, zorder=layer, label=label, **style)
     if len(poses):
         length = _ARROW_PX * ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-        style: dict[str, Any] = {"angles": "xy", "scale_units": "dots", "units": "dots"}
-        axes.quiver(
-            *at.T, *length.T, color=colour, scale=1, width=1.8, headwidth=4, headlength=5,
-            zorder=layer, **style,
-        )  # fmt: skip
+        shape: dict[str, Any] = {"width": 1.8, "headwidth": 4, "headlength": 5, "scale": 1}
+        units: dict[str, Any] = {"angles": "xy", "scale_units": "dots", "units": "dots"}
+        axes.quiver(*at.T, *length.T, color=colour, zorder=layer, **shape, **units)
 
 
 def _draw_refused(axes: Axes, evaluation: Evaluation) -> None:
     """Those that were not, a shape for each reason."""
     style: dict[str, Any] = {"s": 30, "facecolors": "white", "edgecolors": DARK, "zorder": 2}
+    style["linewidths"] = 1.0
     for (reason, chosen), marker in zip(_reasons(evaluation), _MARKERS, strict=False):
-        known = evaluation.truths is not None
-        places = evaluation.truths[chosen, :2, 3] if evaluation.truths is not None else []
-        where = "" if known else ", place unknown"
+        places, where = np.empty((0, 2)), ", place unknown"
+        if evaluation.truths is not None:
+            places, where = evaluation.truths[chosen, :2, 3], ""
         label = f"not localized, {reason} ({int(chosen.sum())}{where})"
-        axes.scatter(*np.reshape(places, (-1, 2)).T, marker=marker, label=label, **style)
+        dots(axes, places, marker=marker, label=label, **style)
 
 
 def _reasons(evaluation: Evaluation) -> Iterable[tuple[str, Bools]]:
