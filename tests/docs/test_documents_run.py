@@ -35,7 +35,7 @@ NOT_RUN = {
     r"M=": LABORATORY,
     r"(for|done)\b": LABORATORY,
     r"segloc bench": LABORATORY,
-    r"segloc evaluate (all|report)": LABORATORY,
+    r"segloc evaluate (all|report|memory)": LABORATORY,
     r"segloc evaluate localization .*--kitti": LABORATORY,
     r"segloc simulate --suite": "six places, a quarter of an hour; of them tests/simulation",
     r"segloc (train|map|localize|align) .*(kitti|METHOD|2014|worlds|others|harbour|RUN RUN)": (
@@ -74,7 +74,7 @@ SMALLER: tuple[tuple[str, str], ...] = (
     (r"(segloc live .*)--rate 1 ", r"\1--rate 20 "),
     (r"(segloc odometry drive.bag)", r"\1 --select :1"),
     (r"(segloc explain .*)--select 412", r"\1--select 4"),
-    (r"survey.laz", "scan.pcd"),
+    (r"survey.laz|tuesday/0412.pcd", "scan.pcd"),
     (r"(monday|tuesday)/scans", r"\1"),
     (r"--select 0:170", "--select 0:6"),
     (r"--select 171:", "--select 5:"),
@@ -199,7 +199,10 @@ def test_what_measures_is_there() -> None:
     for path in documents():
         for each in code(path):
             if found := re.search(r"python -m (segloc_experiments\S+)", each.text):
-                assert find_spec(found[1]) is not None, f"{each.place}: {found[1]}"
+                spec = find_spec(found[1])
+                assert spec is not None and spec.origin, f"{each.place}: {found[1]}"
+                runs = '__name__ == "__main__"' in Path(spec.origin).read_text("utf-8")
+                assert runs, f"{each.place}: {found[1]} is no script"
             if found := re.match(r"(experiments/\S+\.sh)", each.text):
                 assert (PROJECT / found[1]).is_file(), f"{each.place}: {found[1]}"
 

@@ -65,7 +65,6 @@ def furnish(root: Path) -> Path:
         write_tum(root / f"{name}.tum", timed)
     write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), first.poses))
     write_scan(root / "scan.pcd", points_of(first, 4))
-    write_scan(root / "tuesday" / "0412.pcd", points_of(first, 4))
     build_map(_few(first), Config.preset("profile")).save(root / "site.segmap")
     return root
 
