@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +10,6 @@ from .. import geometry
 from ..pictures import GREEN, PALETTE, PATH, TEXT_PT, blank, chart, legend, png
 from ..types import Float64
 from .align import Alignment
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _WIDTH_IN, _HEIGHT_IN, _DPI = 12.0, 5.5, 110
 _ACROSS = "loop across sessions"
@@ -57,7 +54,7 @@ def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
     return moved
 
 
-def _draw(axes: Axes, alignment: Alignment, members: list[int], poses: list[Float64]) -> Float64:
+def _draw(axes: Any, alignment: Alignment, members: list[int], poses: list[Float64]) -> Float64:
     """Paths and loops; returns how far each loop's scans are from where it puts them, metres."""
     chart(axes, "x, m", "y, m")
     positions = [

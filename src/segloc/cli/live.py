@@ -33,31 +33,35 @@ if TYPE_CHECKING:
 
 _DEADLINE_MS = 1000.0
 
+OdometryPoses = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="TUM or KITTI, in any frame: the odometry.",
+        show_default="the recording's",
+    ),
+]
+
+Rate = Annotated[
+    float,
+    typer.Option(
+        min=0,
+        metavar="FACTOR",
+        help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
+    ),
+]
+
 
 def live(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="TUM or KITTI, in any frame: the odometry.",
-            show_default="the recording's",
-        ),
-    ] = None,
+    poses: OdometryPoses = None,
     select: Select = None,
     truth: Truth = None,
     tolerance_m: Metres = 2.0,
     tolerance_deg: Degrees = 10.0,
-    rate: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            metavar="FACTOR",
-            help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
-        ),
-    ] = 0.0,
+    rate: Rate = 0.0,
     every: Annotated[
         float, typer.Option(min=0, metavar="METRES", help="A query for so much travel.")
     ] = 10.0,

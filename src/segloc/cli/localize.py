@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from .console import Update
 
 
+MapOrTiles = Annotated[
+    str, typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles.")
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -60,10 +63,7 @@ Json = Annotated[bool, typer.Option("--json", help="All of it on stdout, for pro
 
 def localize(
     sequence: Recording,
-    prior_map: Annotated[
-        str,
-        typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles."),
-    ],
+    prior_map: MapOrTiles,
     out: Out = None,
     debug: Debug = False,
     json: Json = False,

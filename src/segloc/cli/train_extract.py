@@ -32,37 +32,43 @@ Thin = Annotated[
 ]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes that simulate.")]
 
+Sequences = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="[SEQUENCE]...",
+        help="Recordings of one place, one a session.",
+        show_default="none: --simulate",
+    ),
+]
+
+Simulate = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SCENE:N,...", help="Draw worlds instead of recordings.", show_default="none"
+    ),
+]
+
+Sensors = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,...",
+        help="Simulated sensors to choose from.",
+        show_default="the usual ones",
+    ),
+]
+
 
 def extract(
     out: Out,
-    sequences: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="[SEQUENCE]...",
-            help="Recordings of one place, one a session.",
-            show_default="none: --simulate",
-        ),
-    ] = None,
+    sequences: Sequences = None,
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
     topic: Topic = None,
     place: Annotated[str, typer.Option(metavar="NAME", help="Of the place.")] = "place",
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Of the sensor.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
-    simulate: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SCENE:N,...", help="Draw worlds instead of recordings.", show_default="none"
-        ),
-    ] = None,
-    sensors: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Simulated sensors to choose from.",
-            show_default="the usual ones",
-        ),
-    ] = None,
+    simulate: Simulate = None,
+    sensors: Sensors = None,
     thin: Thin = 1,
     drive: Annotated[float, typer.Option(metavar="METRES", help="Of a simulated drive.")] = 500.0,
     length: Lengths = None,
