@@ -241,7 +241,8 @@ def test_the_robot_of_live_is_followed_while_it_drives(site: Site, tmp_path: Pat
         assert [m.state for m in moments] == ["lost", "localized", "localized"] and follows(out)
         assert "4 views agree" in moments[-1].said and points is not None
         draw_moments(scene, moments, points)
-        assert np.allclose(api.drawn["/robot/now"].points[0, :2], walk.poses[4][:2, 3], atol=1e-3)
+        now = api.drawn["/robot/now"].points[0] + prior_map.origin
+        assert np.allclose(now[:2], walk.poses[4][:2, 3], atol=1e-3)
         cloud = prior_map.cloud.astype(np.float64)
         nearest = cKDTree(cloud).query(api.drawn["/robot/cloud"].points)[0]
         assert np.median(nearest) < 0.3

@@ -19,7 +19,8 @@ _WITHIN = "loop within a session"
 def picture(alignment: Alignment) -> bytes:
     """Every component from above, as odometry had it and as it is now, with its loops.
 
-    A loop ties the two scans that saw one place: the longer the line, the farther off they are.
+    A loop is a line between the two scans that saw one place. The title says how far, in the
+    median, the trajectories have one scan from where the loop puts it.
 
     Returns
     -------
@@ -72,12 +73,12 @@ def _draw(axes: Any, alignment: Alignment, members: list[int], poses: list[Float
         levelled = [geometry.levelled(T) for T in (target, source)]
         meant = levelled[0] @ loop.T_target_source
         apart.append(float(np.linalg.norm((meant - levelled[1])[:2, 3])))
-        ends = np.array([meant[:2, 3], levelled[1][:2, 3], [np.nan, np.nan]])
+        ends = np.array([target[:2, 3], source[:2, 3], [np.nan, np.nan]])
         lines[_WITHIN if i == j else _ACROSS].append(ends)
     for (name, ends_of_all), colour in zip(lines.items(), (PATH, GREEN), strict=True):
         if ends_of_all:
             drawn = np.concatenate(ends_of_all)
-            axes.plot(*drawn.T, color=colour, lw=1.0, label=name, zorder=3)
+            axes.plot(*drawn.T, color=colour, lw=1.0, marker=".", ms=4, label=name, zorder=3)
     for k in members:
         colour, label = PALETTE[k % len(PALETTE)], f"{k}: {alignment.names[k]}"
         axes.plot(*poses[k][:, :2, 3].T, color=colour, lw=1.4, label=label, zorder=2)
