@@ -30,7 +30,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "explanation": (2, "one query through every stage, in words and pictures"),
     "simulation": (3, "worlds, objects, sensors, motion"),
     "diagnosis": (3, "what is wrong with a recording, measured, and how to mend it"),
-    "pictures.py": (3, "empty pictures, and their bytes"),
+    "pictures.py": (3, "the one look of all pictures: colours, ground plans, scales"),
     "datasets": (4, "recordings: loaders, bags, packets, odometry"),
     "tracker.py": (4, "many queries over time"),
     "scan_check.py": (4, "what a single scan says of a pose"),

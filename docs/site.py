@@ -22,12 +22,15 @@ from segloc.config import Config
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "site" / "pages"
+SOURCE = ROOT / "build" / "site" / "source"
+"""The package with the roles of its docstrings resolved, for the page of the API."""
 MOVED = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
     "SECURITY.md": "security.md",
 }
+ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):`(~?)\.?([\w.]+)`")
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
 
@@ -81,6 +84,8 @@ def _names(option: Any) -> str:
 def _default(option: Any) -> str:
     if option.required:
         return "needed"
+    if isinstance(option.show_default, str):
+        return _cell(option.show_default)
     default = option.default
     empty = default is None or default is False or default == "" or callable(default)
     return "" if empty else f"`{_cell(str(default))}`"
@@ -104,7 +109,33 @@ def api() -> str:
     return "# Python\n\nWhat `import segloc` brings.\n" + "".join(sections)
 
 
+def resolved(text: str) -> str:
+    """A docstring whose Sphinx roles are links to the names of the API, or else code."""
+    public = {name for name in segloc.__all__ if not name.startswith("_")}
+
+    def plain(match: re.Match[str]) -> str:
+        short, name = match.groups()
+        inner = name.removeprefix("segloc.")
+        shown = name.rpartition(".")[2] if short else inner
+        # Of members, only those that are written with their class.
+        known = inner.split(".")[0] in public and inner.count(".") < 2
+        return f"[`{shown}`][segloc.{inner}]" if known else f"`{shown}`"
+
+    return ROLE.sub(plain, text)
+
+
+def write_source() -> None:
+    """A copy of the package to read docstrings from."""
+    shutil.rmtree(SOURCE, ignore_errors=True)
+    package = ROOT / "src" / "segloc"
+    for path in [*package.rglob("*.py"), *package.rglob("*.pyi")]:
+        goal = SOURCE / "segloc" / path.relative_to(package)
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        goal.write_text(resolved(path.read_text("utf-8")), "utf-8")
+
+
 def main() -> None:
+    write_source()
     shutil.rmtree(PAGES, ignore_errors=True)
     places = written()
     for source, goal in places.items():

@@ -21,6 +21,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
+from segloc.pictures import BLUE, DARK, GREEN, GREY, RED
 from segloc.search import Query as Described
 from segloc.segmentation import Segmentation
 from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
@@ -29,7 +30,6 @@ from segloc.verification import RefinedScore
 
 Floats = NDArray[np.float64]
 
-GREEN, RED, BLUE, GREY, DARK = "#12a150", "#e5243b", "#2563eb", "#b6bcc6", "#3f4756"
 HALF_VIEW_M = 32.0
 """Half the side of the pictures that look down on the query."""
 FAR_M = 15.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -55,6 +56,9 @@ FOR_USERS = (
     "verification.refine",
 )
 """What users may want to set. The confidence was fitted under the others."""
+
+_UNITS = {"_m": "metres", "_deg": "degrees", "_ms": "milliseconds", "_s": "seconds"}
+"""Of keys, by how their names end."""
 
 _MOST_TEXT = 1 << 16  # characters of the configuration in a map; there are about 3000
 
@@ -202,8 +206,16 @@ def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Itera
         elif every or key in FOR_USERS:
             plain = model.model_dump(mode="json")[name]
             text = yaml.safe_dump(plain, default_flow_style=True, width=1000).split("\n...")[0]
-            comment = f"  # {info.description}" if info.description else ""
-            yield f"{indent}{name}: {text.strip()}{comment}"
+            yield f"{indent}{name}: {text.strip()}{_comment(name, info.description)}"
+
+
+def _comment(name: str, said: str | None) -> str:
+    """What a key means, and its unit where the key's name alone tells it."""
+    if not said:
+        return ""
+    unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
+    told = any(re.search(rf"\b{word}s?\b", said) for word in ("metre", "degree"))
+    return f"  # {said}" if told or not unit else f"  # {said}, {unit}"
 
 
 def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Model:

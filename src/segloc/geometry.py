@@ -157,9 +157,11 @@ def carried_covariance(covariance: NDArray[np.float64], T_a_b: Pose) -> NDArray[
 class Separation(Section):
     """Poses closer than this are one place."""
 
-    metres: float = Field(3.0, gt=0, le=1000, description="horizontal distance")
-    degrees: float = Field(15.0, gt=0, le=180, description="difference of the headings")
-    height: float = Field(2.0, gt=0, le=1000, description="vertical distance: another storey")
+    metres: float = Field(3.0, gt=0, le=1000, description="horizontal distance, metres")
+    degrees: float = Field(15.0, gt=0, le=180, description="difference of the headings, degrees")
+    height: float = Field(
+        2.0, gt=0, le=1000, description="vertical distance, metres: another storey"
+    )
 
     def apart(self, T_a: Pose, T_b: Pose) -> bool:
         """Whether two (4, 4) poses in one frame are at different places."""

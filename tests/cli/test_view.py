@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
-import shutil
-import subprocess
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.walk import POINTS_ASIDE, Site, run, walked_site
+from scipy.spatial import cKDTree
 
 from segloc import SegmentMap
+from segloc.datasets import open_sequence
 from segloc.errors import SeglocError
+from segloc.explanation.following import (
+    SO_FAR,
+    draw_moments,
+    follows,
+    newest_points,
+    read_moments,
+)
 from segloc.explanation.results import read_results
 from segloc.explanation.scene import FIXED, OF_QUERY, MapScene
 from segloc.explanation.seen import packed, unpacked
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+from segloc.pictures import GREEN, rgb
+from segloc.views import Status
 
 
 @pytest.fixture(scope="module")
@@ -127,54 +136,130 @@ def test_debug_needs_a_folder(site: Site, capsys: pytest.CaptureFixture[str]) ->
     assert "--debug needs --out DIR" in capsys.readouterr().err
 
 
-def pixels(page: str, picture: Path) -> np.ndarray:
-    """A screenshot by Chromium, (H, W, 3), 0 to 1."""
-    image = pytest.importorskip("matplotlib.image")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here")
-    options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--no-first-run"]
-    options += ["--enable-unsafe-swiftshader", "--disable-background-networking"]
-    options += ["--window-size=900,700", "--virtual-time-budget=6000", f"--screenshot={picture}"]
-    done = subprocess.run(
-        [CHROMIUM, *options, f"--user-data-dir={picture.parent / 'profile'}", page],
-        capture_output=True,
-        timeout=200,
-        check=False,
+@pytest.fixture(scope="module")
+def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A page of a headless browser."""
+    pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
+    chromium = pytest.importorskip(
+        "segloc_experiments.bench.browser", reason="the browser is driven by segloc-experiments"
     )
-    if not picture.exists():
-        pytest.skip(f"Chromium made no picture here: {done.stderr[-200:]!r}")
-    return np.asarray(image.imread(picture))[:, :, :3]
+    pytest.importorskip("matplotlib.image")
+    if chromium.CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    try:
+        with chromium.browser(tmp_path_factory.mktemp("profile")) as page:
+            yield page
+    except RuntimeError as error:
+        pytest.skip(f"Chromium does not work here: {error}")
+
+
+def pixels(page: Any) -> np.ndarray:
+    """What is to be seen, (H, W, 3), 0 to 1."""
+    from matplotlib.image import imread
+
+    return np.asarray(imread(io.BytesIO(page.picture())))[:, :, :3]
 
 
 def colourful(shot: np.ndarray) -> float:
     """Share of the middle of a screenshot that is neither white nor grey."""
-    middle = shot[200:600, 100:800]
+    middle = shot[200:500, 100:700]
     return float((np.ptp(middle, axis=2) > 0.3).mean())
 
 
+def alike(shot: np.ndarray, colour: str, off: float = 0.06) -> int:
+    """Pixels of nearly this colour."""
+    wanted = np.array(rgb(colour)) / 255.0
+    return int((np.abs(shot[:500] - wanted).max(axis=2) < off).sum())
+
+
 @pytest.mark.slow
-def test_the_page_shows_the_map_and_the_queries(site: Site, results: Path, tmp_path: Path) -> None:
-    pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
-    page = tmp_path / "page.html"
-    assert run("view", site.map, results, "--html", page) == 0
-    text = page.read_text("utf-8")
+def test_the_page_shows_the_map_and_the_queries(
+    site: Site, results: Path, tmp_path: Path, browser_page: Any
+) -> None:
+    file, page = tmp_path / "page.html", browser_page
+    assert run("view", site.map, results, "--html", file) == 0
+    text = file.read_text("utf-8")
     assert len(text) < 20e6 and not re.search(r"<(script|link|img)[^>]+(src|href)=.?http", text)
-    shot = pixels(page.as_uri(), tmp_path / "shot.png")
-    assert colourful(shot) > 0.01  # segments, matches, markers
+    page.open(file.as_uri())
+    assert page.until("document.querySelector('[role=slider]') && window.framesDrawn > 0")
+    page.wait(3.0)
+    before = pixels(page)
+    assert colourful(before) > 0.01  # segments, matches, markers
+    page.value("document.querySelector('#segloc select').value = 2")
+    page.value("document.querySelector('#segloc select').dispatchEvent(new Event('change'))")
+    said = "document.querySelector('#segloc').innerText"
+    assert page.until(f"{said}.includes('2: refused\\n\\nnot localized, ')"), page.value(said)
+    page.wait(2.0)
+    after = pixels(page)
+    assert np.abs(after - before)[:500, :700].max(axis=2).mean() > 0.005  # another query
+    assert alike(after, GREEN) + alike(before, GREEN) > 50  # markers of those that are found
+    assert page.faults == []
+    assert all(each.startswith(("file:", "data:", "blob:")) for each in page.requested)
 
 
 @pytest.mark.slow
 def test_the_server_shows_a_panel_with_the_reason(
-    site: Site, results: Path, tmp_path: Path
+    site: Site, results: Path, browser_page: Any
 ) -> None:
-    pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
     from segloc.explanation import viewer
 
-    shown = read_results(results)
+    shown, page = read_results(results), browser_page
     server = viewer.serve(SegmentMap.load(site.map), shown, 8199)
     try:
-        shot = pixels(f"http://localhost:{server.get_port()}", tmp_path / "shot.png")
+        page.open(f"http://localhost:{server.get_port()}")
+        assert page.until("document.body.innerText.includes('0: found')")
+        shot = pixels(page)
+        for _ in range(30):  # until all has come and is drawn
+            if colourful(shot) > 0.01:
+                break
+            page.wait(1.0)
+            shot = pixels(page)
     finally:
         server.stop()
     assert colourful(shot) > 0.01
     assert "**2: refused**\n\nnot localized, " in viewer.described(shown[2])
+
+
+@pytest.mark.slow
+def test_the_robot_of_live_is_followed_while_it_drives(site: Site, tmp_path: Path) -> None:
+    from segloc.cli.live_so_far import SoFar
+    from segloc.live import State
+
+    walk, out = open_sequence(site.run, site.run / "poses.tum"), tmp_path / "live"
+    assert walk.poses is not None
+    api, prior_map = Api(), SegmentMap.load(site.map)
+    scene = MapScene(api, prior_map)
+    with SoFar(out, walk) as so_far:
+        so_far.add(0, State(0.0, Status.LOST, reason="no query yet"))
+        assert read_moments(out)[0].T_map_base is None and newest_points(out) is None
+        so_far._last = -np.inf
+        for k in (3, 4):
+            so_far.add(k, State(float(k), Status.LOCALIZED, np.eye(4), walk.poses[k], views=k))
+        with (out / SO_FAR).open("a") as file:
+            file.write('{"index": 5, "st')  # cut off: being written
+        moments, points = read_moments(out), newest_points(out)
+        assert [m.state for m in moments] == ["lost", "localized", "localized"] and follows(out)
+        assert "4 views agree" in moments[-1].said and points is not None
+        draw_moments(scene, moments, points)
+        now = api.drawn["/robot/now"].points[0] + prior_map.origin
+        assert np.allclose(now[:2], walk.poses[4][:2, 3], atol=1e-3)
+        cloud = prior_map.cloud.astype(np.float64)
+        nearest = cKDTree(cloud).query(api.drawn["/robot/cloud"].points)[0]
+        assert np.median(nearest) < 0.3
+    assert list(out.iterdir()) == []
+    with pytest.raises(SeglocError, match="no results of `segloc live --out`"):
+        read_moments(out)
+
+
+@pytest.mark.slow
+def test_a_finished_drive_is_shown_in_one_page(site: Site, tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
+    out, page = tmp_path / "live", tmp_path / "live.html"
+    options = ["--map", site.map, "--poses", "poses.tum", "--select", "0:4", "--out", out]
+    assert run("live", site.run, *options) == 0
+    assert sorted(file.name for file in out.iterdir()) == [
+        "poses.tum", "states.jsonl", "summary.json"
+    ]  # fmt: skip
+    assert [moment.index for moment in read_moments(out)] == [0, 1, 2, 3, 4]
+    assert run("view", site.map, out, "--html", page) == 0
+    assert "robot/path" in page.read_text("utf-8") or page.stat().st_size > 1e6

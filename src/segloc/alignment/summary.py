@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from .. import geometry
-from ..pictures import blank, png
 from ..types import Float64, Pose
 from .align import Alignment
 from .loops import Loop
@@ -32,8 +31,6 @@ _COLUMNS = [
     "after_deg",
     "weight",
 ]
-_COLOURS = ("#1769aa", "#e5243b", "#12a150", "#8e44ad", "#d98200", "#00838f")
-_GREY = "#b8bfca"
 
 
 def loops_csv(alignment: Alignment) -> str:
@@ -135,53 +132,3 @@ def _spread(residuals: list[Float64 | None]) -> dict[str, float | None]:
     metres, degrees = np.array(sizes).T
     values = [np.percentile(part, share) for part in (metres, degrees) for share in (50, 95)]
     return {name: round(float(value), 4) for name, value in zip(names, values, strict=True)}
-
-
-def picture(alignment: Alignment) -> bytes:
-    """Every component from above, as odometry had it and as it is now, with its loops.
-
-    Returns
-    -------
-    bytes
-        A PNG image.
-
-    Raises
-    ------
-    MissingDependency
-        If matplotlib is not installed.
-    """
-    rows = len(alignment.components)
-    figure = blank((12, 5.5 * rows), 110, layout="constrained")
-    axes = figure.subplots(rows, 2, squeeze=False)
-    for row, members in zip(axes, alignment.components, strict=True):
-        for side, title, poses in zip(
-            row, ("odometry", "aligned"), (_moved(alignment, members), alignment.poses), strict=True
-        ):
-            _draw(side, alignment, members, poses)
-            side.set_title(title, loc="left")
-    return png(figure)
-
-
-def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
-    """Odometry, each session moved to where its first pose is now."""
-    moved = list(alignment.odometry)
-    for k in members:
-        odometry = alignment.odometry[k]
-        moved[k] = alignment.poses[k][0] @ np.linalg.inv(odometry[0]) @ odometry
-    return moved
-
-
-def _draw(axes: Any, alignment: Alignment, members: list[int], poses: list[Float64]) -> None:
-    where = [dict(zip(map(int, i), p[:, :2, 3], strict=True))
-             for i, p in zip(alignment.indices, poses, strict=True)]  # fmt: skip
-    rows = zip(alignment.loops, alignment.loop_sessions, alignment.loop_scans, strict=True)
-    for loop, sessions, scans in rows:
-        if loop.accepted and sessions[0] in members:
-            ends = [where[s][int(i)] for s, i in zip(sessions, scans, strict=True)]
-            axes.plot(*np.array(ends).T, color=_GREY, lw=0.6, zorder=1)
-    for k in members:
-        label = f"{k}: {alignment.names[k]}"
-        axes.plot(*poses[k][:, :2, 3].T, color=_COLOURS[k % len(_COLOURS)], lw=1.4, label=label)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(fontsize=8, frameon=False)
-    axes.tick_params(labelsize=8)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import geometry
-from ..pictures import blank, png
+from ..pictures import DARK, GREY, ORANGE, RED, blank, legend, plan, png
 from ..types import Float64
 from .failures import Case
 from .run import query_clouds
@@ -45,29 +45,26 @@ def draw_case(
     middle = T[:2, 3]
     figure = blank((8.0, 8.4), 110)
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.93))
-    axes.set_axis_off()
-    axes.set_aspect("equal")
-    axes.set_xlim(middle[0] - radius_m, middle[0] + radius_m)
-    axes.set_ylim(middle[1] - radius_m, middle[1] + radius_m)
+    plan(axes, middle - radius_m, middle + radius_m)
     prior_map = localizer.prior_map
     layers: tuple[tuple[Float64, dict[str, Any], str], ...] = (
         (
             prior_map.cloud[:, :2] + prior_map.origin[:2],
-            {"s": 0.3, "color": "#c3c9d4"},
+            {"s": 0.3, "color": GREY},
             "cloud of the map",
         ),
-        (geometry.transform(T, scene.segments.points)[:, :2], {"s": 0.6, "color": "#f0883e"}, ""),
-        (prior_map.centroids[:, :2], {"s": 10, "color": "#3f4756"}, "segments of the map"),
+        (geometry.transform(T, scene.segments.points)[:, :2], {"s": 0.6, "color": ORANGE}, ""),
+        (prior_map.centroids[:, :2], {"s": 10, "color": DARK}, "segments of the map"),
         (
             geometry.transform(T, scene.segments.centroids)[:, :2],
-            {"s": 46, "facecolors": "none", "edgecolors": "#e5243b"},
+            {"s": 46, "facecolors": "none", "edgecolors": RED},
             "segments of the query, under the true pose",
         ),
     )
     for points, style, label in layers:
         near = np.abs(points - middle).max(axis=1) < radius_m if len(points) else slice(0)
         axes.scatter(*points[near].T, label=label or None, **style)
-    axes.legend(loc="upper right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
+    legend(axes)
     title = f"{case.index}: {case.stage} ({case.segments} segments, {case.repeated} repeated, "
     figure.text(0.02, 0.965, f"{title}{case.matched} matched, {case.inliers} inliers)", fontsize=11)
     return png(figure)

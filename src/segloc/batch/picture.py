@@ -2,28 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..map.segment_map import SegmentMap
-from ..pictures import blank, png
+from ..pictures import (
+    BLUE,
+    DARK,
+    GREEN,
+    PATH,
+    RED,
+    blank,
+    density,
+    dots,
+    legend,
+    plan,
+    png,
+    scale,
+    title,
+)
 from ..types import Float64
-from .score import PATH_BREAK_M, Evaluation
+from .score import PATH_BREAK_M, Bools, Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_GREEN, _RED, _DARK = "#12a150", "#e5243b", "#3f4756"
 _LONG_SIDE_IN, _SHORT_SIDE_IN, _DPI = 11.0, 4.5, 120
 _MARGIN_M = 15.0
+_ARROW_PX = 20.0
+_MARKERS = "oDs^vP*Xh"
+"""Of reasons, the commonest first."""
 
 
-def draw(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> bytes:
+def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
     """Draw the map's cloud in grey and every query on it.
 
-    A localized query is a green dot, a false one a red dot tied to its true place, and one that
-    was not localized a hollow dot at its true place, if that is known.
+    A localized query is a green dot with an arrow where it looks, a false one a red dot tied to its
+    true place. One that was not localized is hollow, at its true place if that is known, and its
+    shape tells the reason. Where the truth is known it is a blue line.
 
     Returns
     -------
@@ -38,18 +56,17 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> bytes:
     low, high = _extent(prior_map, evaluation)
     figure = blank(_figure_size(high - low), _DPI)
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.95))
-    axes.set_axis_off()
-    axes.set_aspect("equal")
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    _draw_cloud(axes, prior_map, low, high)
-    _draw_path(axes, prior_map.trajectory[:, :2, 3])
-    _draw_queries(axes, evaluation)
-    _draw_scale(axes, low, high)
-    axes.legend(
-        loc="upper right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9, borderpad=0.8
-    )
-    figure.text(0.02, 0.975, title, fontsize=13, fontweight="bold", color=_DARK, va="center")
+    plan(axes, low, high)
+    density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
+    _draw_path(axes, prior_map.trajectory[:, :2, 3], color=PATH, label="path of the map")
+    if evaluation.truths is not None:
+        style = {"color": BLUE, "ls": (0, (1, 2)), "label": "true path of the queries"}
+        _draw_path(axes, evaluation.truths[:, :2, 3], **style)
+    _draw_found(axes, evaluation)
+    _draw_refused(axes, evaluation)
+    scale(axes)
+    legend(axes)
+    title(figure, heading)
     return png(figure)
 
 
@@ -74,80 +91,52 @@ def _figure_size(extent: Float64) -> tuple[float, float]:
     return float(max(width, 7.0)), float(height) / 0.95
 
 
-def _draw_cloud(axes: Axes, prior_map: SegmentMap, low: Float64, high: Float64) -> None:
-    if not len(prior_map.cloud):
-        return
-    cell = max(0.3, float((high - low).max()) / 1600)
-    shape = np.maximum(((high - low) / cell).astype(int), 1)
-    points = prior_map.cloud[:, :2] + prior_map.origin[:2]
-    density, _, _ = np.histogram2d(
-        points[:, 0], points[:, 1], bins=shape, range=np.stack([low, high], axis=1)
-    )
-    shade = np.log1p(density)
-    shade /= max(float(np.percentile(shade[shade > 0], 97)), 1e-9) if shade.any() else 1.0
-    axes.imshow(
-        shade.T,
-        origin="lower",
-        extent=(low[0], high[0], low[1], high[1]),
-        cmap="Greys",
-        vmin=0.0,
-        vmax=1.6,
-        interpolation="antialiased",
-        zorder=0,
-    )
-
-
-def _draw_path(axes: Axes, path: Float64) -> None:
+def _draw_path(axes: Axes, path: Float64, **style: Any) -> None:
     if not len(path):
         return
     jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
-    broken = np.insert(path, jumps, np.nan, axis=0)
-    axes.plot(*broken.T, color="#7d8aa0", lw=1.2, zorder=1, label="path of the map")
+    axes.plot(*np.insert(path, jumps, np.nan, axis=0).T, lw=1.2, zorder=1, **style)
 
 
-def _draw_queries(axes: Axes, evaluation: Evaluation) -> None:
-    found = evaluation.positions_found()[:, :2, 3]
+def _draw_found(axes: Axes, evaluation: Evaluation) -> None:
+    """Those that were localized, and where they look; false ones tied to the truth."""
+    found = evaluation.positions_found()
     false = evaluation.false[evaluation.localized]
-    lost = int((~evaluation.localized).sum())
-    right: dict[str, Any] = {
-        "s": 26,
-        "color": _GREEN,
-        "edgecolors": "white",
-        "linewidths": 0.6,
-        "zorder": 4,
-    }
-    hollow: dict[str, Any] = {
-        "s": 26,
-        "facecolors": "white",
-        "edgecolors": _DARK,
-        "linewidths": 1.0,
-        "zorder": 2,
-    }
+    _draw_dots(axes, found[~false], GREEN, f"localized ({int((~false).sum())})", 4)
     if evaluation.truths is None:
-        axes.scatter(*found.T, label=f"localized ({len(found)})", **right)
-        axes.scatter([], [], label=f"not localized, place unknown ({lost})", **hollow)
         return
-    truths = evaluation.truths[:, :2, 3]
-    axes.scatter(*found[~false].T, label=f"localized ({int((~false).sum())})", **right)
-    for pair in zip(truths[evaluation.false], found[false], strict=True):
-        axes.plot(*np.array(pair).T, color=_RED, lw=0.8, alpha=0.6, zorder=3)
-    wrong = {**right, "color": _RED, "zorder": 5}
-    axes.scatter(*found[false].T, label=f"localized falsely ({int(false.sum())})", **wrong)
-    axes.scatter(*truths[~evaluation.localized].T, label=f"not localized ({lost})", **hollow)
+    truths = evaluation.truths[evaluation.false, :2, 3]
+    for pair in zip(truths, found[false, :2, 3], strict=True):
+        axes.plot(*np.array(pair).T, color=RED, lw=0.8, alpha=0.6, zorder=3)
+    _draw_dots(axes, found[false], RED, f"localized falsely ({int(false.sum())})", 5)
 
 
-def _draw_scale(axes: Axes, low: Float64, high: Float64) -> None:
-    widest = (high[0] - low[0]) / 5
-    length = max(step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step <= widest)
-    x, y = low + 0.02 * (high - low).max()
-    axes.plot([x, x + length], [y, y], color=_DARK, lw=2.5, solid_capstyle="butt", zorder=6)
-    axes.annotate(
-        f"{length} m",
-        (x + length / 2, y),
-        xytext=(0, 4),
-        textcoords="offset points",
-        ha="center",
-        fontsize=9,
-        color=_DARK,
-        zorder=6,
-    )
+def _draw_dots(axes: Axes, poses: Float64, colour: str, label: str, layer: int) -> None:
+    at, ahead = poses[:, :2, 3], poses[:, :2, 0]
+    style: dict[str, Any] = {"s": 26, "edgecolors": "white", "linewidths": 0.6}
+    dots(axes, at, color=colour, zorder=layer, label=label, **style)
+    if len(poses):
+        length = _ARROW_PX * ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+        shape: dict[str, Any] = {"width": 1.8, "headwidth": 4, "headlength": 5, "scale": 1}
+        units: dict[str, Any] = {"angles": "xy", "scale_units": "dots", "units": "dots"}
+        axes.quiver(*at.T, *length.T, color=colour, zorder=layer, **shape, **units)
+
+
+def _draw_refused(axes: Axes, evaluation: Evaluation) -> None:
+    """Those that were not, a shape for each reason."""
+    style: dict[str, Any] = {"s": 30, "facecolors": "white", "edgecolors": DARK, "zorder": 2}
+    style["linewidths"] = 1.0
+    for (reason, chosen), marker in zip(_reasons(evaluation), _MARKERS, strict=False):
+        places, where = np.empty((0, 2)), ", place unknown"
+        if evaluation.truths is not None:
+            places, where = evaluation.truths[chosen, :2, 3], ""
+        label = f"not localized, {reason} ({int(chosen.sum())}{where})"
+        dots(axes, places, marker=marker, label=label, **style)
+
+
+def _reasons(evaluation: Evaluation) -> Iterable[tuple[str, Bools]]:
+    """Each reason and the queries that it was given for, the commonest first."""
+    said = np.array(["" if r.reason is None else r.reason.value for r in evaluation.results])
+    names, counts = np.unique(said[said != ""], return_counts=True)
+    order = np.lexsort((names, -counts))
+    return [(str(names[k]), said == names[k]) for k in order]

@@ -13,6 +13,7 @@ from .options import (
     Cluster,
     ConfigFile,
     Deskew,
+    Method,
     Odometry,
     PosesOfEach,
     SelectOfEach,
@@ -40,10 +41,8 @@ def align(
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
-    method: Annotated[
-        str | None, typer.Option(metavar="NAME", help="How segments are described.")
-    ] = None,
-    every: Annotated[float, typer.Option(metavar="METRES", help="Between submaps.")] = 6.0,
+    method: Method = None,
+    every: Annotated[float, typer.Option(metavar="METRES", help="Travel between submaps.")] = 6.0,
     min_support: Annotated[
         int, typer.Option(min=1, metavar="COUNT", help="Other loops that must agree with a loop.")
     ] = 2,
@@ -118,7 +117,8 @@ def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
 
 
 def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
-    from ..alignment.summary import loops_csv, loops_jsonl, picture, summary
+    from ..alignment.picture import picture
+    from ..alignment.summary import loops_csv, loops_jsonl, summary
     from ..errors import MissingDependency
     from ..files import replacing, write_text
     from ..io import Trajectory, write_tum

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
+from .options import Method
+
 
 def config(
-    method: Annotated[
-        str | None, typer.Option(metavar="NAME", help="How segments are described.")
-    ] = None,
+    method: Method = None,
     every: Annotated[
         bool, typer.Option("--all", help="Also what the confidence was fitted under.")
     ] = False,

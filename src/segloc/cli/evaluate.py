@@ -28,37 +28,42 @@ _LONG_ROWS = 40
 Out = Annotated[
     Path, typer.Option(metavar="DIR", help="The folder of all results.", show_default=False)
 ]
-Methods = Annotated[str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.")]
+Methods = Annotated[
+    str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.", show_default="all")
+]
 Threads = Annotated[int, typer.Option(min=0, metavar="COUNT", help="Of the engine; 0: all cores.")]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes.")]
 MapPoses = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE", help="Poses of MAP; poses.tum where there is one, else the recording's own."
-    ),
+    typer.Option(metavar="FILE", help="Poses of MAP.", show_default="poses.tum, else its own"),
 ]
 QueryPoses = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Odometry of QUERY; odometry.tum where there is one, else the truth, else the "
-        "recording's own.",
+        help="Odometry of QUERY.",
+        show_default="odometry.tum, else the truth, else its own",
     ),
 ]
 Truth = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE", help="True poses of QUERY in MAP's frame; poses.tum where there is one."
+        metavar="FILE", help="True poses of QUERY in MAP's frame.", show_default="poses.tum"
     ),
 ]
 MapSelect = Annotated[
-    str | None, typer.Option(metavar="A:B[,C:D]", help="Only these scans of MAP.")
+    str | None,
+    typer.Option(metavar="A:B[,C:D]", help="Only these scans of MAP.", show_default="all"),
 ]
 QuerySelect = Annotated[
-    str | None, typer.Option(metavar="A:B[,C:D]", help="Only these scans of QUERY.")
+    str | None,
+    typer.Option(metavar="A:B[,C:D]", help="Only these scans of QUERY.", show_default="all"),
 ]
 Topic = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Which of several topics or sensors.")
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Which of several topics or sensors.", show_default="the only one"
+    ),
 ]
 Every = Annotated[
     float, typer.Option(metavar="METRES", help="One query in so many metres of travel.")

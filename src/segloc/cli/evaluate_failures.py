@@ -59,6 +59,7 @@ def failures(
     from ..errors import DatasetError
     from ..files import replacing
     from ..map.segment_map import SegmentMap
+    from .console import busy
     from .results import check_folder
 
     check_every(every)
@@ -72,14 +73,18 @@ def failures(
     positions = np.arange(len(recording), dtype=np.int64)
     if every is not None:
         positions = query_positions(truths, every, localizer.config.local_cloud.max_gap_m)
-    found = funnel(localizer, QuerySet(recording, positions, truths[positions]))
+    with busy("Looking where queries are lost"):
+        found = funnel(localizer, QuerySet(recording, positions, truths[positions]))
     show(found)
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "funnel.json") as file:
         file.write((json.dumps(found.to_json(), indent=2, allow_nan=False) + "\n").encode())
     at = {int(index): position for position, index in enumerate(recording.indices)}
     for case in found.worst(pictures):
-        with replacing(out / f"failure_{case.index:06d}.png") as file:
+        with (
+            busy(f"Drawing query {case.index}"),
+            replacing(out / f"failure_{case.index:06d}.png") as file,
+        ):
             file.write(draw_case(localizer, recording, case, at[case.index]))
 
 

@@ -21,11 +21,14 @@ def explain(
     ],
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write a page with pictures.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write a page with pictures.", show_default="none"),
     ] = None,
     select: Annotated[
         int | None,
-        typer.Option(min=0, metavar="NUMBER", help="Of a recording: which scan.  [default: last]"),
+        typer.Option(
+            min=0, metavar="NUMBER", help="Of a recording: which scan.", show_default="the last"
+        ),
     ] = None,
     poses: Poses = None,
     topic: Topic = None,

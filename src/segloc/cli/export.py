@@ -30,11 +30,20 @@ def export(
     ] = 20.0,
     epsg: Annotated[
         int | None,
-        typer.Option(min=1, metavar="CODE", help="The map's frame, for GeoJSON to name."),
+        typer.Option(
+            min=1,
+            metavar="CODE",
+            help="The map's frame, for GeoJSON to name.",
+            show_default="not known",
+        ),
     ] = None,
     at: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Where the map's origin is; x east: GeoJSON by it."),
+        typer.Option(
+            metavar="LAT,LON",
+            help="Degrees, of the map's origin; x east: GeoJSON by it.",
+            show_default="not known",
+        ),
     ] = None,
 ) -> None:
     """Write a map or results in a format of others.
@@ -46,9 +55,11 @@ def export(
     from ..export import export as written
     from ..export.formats import Options
     from ..export.tracks import Place
-    from .console import note
+    from .console import busy, note
 
     place = None if at is None else Place.parse(at)
-    for line in written(source, to, out, Options(tile, epsg, place)):
+    with busy("Writing"):
+        notes = list(written(source, to, out, Options(tile, epsg, place)))
+    for line in notes:
         note(line)
     print(out)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .live_so_far import SoFar, record
 from .options import (
     ConfigFile,
     Degrees,
@@ -32,30 +33,35 @@ if TYPE_CHECKING:
 
 _DEADLINE_MS = 1000.0
 
+OdometryPoses = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="TUM or KITTI, in any frame: the odometry.",
+        show_default="the recording's",
+    ),
+]
+
+Rate = Annotated[
+    float,
+    typer.Option(
+        min=0,
+        metavar="FACTOR",
+        help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
+    ),
+]
+
 
 def live(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="TUM or KITTI, in any frame: the odometry. By default the recording's.",
-        ),
-    ] = None,
+    poses: OdometryPoses = None,
     select: Select = None,
     truth: Truth = None,
     tolerance_m: Metres = 2.0,
     tolerance_deg: Degrees = 10.0,
-    rate: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            metavar="FACTOR",
-            help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
-        ),
-    ] = 0.0,
+    rate: Rate = 0.0,
     every: Annotated[
         float, typer.Option(min=0, metavar="METRES", help="A query for so much travel.")
     ] = 10.0,
@@ -70,7 +76,7 @@ def live(
     """Play a recording to what runs on a robot, and say where it is scan by scan.
 
     Only the motion between poses is used, never where they are. Writes poses.tum, states.jsonl and
-    summary.json.
+    summary.json; `segloc view MAP DIR` follows it meanwhile.
     """
     from ..datasets import poses_at
     from ..live.replay import odometry_of, replay
@@ -91,8 +97,13 @@ def live(
     recording = levelled_poses(recording, local, level)
     T = place_of_sensor(local.mount)
     truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
-    heard = _teller(recording)
-    with progress("Following") as update:
+    tell = _teller(recording)
+    with SoFar(out, recording, clouds=not rate) as so_far, progress("Following") as update:
+
+        def heard(position: int, state: State) -> None:
+            tell(position, state)
+            so_far.add(position, state)
+
         played = replay(localizer, recording, _settings(every, rate), rate, heard, update)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
     facts |= summary(played, moved, truths, tolerance_m, tolerance_deg)
@@ -139,12 +150,8 @@ def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[s
 def _lines(recording: Scans, played: Replay) -> list[str]:
     lines = []
     for position in map(int, played.positions):
-        record = {
-            "index": int(recording.indices[position]),
-            **played.states[position].record(),
-            "stamp": None if recording.stamps is None else float(recording.stamps[position]),
-        }
-        lines.append(json.dumps(record, allow_nan=False) + "\n")
+        found = record(recording, position, played.states[position])
+        lines.append(json.dumps(found, allow_nan=False) + "\n")
     return lines
 
 

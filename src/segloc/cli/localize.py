@@ -46,7 +46,15 @@ if TYPE_CHECKING:
     from .console import Update
 
 
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="A folder to write results to.")]
+MapOrTiles = Annotated[
+    str, typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles.")
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="A folder to write results to.", show_default="none: they are printed"
+    ),
+]
 Debug = Annotated[
     bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
 ]
@@ -55,10 +63,7 @@ Json = Annotated[bool, typer.Option("--json", help="All of it on stdout, for pro
 
 def localize(
     sequence: Recording,
-    prior_map: Annotated[
-        str,
-        typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles."),
-    ],
+    prior_map: MapOrTiles,
     out: Out = None,
     debug: Debug = False,
     json: Json = False,
@@ -197,16 +202,19 @@ def _tell(
     json: bool,
 ) -> None:
     """Write and show the answers, and a hint where there is one."""
-    from .console import note
+    from .console import busy, note
     from .hints import hint
     from .results import write_results
 
     recording, localizer = asked.recording, asked.localizer
     if out is not None:
         title = f"{recording.name} in {Path(name).stem}"
-        write_results(out, localizer.prior_map, evaluation, title, kept)
+        with busy("Drawing"):
+            write_results(out, localizer.prior_map, evaluation, title, kept)
     _show_all(evaluation, f"{recording.name} in {name}", json)
-    if line := hint(recording, evaluation.results, localizer.config.local_cloud):
+    with busy("Looking why"):
+        line = hint(recording, evaluation.results, localizer.config.local_cloud)
+    if line:
         note(line)
 
 

@@ -15,6 +15,7 @@ from .options import (
     Every,
     Level,
     MapOut,
+    Method,
     Odometry,
     Origin,
     PosesOfEach,
@@ -48,9 +49,7 @@ def build(
         typer.Argument(metavar="SEQUENCE...", help="Recordings whose poses share a frame."),
     ],
     out: MapOut,
-    method: Annotated[
-        str | None, typer.Option(metavar="NAME", help="How segments are described.")
-    ] = None,
+    method: Method = None,
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
     every: Every = None,

@@ -7,18 +7,22 @@ from typing import Annotated
 
 import typer
 
-from .options import Recording, Topic
+from .options import Recording, Select, Topic
 
 
 def odometry(
     sequence: Recording,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="POSES.tum", help="By default beside the recording."),
+        typer.Option(metavar="POSES.tum", help="The file.", show_default="beside the recording"),
     ] = None,
+    select: Select = None,
     topic: Topic = None,
 ) -> None:
-    """Compute the poses of a recording from its scans alone, by kiss-icp."""
+    """Compute the poses of a recording from its scans alone, by kiss-icp.
+
+    `--odometry` of other verbs takes the file beside a recording only where it holds all scans.
+    """
     from typing import cast
 
     from .. import geometry
@@ -28,7 +32,7 @@ def odometry(
     from .console import number, progress, table
 
     file = checked_target(out) if out is not None else odometry_path(sequence, topic)
-    recording = cast(Raw, open_sequence(sequence, NO_POSES, topic=topic))
+    recording = cast(Raw, open_sequence(sequence, NO_POSES, select, topic=topic))
     with progress("Odometry") as update:
         poses = compute_odometry(recording, file, update).poses
     travelled = geometry.travelled(poses)[-1]

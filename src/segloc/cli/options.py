@@ -23,10 +23,17 @@ Recording = Annotated[
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Its poses, TUM or KITTI; `none`: none.  [default: its own]"),
+    typer.Option(
+        metavar="FILE", help="Its poses, TUM or KITTI; `none`: none.", show_default="its own"
+    ),
 ]
 Topic = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Which of several topics, sensors or scenes.")
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Which of several topics, sensors or scenes.",
+        show_default="the only one",
+    ),
 ]
 Deskew = Annotated[
     bool, typer.Option(help="Undo the motion during a scan, where points have times.")
@@ -37,30 +44,47 @@ Odometry = Annotated[
 Level = Annotated[
     bool, typer.Option("--level", help="Turn the poses so that z is up, by walls in the scans.")
 ]
+Method = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="How segments are described.", show_default="profile"),
+]
 Select = Annotated[
     str | None,
-    typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.  [default: all]"),
+    typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.", show_default="all"),
 ]
 PosesOfEach = Annotated[
     list[Path] | None,
     typer.Option(
-        metavar="FILE", help="TUM or KITTI, one for all or one a sequence.  [default: their own]"
+        metavar="FILE",
+        help="TUM or KITTI, one for all or one a sequence.",
+        show_default="their own",
     ),
 ]
 SelectOfEach = Annotated[
     list[str] | None,
-    typer.Option(metavar="A:B[,C:D]", help="Only these scans: one for all, or one a sequence."),
+    typer.Option(
+        metavar="A:B[,C:D]",
+        help="Only these scans: one for all, or one a sequence.",
+        show_default="all",
+    ),
 ]
 Sample = Annotated[
     int, typer.Option(min=1, metavar="COUNT", help="How many scans to read, spread over it all.")
 ]
 Every = Annotated[
     float | None,
-    typer.Option(metavar="METRES", help="One for so many metres of travel.  [default: every scan]"),
+    typer.Option(
+        metavar="METRES", help="One for so many metres of travel.", show_default="every scan"
+    ),
 ]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="YAML; `segloc config` prints all of it."),
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="YAML; `segloc config` prints all of it.",
+        show_default="the map's, or that of the method",
+    ),
 ]
 Threads = Annotated[
     int,
@@ -74,6 +98,7 @@ Cluster = Annotated[
     typer.Option(
         metavar="ADDRESS",
         help="Do it on a Dask cluster, tcp://host:8786, whose workers see the same files.",
+        show_default="here",
     ),
 ]
 MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
@@ -82,12 +107,20 @@ Elsewhere = Annotated[
 ]
 Weights = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Trained weights, in place of the shipped ones."),
+    typer.Option(
+        metavar="FILE",
+        help="Trained weights, in place of the shipped ones.",
+        show_default="the shipped ones",
+    ),
 ]
 
 Near = Annotated[
     str | None,
-    typer.Option(metavar="X,Y[,Z]", help="All scans were taken near here, in the map's frame."),
+    typer.Option(
+        metavar="X,Y[,Z]",
+        help="All scans were taken near here: metres, in the map's frame.",
+        show_default="anywhere",
+    ),
 ]
 Radius = Annotated[float, typer.Option(metavar="METRES", help="No farther from --near than this.")]
 Anywhere = Annotated[
@@ -109,7 +142,11 @@ Origin = Annotated[
 
 Truth = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="True poses in the map's frame, to score against."),
+    typer.Option(
+        metavar="FILE",
+        help="True poses in the map's frame, to score against.",
+        show_default="not known",
+    ),
 ]
 Metres = Annotated[float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")]
 Degrees = Annotated[float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")]

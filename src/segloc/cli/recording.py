@@ -100,20 +100,22 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
     """
     from ..errors import ConfigError, DatasetError
     from ..levelling import frame_lean, levelled
-    from .console import note
+    from .console import busy, note
 
     if recording.poses is None:
         if level:
             raise ConfigError("--level needs poses: scans without are levelled one by one")
         return recording
     if level:
-        lean = frame_lean(recording, config)
+        with busy("Looking whether the frame is level"):
+            lean = frame_lean(recording, config)
         turned, _ = levelled(recording, lean)
         if lean is not None:
             note(f"poses turned by {lean.tilt_deg:.1f} degrees about the first, so that z is up")
         return turned
     try:
-        lean = frame_lean(recording, config)
+        with busy("Looking whether the frame is level"):
+            lean = frame_lean(recording, config)
     except DatasetError:
         return recording  # a scan that is perhaps not asked for
     if lean is not None and lean.noticed:

@@ -37,18 +37,27 @@ def write_results(
 ) -> None:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
-    There is no picture without a title. ``more`` are other files, by their names in the folder.
+    Where the truth is known there is ``errors.png``, too. There is no picture without a title.
+    ``more`` are other files, by their names in the folder.
     """
     where = Georeference.of(prior_map.metadata)
     files = {**_contents(evaluation, where), **(more or {})}
     if title is not None:
         try:
-            from ..batch.picture import draw
-
-            files["trajectory.png"] = draw(prior_map, evaluation, title)
+            files |= _pictures(prior_map, evaluation, title)
         except MissingDependency as error:
             note(f"no trajectory.png: {error}")
     write_together(out, files)
+
+
+def _pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict[str, bytes]:
+    from ..batch.error_picture import draw_errors
+    from ..batch.picture import draw
+
+    drawn = {"trajectory.png": draw(prior_map, evaluation, title)}
+    if evaluation.truths is not None and evaluation.correct.any():
+        drawn["errors.png"] = draw_errors(evaluation, title)
+    return drawn
 
 
 def print_json(evaluation: Evaluation) -> None:

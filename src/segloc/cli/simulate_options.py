@@ -12,13 +12,17 @@ Scene = Annotated[
     typer.Argument(
         metavar="SCENE",
         help="town, park, meadow, forest, industrial, warehouse, offices, building or mine.",
+        show_default="none: --suite",
     ),
 ]
 Out = Annotated[
     Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
 ]
 Suite = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Instead of a scene: six named test sets.")
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Instead of a scene: six named test sets.", show_default="none"
+    ),
 ]
 Scale = Annotated[str, typer.Option(metavar="NAME", help="Of a suite: small, full or paper.")]
 Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
@@ -26,7 +30,9 @@ Thin = Annotated[int, typer.Option(metavar="COUNT", help="Only one of so many fi
 Platform = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME", help="car, wheeled, legged, quadruped, carried, handheld or drone."
+        metavar="NAME",
+        help="car, wheeled, legged, quadruped, carried, handheld or drone.",
+        show_default="as the scene needs",
     ),
 ]
 Tilt = Annotated[
@@ -40,19 +46,33 @@ Sessions = Annotated[
 Length = Annotated[float, typer.Option(metavar="METRES", help="Of each session.")]
 Spacing = Annotated[
     float | None,
-    typer.Option(metavar="METRES", help="Between scans; 2, or 0.2 for one that sweeps."),
+    typer.Option(
+        metavar="METRES", help="Between scans.", show_default="2, or 0.2 for one that sweeps"
+    ),
 ]
-Size = Annotated[float | None, typer.Option(metavar="METRES", help="Side of the world.")]
+Size = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", help="Side of the world.", show_default="as the scene has it"),
+]
 Storey = Annotated[
     int, typer.Option(min=0, metavar="NUMBER", help="Of a building: which one is driven through.")
 ]
 Seed = Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Another seed is another world.")]
 Season = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Of later sessions: summer, autumn, winter or spring."),
+    typer.Option(
+        metavar="NAME",
+        help="Of later sessions: summer, autumn, winter or spring.",
+        show_default="as in session 0",
+    ),
 ]
 Foliage = Annotated[
-    float | None, typer.Option(metavar="SHARE", help="Leaves left in later sessions, 0 to 1.")
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        help="Leaves left in later sessions, 0 to 1.",
+        show_default="as the season has it",
+    ),
 ]
 Replaced = Annotated[
     float, typer.Option(metavar="SHARE", help="Of bins, benches, bushes and the like.")
@@ -60,11 +80,20 @@ Replaced = Annotated[
 Scaffolding = Annotated[float, typer.Option(metavar="SHARE", help="Of buildings with scaffolding.")]
 Swathe = Annotated[
     float | None,
-    typer.Option(metavar="METRES", help="Gather the sweeps of a push-broom LiDAR."),
+    typer.Option(
+        metavar="METRES",
+        help="Gather the sweeps of a push-broom LiDAR.",
+        show_default="they stay apart",
+    ),
 ]
 FileFormat = Annotated[
     str | None,
-    typer.Option("--format", metavar="SUFFIX", help="Of scans: npy, npz, laz, bin, pcd or ply."),
+    typer.Option(
+        "--format",
+        metavar="SUFFIX",
+        help="Of scans: npy, npz, laz, bin, pcd or ply.",
+        show_default="npy, or npz with times",
+    ),
 ]
 Objects = Annotated[
     bool, typer.Option("--objects", help="Also write which object each point lies on.")

@@ -33,10 +33,17 @@ def score(
     dataset: Dataset,
     distractors: Annotated[
         list[Path] | None,
-        typer.Option(metavar="DATASET", help="Datasets of other worlds that fill the pool."),
+        typer.Option(
+            metavar="DATASET",
+            help="Datasets of other worlds that fill the pool.",
+            show_default="none",
+        ),
     ] = None,
     pool: Annotated[
-        list[int] | None, typer.Option(min=1, metavar="COUNT", help="Segments in the pool.")
+        list[int] | None,
+        typer.Option(
+            min=1, metavar="COUNT", help="Segments in the pool.", show_default="all there are"
+        ),
     ] = None,
     threads: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Of the engine.")] = 1,
     seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
@@ -44,17 +51,18 @@ def score(
     """ROC area and recall among the k nearest, of each session against the others."""
     from ..training.scoring import KS, load_descriptor, score_descriptor
     from ..training.shards import load_dataset
-    from .console import table
+    from .console import busy, table
 
     descriptor = load_descriptor(weights, threads)
-    report = score_descriptor(
-        descriptor,
-        load_dataset(dataset),
-        [load_dataset(path) for path in distractors or []],
-        pools=pool or [],
-        seed=seed,
-        threads=threads,
-    )
+    with busy("Scoring"):
+        report = score_descriptor(
+            descriptor,
+            load_dataset(dataset),
+            [load_dataset(path) for path in distractors or []],
+            pools=pool or [],
+            seed=seed,
+            threads=threads,
+        )
     rows = [(f"{size:,}", *(f"{recall:.4f}" for recall in found)) for size, found in report.recalls]
     title = f"{weights} on {dataset}: {report.queries:,} queries, AUC {report.auc}"
     table(title, ("pool", *(f"recall@{k}" for k in KS)), rows)
@@ -109,23 +117,37 @@ def _add(network: str, help_text: str) -> None:
         out: Annotated[Path, typer.Option(metavar="WEIGHTS.safetensors", help="The result.")],
         config: Annotated[
             Path | None,
-            typer.Option(metavar="FILE", help="YAML of a TrainConfig; options come on top."),
+            typer.Option(
+                metavar="FILE",
+                help="YAML of a TrainConfig; options come on top.",
+                show_default="none",
+            ),
         ] = None,
         steps: Annotated[
-            int | None, typer.Option(min=1, metavar="COUNT", help="Of training.")
+            int | None,
+            typer.Option(min=1, metavar="COUNT", help="Of training.", show_default="3000"),
         ] = None,
         minutes: Annotated[
-            float | None, typer.Option(metavar="MINUTES", help="Stop after so long.")
+            float | None,
+            typer.Option(metavar="MINUTES", help="Stop after so long.", show_default="never"),
         ] = None,
         threads: Annotated[
-            int | None, typer.Option(min=1, metavar="COUNT", help="Of PyTorch.")
+            int | None, typer.Option(min=1, metavar="COUNT", help="Of PyTorch.", show_default="1")
         ] = None,
-        device: Annotated[str | None, typer.Option(metavar="NAME", help="cpu or cuda.")] = None,
+        device: Annotated[
+            str | None, typer.Option(metavar="NAME", help="cpu or cuda.", show_default="cpu")
+        ] = None,
         loss: Annotated[
-            str | None, typer.Option(metavar="NAME", help="Or triplet, esm, multi_similarity.")
+            str | None,
+            typer.Option(
+                metavar="NAME",
+                help="info_nce, triplet, esm or multi_similarity.",
+                show_default="info_nce",
+            ),
         ] = None,
         seed: Annotated[
-            int | None, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")
+            int | None,
+            typer.Option(min=0, metavar="NUMBER", help="Of all random draws.", show_default="0"),
         ] = None,
         licence: Annotated[
             str, typer.Option(metavar="NAME", help="Of the weights; goes into the file.")

@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
 Lengths = Annotated[
     list[float] | None,
-    typer.Option("--length", metavar="METRES", help="Way a local cloud spans; 0: single scans."),
+    typer.Option(
+        "--length",
+        metavar="METRES",
+        help="Way a local cloud spans; 0: single scans.",
+        show_default="40, 16 and 0",
+    ),
 ]
 
 Thin = Annotated[
@@ -31,25 +36,43 @@ Workers = Annotated[
     ),
 ]
 
+Sequences = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="[SEQUENCE]...",
+        help="Recordings of one place, one a session.",
+        show_default="none: --simulate",
+    ),
+]
+
+Simulate = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SCENE:N,...", help="Draw worlds instead of recordings.", show_default="none"
+    ),
+]
+
+Sensors = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,...",
+        help="Simulated sensors to choose from.",
+        show_default="the usual ones",
+    ),
+]
+
 
 def extract(
     out: Out,
-    sequences: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[SEQUENCE]...", help="Recordings of one place, one a session."),
-    ] = None,
+    sequences: Sequences = None,
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
     topic: Topic = None,
     place: Annotated[str, typer.Option(metavar="NAME", help="Of the place.")] = "place",
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Of the sensor.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
-    simulate: Annotated[
-        str | None, typer.Option(metavar="SCENE:N,...", help="Draw worlds instead of recordings.")
-    ] = None,
-    sensors: Annotated[
-        str | None, typer.Option(metavar="NAME,...", help="Simulated sensors to choose from.")
-    ] = None,
+    simulate: Simulate = None,
+    sensors: Sensors = None,
     thin: Thin = 1,
     drive: Annotated[float, typer.Option(metavar="METRES", help="Of a simulated drive.")] = 500.0,
     length: Lengths = None,

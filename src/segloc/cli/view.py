@@ -12,11 +12,19 @@ def view(
     prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     results: Annotated[
         Path | None,
-        typer.Argument(metavar="[RESULTS]", help="A folder that `segloc localize --out` wrote."),
+        typer.Argument(
+            metavar="[RESULTS]",
+            help="A folder of `segloc localize --out` or `segloc live --out`.",
+            show_default="none",
+        ),
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write one page that needs nothing else, and end."),
+        typer.Option(
+            metavar="FILE",
+            help="Write one page that needs nothing else, and end.",
+            show_default="none: a server",
+        ),
     ] = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, metavar="NUMBER", help="Of the server, on localhost.")
@@ -25,9 +33,11 @@ def view(
     """Show a map and the queries in it in the browser.
 
     Queries that `segloc localize --debug` kept are shown with their cloud on the map, segments,
-    matches (those that agree are green), runner-up, and what the confidence is made of.
+    matches (those that agree are green), runner-up, and what the confidence is made of. The robot
+    of `segloc live` is followed while it runs.
     """
     from ..explanation import viewer
+    from ..explanation.following import follows, read_moments
     from ..explanation.results import read_results
     from ..files import checked_target, write_text
     from ..map.segment_map import SegmentMap
@@ -37,13 +47,22 @@ def view(
         checked_target(html)
     with busy("Loading"):
         prior = SegmentMap.load(prior_map)
-        queries = [] if results is None else read_results(results)
+        robot = results is not None and follows(results)
+        queries = [] if results is None or robot else read_results(results)
     if queries and not any(query.seen for query in queries):
         note("only where queries were localized is known: `segloc localize --debug` keeps more")
     if html is not None:
         with busy("Writing the page"):
-            write_text(html, viewer.html(prior, queries))
+            page = (
+                viewer.html_of_robot(prior, read_moments(results))
+                if robot and results is not None
+                else viewer.html(prior, queries)
+            )
+            write_text(html, page)
         return
-    server = viewer.serve(prior, queries, port)
+    if robot and results is not None:
+        server = viewer.follow(prior, results, port)
+    else:
+        server = viewer.serve(prior, queries, port)
     print(f"http://localhost:{server.get_port()} shows {prior_map}; Ctrl-C ends it", flush=True)
     server.sleep_forever()

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import geometry
 from ..map.segment_map import SegmentMap
-from ..pictures import blank, png
+from ..pictures import DARK, GREEN, GREY, ORANGE, RED, blank, dots, hue, plan, png, scale
 from ..types import Float64, Pose
 from .trace import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-GREEN, RED, DARK, GREY, ORANGE = "#12a150", "#e5243b", "#3f4756", "#c3c9d4", "#f0883e"
 _RADIUS_M = 50.0
 _SIZE_IN, _DPI = 6.0, 100
 
@@ -56,44 +55,33 @@ def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
 def _drawn(draw: Callable[[Axes], None]) -> bytes:
     figure = blank((_SIZE_IN, _SIZE_IN), _DPI)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
-    axes.set_aspect("equal")
     draw(axes)
     return png(figure)
 
 
-def _dots(axes: Axes, points: Any, **style: Any) -> None:
-    """Points from above."""
-    axes.scatter(points[:, 0], points[:, 1], linewidths=0, **style)
-
-
 def _around(axes: Axes, middle: Float64) -> None:
-    axes.set_xlim(middle[0] - _RADIUS_M, middle[0] + _RADIUS_M)
-    axes.set_ylim(middle[1] - _RADIUS_M, middle[1] + _RADIUS_M)
+    plan(axes, middle[:2] - _RADIUS_M, middle[:2] + _RADIUS_M)
     axes.plot(*middle[:2], marker="+", ms=14, mew=2, color=DARK, zorder=9)
-    x, y = middle[0] - 0.95 * _RADIUS_M, middle[1] - 0.95 * _RADIUS_M
-    axes.plot([x, x + 10.0], [y, y], color=DARK, lw=2.5, zorder=9)
-    axes.text(x + 5.0, y + 1.0, "10 m", ha="center", fontsize=9, color=DARK)
+    scale(axes)
 
 
 def _ground(axes: Axes, trace: Trace) -> None:
-    _dots(axes, trace.ground, s=6, color=GREY)
-    _dots(axes, trace.structure, s=1.2, color=ORANGE)
+    dots(axes, trace.ground, s=6, color=GREY)
+    dots(axes, trace.structure, s=1.2, color=ORANGE)
     _around(axes, np.zeros(2))
 
 
 def _segments(axes: Axes, trace: Trace) -> None:
-    count = len(trace.segments)
-    hues = np.repeat((np.arange(count) * 0.381966) % 1.0, trace.segments.sizes)
-    _dots(axes, trace.structure, s=0.6, color=GREY)
-    _dots(axes, trace.segments.points, s=1.6, c=hues, cmap="hsv")
+    hues = np.repeat([hue(k) for k in range(len(trace.segments))], trace.segments.sizes)
+    dots(axes, trace.structure, s=0.6, color=GREY)
+    dots(axes, trace.segments.points, s=1.6, c=hues, cmap="hsv")
     _around(axes, np.zeros(2))
 
 
 def _map_below(axes: Axes, middle: Float64, prior_map: SegmentMap) -> None:
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
     near = np.abs(points - middle[:2]).max(axis=1) < 1.1 * _RADIUS_M
-    _dots(axes, points[near], s=0.5, color=GREY)
+    dots(axes, points[near], s=0.5, color=GREY)
     _around(axes, middle)
 
 
@@ -107,13 +95,13 @@ def _matches(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
         lines = np.full((3 * int(chosen.sum()), 2), np.nan)
         lines[0::3], lines[1::3] = here[chosen][:, :2], there[chosen][:, :2]
         axes.plot(*lines.T, color=color, alpha=alpha, lw=width)
-        _dots(axes, here[chosen], s=16 if fits else 8, color=color, zorder=5)
+        dots(axes, here[chosen], s=16 if fits else 8, color=color, zorder=5)
 
 
 def _placed(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
     _map_below(axes, T[:3, 3], prior_map)
     placed = geometry.transform(T, trace.structure)
-    _dots(axes, placed, s=0.8, color=ORANGE)
+    dots(axes, placed, s=0.8, color=ORANGE)
     other = trace.result.runner_up
     if other is not None:
         axes.plot(*other.T_map_sensor[:2, 3], marker="x", ms=9, color=RED)
@@ -123,4 +111,4 @@ def _overlap(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
     _map_below(axes, T[:3, 3], prior_map)
     placed = geometry.transform(T, trace.structure)
     for lies, color in ((True, GREEN), (False, RED)):
-        _dots(axes, placed[trace.on_map == lies], s=1.0, color=color)
+        dots(axes, placed[trace.on_map == lies], s=1.0, color=color)

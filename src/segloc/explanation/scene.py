@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import geometry
 from ..map.segment_map import SegmentMap
+from ..pictures import BLUE, GREEN, ORANGE, PATH, RED, hue, rgb
 from ..types import Float32, Float64
 from .results import Outcome, Shown
 from .seen import Seen
@@ -19,14 +20,15 @@ from .seen import Seen
 Colors = NDArray[np.uint8]
 
 COLORS: dict[Outcome, tuple[int, int, int]] = {
-    "found": (18, 161, 80),
-    "refused": (240, 136, 62),
-    "false": (229, 36, 59),
+    "found": rgb(GREEN),
+    "refused": rgb(ORANGE),
+    "false": rgb(RED),
 }
 FIXED = ("map", "path", "queries")
+ROBOT = ("map", "path", "robot")
 OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-up", "text")
-"""Layers that can be hidden: those of the map, and those of the query that is looked at."""
-_GREEN, _RED, _GREY, _BLUE = (18, 161, 80), (229, 36, 59), (150, 158, 172), (46, 98, 214)
+"""Layers that can be hidden: of the map, of a map with a robot, of the query that is looked at."""
+_GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
 _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
 _MOST_POINTS = 400_000
 _LABEL_WIDTH = 50  # characters
@@ -53,7 +55,7 @@ class MapScene:
 
     def __init__(self, api: SceneApi, prior_map: SegmentMap) -> None:
         self._api, self._map = api, prior_map
-        self.layers: dict[str, list[Any]] = {name: [] for name in (*FIXED, *OF_QUERY)}
+        self.layers: dict[str, list[Any]] = {name: [] for name in (*FIXED, "robot", *OF_QUERY)}
         self._hidden: set[str] = set()
 
     def show(self, layer: str, visible: bool) -> None:
@@ -62,15 +64,25 @@ class MapScene:
         for handle in self.layers[layer]:
             handle.visible = visible
 
+    def clear(self, layer: str) -> None:
+        """Remove what is drawn in a layer."""
+        for handle in self.layers[layer]:
+            handle.remove()
+        self.layers[layer] = []
+
+    def local(self, points: Any) -> Float32:
+        """Points of the map's frame in that of the scene."""
+        return np.asarray(points - self._map.origin, dtype=np.float32)
+
     def draw_map(self) -> None:
         """The cloud by height, the segments' centroids, and the path."""
         cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MOST_POINTS]
         if len(cloud):
-            self._points("map", "/map/cloud", cloud, _by_height(cloud), 0.12)
+            self.points("map", "/map/cloud", cloud, _by_height(cloud), 0.12)
         path = (self._map.trajectory[:, :3, 3] - self._map.origin).astype(np.float32)
         pairs = np.stack([path[:-1], path[1:]], axis=1)
         near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < _BREAK_M
-        self._lines("path", "/map/path", pairs[near], np.array(_BLUE), 0.25)
+        self.lines("path", "/map/path", pairs[near], np.array(_BLUE), 0.25)
 
     def draw_queries(self, queries: Sequence[Shown]) -> None:
         """A marker each, by outcome; those that are refused where the best pose was, if kept."""
@@ -83,7 +95,7 @@ class MapScene:
             if places:
                 points = np.array(places, dtype=np.float32) + np.array([0, 0, _ABOVE_M], np.float32)
                 colors = np.tile(np.array(color, np.uint8), (len(points), 1))
-                self._points("queries", f"/queries/{outcome}", points, colors, 1.2)
+                self.points("queries", f"/queries/{outcome}", points, colors, 1.2)
 
     def _place(self, query: Shown) -> Float64 | None:
         T = query.T_map_sensor
@@ -102,9 +114,7 @@ class MapScene:
     def draw_query(self, query: Shown, prefix: str = "/query") -> None:
         """One query in place of another: cloud, segments, matches, runner-up, and a sentence."""
         for layer in OF_QUERY:
-            for handle in self.layers[layer]:
-                handle.remove()
-            self.layers[layer] = []
+            self.clear(layer)
         at = self.middle(query) + [0.0, 0.0, 3.0 * _ABOVE_M]
         said = query.said if query.seen is None else query.seen.verdict
         text = fill(f"{query.index}: {said}", _LABEL_WIDTH)
@@ -122,34 +132,36 @@ class MapScene:
 
         off = ~seen.on_map
         red = np.tile(np.array(_RED, np.uint8), (int(off.sum()), 1))
-        self._points("cloud", f"{prefix}/off_map", placed(seen.points[off]), red, 0.18)
+        self.points("cloud", f"{prefix}/off_map", placed(seen.points[off]), red, 0.18)
         green = np.tile(np.array(_GREEN, np.uint8), (int((~off).sum()), 1))
-        self._points("cloud", f"{prefix}/on_map", placed(seen.points[~off]), green, 0.18)
+        self.points("cloud", f"{prefix}/on_map", placed(seen.points[~off]), green, 0.18)
         lifted = placed(seen.segment_points)
-        self._points("segments", f"{prefix}/segments", lifted, _distinct(seen.segment_of), 0.26)
+        self.points("segments", f"{prefix}/segments", lifted, _distinct(seen.segment_of), 0.26)
         known = seen.matched < len(self._map.centroids)
         there = (self._map.centroids[seen.matched[known]] - self._map.origin).astype(np.float32)
         lines = np.stack([placed(seen.centroids[known]), there], axis=1)
         fits = seen.inliers[known]
-        self._lines("other matches", f"{prefix}/other_matches", lines[~fits], np.array(_GREY), 0.04)
+        self.lines("other matches", f"{prefix}/other_matches", lines[~fits], np.array(_GREY), 0.04)
         lines = lines.copy()
         lines[:, 0, 2] += 6.0  # nearly upright: so that matches that agree can be seen
-        self._lines("matches that agree", f"{prefix}/inliers", lines[fits], np.array(_GREEN), 0.3)
+        self.lines("matches that agree", f"{prefix}/inliers", lines[fits], np.array(_GREEN), 0.3)
         if seen.T_map_other is not None:
             other = (seen.T_map_other[:3, 3] - self._map.origin).astype(np.float32)[None]
             red_one = np.array([_RED], np.uint8)
-            self._points("runner-up", f"{prefix}/runner_up", other, red_one, 1.5)
+            self.points("runner-up", f"{prefix}/runner_up", other, red_one, 1.5)
             name = f"{prefix}/runner_up_label"
             self._keep("runner-up", self._api.add_label(name, "runner-up", position=other[0]))
 
-    def _points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:
+    def points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:
+        """Add points, (N, 3), in the scene's frame, to a layer."""
         if len(points):
             handle = self._api.add_point_cloud(name, points, colors, point_size=size)
             self._keep(layer, handle)
 
-    def _lines(
+    def lines(
         self, layer: str, name: str, lines: Float32, color: NDArray[Any], width: float
     ) -> None:
+        """Add lines, (N, 2, 3), in the scene's frame, to a layer."""
         if len(lines):
             colors = np.broadcast_to(color.astype(np.uint8), (len(lines), 2, 3)).copy()
             handle = self._api.add_line_segments(name, lines, colors, thickness=width)
@@ -169,5 +181,5 @@ def _by_height(points: Float32) -> Colors:
 def _distinct(owners: NDArray[np.int64]) -> Colors:
     """A colour for each segment, neighbours apart."""
     count = int(owners.max()) + 1 if len(owners) else 0
-    wheel = [colorsys.hsv_to_rgb((0.381966 * k) % 1.0, 0.75, 0.9) for k in range(count)]
+    wheel = [colorsys.hsv_to_rgb(hue(k), 0.75, 0.9) for k in range(count)]
     return (255 * np.array(wheel).reshape(-1, 3)).astype(np.uint8)[owners]

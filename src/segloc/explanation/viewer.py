@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
+from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -12,11 +15,14 @@ import numpy as np
 from ..errors import MissingDependency, SeglocError
 from ..map.segment_map import SegmentMap
 from ..types import Float64
+from .following import Moment, draw_moments, newest_points, read_moments
+from .panel import drawn_fast, with_panel
 from .results import Shown
-from .scene import FIXED, OF_QUERY, MapScene
+from .scene import FIXED, OF_QUERY, ROBOT, MapScene
 
 SECONDS_A_QUERY = 2.0
-_BACK_M, _UP_M = 45.0, 60.0
+_EVERY_S = 0.5
+_BACK_M, _UP_M, _IN_VIEW_M = 45.0, 60.0, 70.0
 
 
 def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
@@ -33,14 +39,15 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
     try:
         scene = MapScene(server.scene, prior_map)
         shown = _in_detail(queries)
-        _look(server, scene, shown[0] if shown else None)
+        _look_at_all(server, scene, shown)
         scene.draw_map()
         scene.draw_queries(queries)
         recorded = server.get_scene_serializer()
         for query in shown:
             scene.draw_query(query)
             recorded.insert_sleep(SECONDS_A_QUERY)
-        return str(recorded.as_html())
+        page = drawn_fast(str(recorded.as_html()))
+        return with_panel(page, shown, SECONDS_A_QUERY) if shown else page
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
@@ -72,6 +79,75 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
     detailed = any(query.seen is not None for query in shown)
     _add_layers(server, scene, (*FIXED, *OF_QUERY) if detailed else FIXED)
     return server
+
+
+def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
+    """Start a server that shows where the robot of ``segloc live --out`` is, as it is written.
+
+    Returns
+    -------
+    viser.ViserServer
+        Which runs in threads of its own until it is stopped.
+
+    Raises
+    ------
+    MissingDependency
+        If viser is not installed.
+    SeglocError
+        If the port is in use, or the folder is none of ``segloc live``.
+    """
+    read_moments(folder)
+    server = _server("127.0.0.1", port)
+    scene = MapScene(server.scene, prior_map)
+    _look(server, scene, None)
+    scene.draw_map()
+    text = server.gui.add_markdown("")
+    _add_layers(server, scene, ROBOT)
+    shown: list[int] = []
+
+    def refresh() -> None:
+        moments = read_moments(folder)
+        if shown == [len(moments)]:
+            return
+        shown[:] = [len(moments)]
+        with server.atomic():
+            draw_moments(scene, moments, newest_points(folder))
+        text.content = moments[-1].said if moments else "nothing said yet"
+
+    refresh()
+    Thread(target=_keep_on, args=(server, refresh), daemon=True).start()
+    return server
+
+
+def _keep_on(server: Any, refresh: Callable[[], None]) -> None:
+    while True:
+        time.sleep(_EVERY_S)
+        try:
+            refresh()
+        except SeglocError:  # between one file and the next
+            continue
+        except RuntimeError:  # the server is stopped
+            return
+
+
+def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
+    """One self-contained page: the map, and where the robot was.
+
+    Raises
+    ------
+    MissingDependency
+        If viser is not installed.
+    """
+    server = _server("127.0.0.1", 0)
+    try:
+        scene = MapScene(server.scene, prior_map)
+        _look(server, scene, None)
+        scene.draw_map()
+        draw_moments(scene, moments)
+        return drawn_fast(str(server.get_scene_serializer().as_html()))
+    finally:
+        with redirect_stdout(StringIO()):
+            server.stop()
 
 
 def _add_layers(server: Any, scene: MapScene, layers: Sequence[str]) -> None:
@@ -118,6 +194,19 @@ def _look(server: Any, scene: MapScene, query: Shown | None) -> None:
     server.scene.set_up_direction("+z")
     camera = server.initial_camera
     camera.position, camera.look_at = _from(scene, query)
+
+
+def _look_at_all(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
+    """From where all queries are in view."""
+    _look(server, scene, queries[0] if queries else None)
+    if len(queries) < 2:
+        return
+    places = np.array([scene.middle(query) for query in queries])
+    middle, extent = (places.min(axis=0) + places.max(axis=0)) / 2, np.ptp(places[:, :2], axis=0)
+    back = max(1.0, float(np.linalg.norm(extent)) / _IN_VIEW_M)
+    camera = server.initial_camera
+    camera.position = middle + back * np.array([0.0, -_BACK_M, _UP_M])
+    camera.look_at = middle
 
 
 def _from(scene: MapScene, query: Shown | None) -> tuple[Float64, Float64]:

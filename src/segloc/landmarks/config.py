@@ -20,7 +20,7 @@ class StemConfig(Section):
     highest_m: float = Field(5.0, gt=0, le=100, description="and below this, metres")
     slice_m: float = Field(0.6, ge=0.05, le=10, description="in slices of this height")
     tolerance: float = Field(
-        0.3, ge=0.02, le=5, description="points of a slice closer than this belong together"
+        0.3, ge=0.02, le=5, description="points of a slice closer than this belong together, metres"
     )
     widest_m: float = Field(1.2, gt=0, le=20, description="what is wider is no stem")
     link_m: float = Field(

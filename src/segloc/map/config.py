@@ -31,7 +31,7 @@ class MappingConfig(Section):
         description="local clouds that segments are cut from, metres",
     )
     cloud_voxel: float = Field(
-        0.3, ge=0.01, le=10, description="voxel of the cloud kept for verification"
+        0.3, ge=0.01, le=10, description="voxel of the cloud kept for verification, metres"
     )
     level: bool = Field(
         False, description="turn the poses about the first so that z is up, by walls in the scans"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
+from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
 
@@ -101,16 +102,16 @@ def draw(rows: np.ndarray, p: np.ndarray, path: Path) -> None:
     figure = Figure(figsize=(5.2, 4.2), facecolor="white")
     FigureCanvasSVG(figure)
     axes, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
-    axes.plot([0, 1], [0, 1], color="#7d8aa0", lw=1, ls="--")
+    axes.plot([0, 1], [0, 1], color=PATH, lw=1, ls="--")
     for low, high in pairwise(BINS):
         chosen = (p >= low) & (p < high)
         if chosen.any():
             n, k = int(chosen.sum()), int(right[chosen].sum())
             share, spread = k / n, 1.96 * np.sqrt((k + 1) * (n - k + 1) / (n + 2) ** 2 / (n + 3))
-            axes.errorbar(p[chosen].mean(), share, spread, fmt="o", color="#12a150", capsize=3)
+            axes.errorbar(p[chosen].mean(), share, spread, fmt="o", color=GREEN, capsize=3)
     axes.set_ylabel("share right")
     axes.set_ylim(-0.05, 1.05)
-    below.hist([p[right], p[~right]], bins=20, color=["#12a150", "#e5243b"], log=True)
+    below.hist([p[right], p[~right]], bins=20, color=[GREEN, RED], log=True)
     below.legend(["right", "wrong"], fontsize=8, frameon=False)
     below.set_xlabel("confidence, by the model of the other worlds")
     below.set_ylabel("candidates")

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib import pyplot
 
 from segloc.datasets.swathes import swathes
+from segloc.pictures import RED
 from segloc.simulation import SCENES, SENSORS, Conditions, LineLidar, SimulatedSequence
 from segloc.simulation.drives import simulate_sessions
 from segloc.types import Float32, Float64
@@ -57,7 +58,7 @@ def draw_world(ax: Any, name: str, seed: int) -> None:
         cmap="viridis",
         lw=0,
     )
-    ax.plot(*drive.truth[:, :2, 3].T, color="#d62728", lw=1)
+    ax.plot(*drive.truth[:, :2, 3].T, color=RED, lw=1)
     finish(ax, f"{name}, {len(world.static.kinds)} objects", middle, CLOUD_M)
 
 

@@ -20,6 +20,7 @@ from scipy.stats import ks_2samp
 from segloc.datasets.loaders.folder import FolderSequence
 from segloc.descriptors.segmatch import eigen_features
 from segloc.local_cloud import Accumulator
+from segloc.pictures import BLUE, RED
 from segloc.segmentation import Segmenter
 from segloc.simulation import SCENES, SENSORS, Conditions
 from segloc.simulation.drives import simulate_sessions
@@ -103,8 +104,8 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
             low, high = np.percentile(both, [0.5, 99.5]).tolist()
             bins = np.linspace(low, high, 24)
             for side, colour, label in (
-                (real, "#c44e52", "real"),
-                (simulated, "#4c72b0", "simulated"),
+                (real, RED, "real"),
+                (simulated, BLUE, "simulated"),
             ):
                 style = {"histtype": "step", "density": True, "lw": 1.4}
                 ax.hist(side.features[:, k], bins, color=colour, label=label, **style)

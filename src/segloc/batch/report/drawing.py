@@ -11,21 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import MissingDependency
+from ...pictures import GREEN, PALETTE, PATH, RED, rgb
 from ...types import Float64
 from .study import Figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PALETTE = (
-    "#3b7dd8", "#e0702b", "#2a9d5c", "#c43d5d", "#8a63c9",
-    "#b08d1f", "#1fa3a8", "#d65fb2", "#7d8794", "#6b8e23",
-)  # fmt: skip
-
 _INK = "#010203"
 """Stands for the page's own text colour until the figure is drawn."""
 
-_GREEN, _RED, _GREY = "#12a150", "#e5243b", "#7d8aa0"
 _METADATA = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
 _PROLOG = re.compile(r"^.*?(?=<svg)", re.DOTALL)
 _ID = re.compile(r' id="([^"]*)"')
@@ -44,12 +39,12 @@ class MapStyle:
 
 
 MAP_STYLES: Mapping[str, MapStyle] = {
-    "map": MapStyle("cloud", _GREY, layer=0),
-    "path of the map": MapStyle("line", _GREY),
+    "map": MapStyle("cloud", PATH, layer=0),
+    "path of the map": MapStyle("line", PATH),
     "not localized": MapStyle("dots", _INK, hollow=True, layer=2),
-    "true place of a false one": MapStyle("line", _RED, layer=3),
-    "localized": MapStyle("dots", _GREEN, layer=4),
-    "localized falsely": MapStyle("dots", _RED, layer=5),
+    "true place of a false one": MapStyle("line", RED, layer=3),
+    "localized": MapStyle("dots", GREEN, layer=4),
+    "localized falsely": MapStyle("dots", RED, layer=5),
 }
 """By the label of a series; any other is a line."""
 
@@ -110,7 +105,7 @@ def _settings() -> dict[str, Any]:
         "svg.hashsalt": "segloc",  # ids come from it instead of from chance
         "font.size": 10.0,
         "axes.linewidth": 0.6,
-        "grid.color": _GREY,
+        "grid.color": PATH,
         "grid.alpha": 0.35,
         "grid.linewidth": 0.5,
         "legend.frameon": False,
@@ -137,7 +132,7 @@ def _curves(axes: Axes, figure: Figure) -> None:
 
 
 def _roc(axes: Axes, figure: Figure) -> None:
-    axes.plot([0, 1], [0, 1], color=_GREY, lw=0.8, ls=":")
+    axes.plot([0, 1], [0, 1], color=PATH, lw=0.8, ls=":")
     for k, (label, (x, y)) in enumerate(figure.series.items()):
         axes.plot(x, y, color=_colour(k), lw=1.5, label=label)
     axes.set_xlim(0, 1)
@@ -204,7 +199,7 @@ def _cloud(axes: Axes, x: Float64, y: Float64, low: Float64, high: Float64) -> N
     shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
     counts, _, _ = np.histogram2d(x, y, bins=shape, range=np.stack([low, low + shape * cell]).T)
     picture = np.zeros((*counts.T.shape, 4))
-    picture[..., :3] = [int(_GREY[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    picture[..., :3] = [part / 255 for part in rgb(PATH)]
     picture[..., 3] = 0.6 * (counts.T > 0)
     end = low + shape * cell
     box = (low[0], end[0], low[1], end[1])

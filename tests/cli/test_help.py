@@ -1,0 +1,120 @@
+"""What ``--help`` says: the verbs in the order of use, a default and a unit of every option."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import typer
+from pydantic import BaseModel
+from samples.walk import run
+
+from segloc.cli import ORDER, app
+from segloc.config import Config
+from segloc.errors import ConfigError
+
+ROOT: Any = typer.main.get_command(app)
+OWN = set(ORDER)
+"""Verbs of this distribution; others add theirs."""
+
+
+def verbs(command: Any = ROOT, name: str = "segloc") -> Iterator[tuple[str, Any]]:
+    for inner in getattr(command, "commands", {}):
+        yield from verbs(command.commands[inner], f"{name} {inner}")
+    if not hasattr(command, "commands"):
+        yield name, command
+
+
+EVERY = [each for each in verbs() if each[0].split()[1] in OWN]
+
+
+def test_verbs_come_in_the_order_of_use() -> None:
+    shown = [name for name in ROOT.list_commands(None) if name in OWN]
+    assert shown == list(ORDER)
+    assert shown.index("doctor") < shown.index("map") < shown.index("localize")
+    assert shown.index("localize") < shown.index("explain") < shown.index("view")
+
+
+@pytest.mark.parametrize(("name", "command"), EVERY, ids=[name for name, _ in EVERY])
+def test_every_argument_says_what_it_is_and_its_default(name: str, command: Any) -> None:
+    own = command.callback.__module__.startswith("segloc.")
+    assert (command.help or "").strip(), f"{name} says nothing of itself"
+    for option in command.params if own else ():
+        if option.name == "help":
+            continue
+        assert (option.help or "").strip(), f"{name}: {option.name} says nothing"
+        assert option.metavar or option.is_flag, f"{name}: {option.name} names no unit or kind"
+        told = option.required or isinstance(option.show_default, str)
+        assert told or option.default not in (None, "", [], ()), f"{name}: {option.name}: default?"
+        if isinstance(option.default, float) and math.isfinite(option.default):
+            unit = f"{option.metavar} {option.help}"
+            assert re.search(r"METRES|DEGREES|FACTOR|SHARE|MINUTES|0 to 1", unit), (name, unit)
+
+
+def test_defaults_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """Also those that are no value: brackets in a help text would be taken for markup."""
+    assert run("localize", "--help") == 0
+    said = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    assert "[default: (its own)]" in said and "[default: (all)]" in said
+
+
+def test_the_shell_completes_verbs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_SEGLOC_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "segloc lo")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    with pytest.raises(SystemExit):
+        app(prog_name="segloc")
+    assert capsys.readouterr().out.split() == ["localize"]
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"), [(("lokalize",), "localize"), (("map", "biuld"), "build")]
+)
+def test_a_verb_that_is_misspelt_is_guessed(
+    words: tuple[str, ...], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*words) == 2
+    assert f"Did you mean '{meant}'?" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_key_that_is_misspelt_is_guessed(tmp_path: Any) -> None:
+    for text, meant in (
+        ("local_cloud: {radius: 30}", "local_cloud.radius_m"),
+        ("verification: {min_confidense: 0.9}", "verification.min_confidence"),
+        ("min_confidence: 0.9", "verification.min_confidence"),
+    ):
+        file = tmp_path / "c.yaml"
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=f"did you mean {meant}"):
+            Config.load(file)
+
+
+PURE = re.compile(
+    r"probability|share|ratio|power|times|rise over run|up to so many|likely|counts so much"
+)
+"""Of numbers without a unit."""
+
+
+def test_every_key_of_the_configuration_has_a_comment_and_a_unit() -> None:
+    def leaves(model: Any, text: str = "") -> Iterator[tuple[str, Any]]:
+        for name in type(model).model_fields:
+            value = getattr(model, name)
+            if isinstance(value, BaseModel):
+                yield from leaves(value, f"{text}{name}.")
+            else:
+                yield f"{text}{name}", value
+
+    lines = [line for line in Config().explained(True).splitlines() if not line.endswith(":")]
+    keys = list(leaves(Config()))
+    assert len(lines) == len(keys)
+    for (key, value), line in zip(keys, lines, strict=True):
+        comment = line.partition("  # ")[2]
+        assert comment, f"{key}: no comment"
+        if isinstance(value, float):
+            told = re.search(r"metre|degree|second|voxel edge", comment) or PURE.search(comment)
+            assert told, f"{key}: {comment}: which unit?"

@@ -1,0 +1,47 @@
+"""The notebook runs from its first cell to its last, and finds what it says."""
+
+from __future__ import annotations
+
+import pytest
+from samples.source import PROJECT
+
+NOTEBOOK = PROJECT / "examples" / "first_steps.ipynb"
+SECONDS = 900
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of what runs notebooks
+@pytest.mark.timeout(SECONDS)
+def test_the_notebook_runs() -> None:
+    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    nbclient.NotebookClient(notebook, timeout=SECONDS, kernel_name="python3").execute()
+    said = [
+        output.get("text", "")
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+        for output in cell.outputs
+    ]
+    shown = "".join(said)
+    assert "confidence" in shown and "cm off" in shown and "segments agree" in shown
+    assert "False - " in said[-1]
+    pictures = [
+        output
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+        for output in cell.outputs
+        if "image/png" in output.get("data", {})
+    ]
+    assert len(pictures) == 3
+
+
+def test_the_notebook_is_kept_without_what_it_printed() -> None:
+    """Outputs would go stale; the documents show pictures."""
+    nbformat = pytest.importorskip("nbformat")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    nbformat.validate(notebook)
+    assert not any(cell.get("outputs") for cell in notebook.cells)

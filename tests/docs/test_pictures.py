@@ -1,0 +1,56 @@
+"""The pictures of the documents are what their commands draw."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from samples.source import PROJECT
+
+IMAGES = PROJECT / "docs" / "images"
+
+
+def loaded(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, IMAGES / f"{name}.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    import sys
+
+    sys.modules[name] = module  # its dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_hero_is_what_its_command_draws(tmp_path: Path) -> None:
+    """To the eye: fonts and the rounding of colours may differ, the scan, pose and matches not."""
+    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
+    image = pytest.importorskip("PIL.Image")
+    hero = loaded("hero")
+    prior_map, found = hero.answered(hero.SEED, hero.QUERY)
+    drawn = image.open(io.BytesIO(hero.picture(prior_map, found))).convert("RGB")
+    with image.open(IMAGES / "hero.png") as kept:
+        assert kept.size == drawn.size
+        small = [each.convert("L").resize((110, 70)) for each in (kept, drawn)]
+    one, other = (np.asarray(each, dtype=float) for each in small)
+    assert np.abs(one - other).mean() < 3.0
+    assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.97
+    assert found.result.inliers > 20 and found.result.confidence > 0.99
+
+
+def test_the_moving_picture_is_a_drive_that_ends_localized() -> None:
+    image = pytest.importorskip("PIL.Image")
+    with image.open(IMAGES / "tracker.webp") as kept:
+        assert kept.n_frames > 15 and kept.width > 600
+        kept.seek(kept.n_frames - 1)
+        last = np.asarray(kept.convert("RGB"), dtype=float)
+        kept.seek(0)
+        first = np.asarray(kept.convert("RGB"), dtype=float)
+    green = np.abs(last - np.array([18, 161, 80])).max(axis=2) < 40
+    assert green.sum() > 500 > (np.abs(first - np.array([18, 161, 80])).max(axis=2) < 40).sum()

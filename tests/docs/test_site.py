@@ -1,0 +1,52 @@
+"""The pages of the site that are read off the code."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from types import ModuleType
+from typing import Any
+
+import pytest
+import typer
+from samples.source import PROJECT
+
+from segloc.cli import app
+
+
+@pytest.fixture(scope="module")
+def site() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("site_pages", PROJECT / "docs" / "site.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("role", "shown"),
+    [
+        (":class:`~segloc.Localizer`", "[`Localizer`][segloc.Localizer]"),
+        (":meth:`Localizer.localize`", "[`Localizer.localize`][segloc.Localizer.localize]"),
+        (":func:`segloc.open_sequence`", "[`open_sequence`][segloc.open_sequence]"),
+        (":func:`~segloc.datasets.parse_select`", "`parse_select`"),
+        (":data:`STAGES`", "`STAGES`"),
+        (":mod:`.lattice`", "`lattice`"),
+    ],
+)
+def test_roles_of_docstrings_become_links_or_code(site: ModuleType, role: str, shown: str) -> None:
+    assert site.resolved(f"As {role} does.") == f"As {shown} does."
+
+
+def test_no_role_is_left_in_the_package(site: ModuleType) -> None:
+    for path in (PROJECT / "src" / "segloc").rglob("*.py"):
+        assert not re.search(r":[a-z]+:`", site.resolved(path.read_text("utf-8"))), path
+
+
+def test_every_verb_and_key_has_its_place(site: ModuleType) -> None:
+    root: Any = typer.main.get_command(app)
+    pages = "".join(site.commands(root, "segloc"))
+    for name in ("segloc map build", "segloc localize", "segloc train extract", "segloc view"):
+        assert f"\n## {name}\n" in pages
+    assert "| its own |" in pages
+    assert "min_confidence: 0.8  # calibrated probability needed" in site.configuration()
