@@ -48,9 +48,10 @@ def queries(localizer: Localizer, drive: Sequence, every_m: float) -> Kinds:
     assert drive.poses is not None
     along = views(drive, every_m, localizer.config.local_cloud)
     for n, (i, accumulated, scan) in enumerate(along):
-        made = {"accumulated": accumulated, "single": scan.points, "thinned": thinned(scan, n)}
-        for kind, scans in made.items():  # single ones without their poses
-            found[kind].append((localizer.describe(scans), drive.poses[i]))
+        truth = drive.poses[i]
+        found["accumulated"].append((localizer.describe(accumulated), truth))
+        found["single"].append((localizer.describe(scan.points), truth))  # without its pose
+        found["thinned"].append((localizer.describe(thinned(scan, n)), truth))
     return found
 
 
