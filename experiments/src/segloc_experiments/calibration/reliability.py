@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
@@ -28,10 +29,12 @@ def fit(rows: np.ndarray) -> np.ndarray:
     features = _features(rows)
     sign = np.where(rows[:, RIGHT] > 0, 1.0, -1.0)
 
-    def loss(w: np.ndarray) -> float:
-        return float(np.logaddexp(0, -sign * (features @ w)).sum() + (w[1:] ** 2).sum())
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        against, modest = -sign * (features @ w), np.r_[0.0, w[1:]]
+        slope = 2 * modest - (sign * expit(against)) @ features
+        return float(np.logaddexp(0, against).sum() + (modest**2).sum()), slope
 
-    return np.asarray(minimize(loss, np.zeros(features.shape[1]), method="BFGS").x)
+    return np.asarray(minimize(loss, np.zeros(features.shape[1]), jac=True, method="BFGS").x)
 
 
 def _features(rows: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ from segloc.types import Pose
 
 from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
 from ..intervals import wilson
+from ..results.store import Result
 from ..script import head, parser, row
 
 RIGHT_M = 2.0
@@ -117,21 +118,41 @@ def _judged(T_map_sensor: Pose | None, truth: Pose | None) -> str:
     return "right" if np.linalg.norm((T_map_sensor - truth)[:3, 3]) < RIGHT_M else "false"
 
 
-def report(records: list[dict[str, Any]]) -> None:
-    """A row for each kind of world, and the rate that so many queries bound."""
-    kinds = ("accumulated", "single", "thinned")
-    print(head("world", *kinds, "false", "own map: right", "false", "half map: right", "false"))
-    total = false = 0
-    for name in KINDS:
-        here = [r for r in records if r["world"].split()[0] == name]
+MADE_OF = ("accumulated", "single", "thinned")
+COLUMNS = (
+    *("world", *MADE_OF, "false"),
+    *("own map: right", "false, own", "half map: right", "false, half"),
+)
+
+
+def table(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
+    """A row for each kind of world, and one of all."""
+    rows = []
+    for name in (*KINDS, "all"):
+        here = [r for r in records if name in ("all", r["world"].split()[0])]
         counts: Counter[str] = sum((Counter(r["counts"]) for r in here), Counter())
         own: Counter[str] = sum((Counter(r["own"]) for r in here), Counter())
         wrong = sum(each["map"] >= 0 for r in here for each in r["false"])
-        home = [_home(own, place) for place in ("own", "half")]
-        print(row(name, *(counts[kind] for kind in kinds), wrong, *home[0], *home[1]))
-        total, false = total + counts.total(), false + wrong
-    if total:
-        print(f"{false} false of {total}: at most {100 * wilson(false, total)[1]:.3f} %")
+        home = [_home(own, place) for place in HOME.values()]
+        rows.append((name, *(counts[kind] for kind in MADE_OF), wrong, *home[0], *home[1]))
+    return rows
+
+
+def report(records: list[dict[str, Any]], store: Path | None) -> None:
+    """The table, and the rate that so many queries bound; kept where results are."""
+    rows = table(records)
+    print(head(*COLUMNS))
+    for each in rows:
+        print(row(*each))
+    total, false = sum(int(n) for n in rows[-1][1:4]), int(rows[-1][4])
+    note = f"{false} false of {total} elsewhere: at most {100 * wilson(false, total)[1]:.3f} %."
+    print(note)
+    if store is not None:
+        command = "python -m segloc_experiments.protocols.wrong_maps --report wrong_maps.jsonl"
+        kept = {"records": records}
+        Result.measured(
+            "wrong-maps", command, COLUMNS, rows, note=note, methods=("profile",), counts=kept
+        ).save(store)
 
 
 def _home(counts: Counter[str], place: str) -> tuple[str, int]:
@@ -157,14 +178,15 @@ def main() -> None:
     options.add_argument("--maps", type=Path, default=Path("wrong_maps"))
     options.add_argument("--out", type=Path, default=Path("wrong_maps.jsonl"))
     options.add_argument("--report", type=Path, nargs="+", help="what earlier runs counted")
+    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     if args.report:
-        report([r for path in args.report for r in _read(path)])
+        report([r for path in args.report for r in _read(path)], args.store)
         return
     counted = WrongMaps(args.maps, args.out, args.every)
     for world in chosen(args.first_seed, args.worlds):
         counted.add(world)
-    report(counted.records)
+    report(counted.records, args.store)
 
 
 if __name__ == "__main__":
