@@ -15,7 +15,12 @@ class VerificationConfig(Section):
     configuration changes one says so (:attr:`segloc.Localizer.notes`).
     """
 
-    min_confidence: float = Field(0.9, ge=0, le=1, description="calibrated probability needed")
+    min_confidence: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="calibrated probability needed; its root where fewer than 5 segments agree",
+    )
     min_inliers: int = Field(
         0, ge=0, le=10**6, description="distinct segments that must agree, whatever the clouds say"
     )

@@ -25,6 +25,8 @@ by hand."""
 GROUND_FITS = 0.4
 """With less of the ground on that of the map a pose is wrong; at right ones of real recordings at
 least half of it is. Set by hand."""
+FEW_INLIERS = 5
+"""Of the wrong poses of the calibration that are believed, none has as many."""
 WALLS_FIT, CLOUD_FITS = 0.05, 0.35
 """A pose is wrong where walls of some direction fit nowhere, and less of the cloud than this does.
 Set by hand."""
@@ -50,9 +52,9 @@ def decide(
     elif best.overlap < CLOUD_FITS and best.walls is not None and best.walls < WALLS_FIT:
         reason = Reason.TOO_UNCERTAIN
         message = f"walls stand elsewhere there: {best.walls:.0%} of those of one direction fit"
-    elif p < config.min_confidence:
+    elif p < (needed := confidence_needed(best, config)):
         reason = Reason.TOO_UNCERTAIN
-        message = f"{reason.below(p, config.min_confidence)}: {compared(evidence)}"
+        message = f"{reason.below(p, needed)}: {compared(evidence)}"
     else:
         return Verdict(None, "", p, best, evidence, runner_up)
     return Verdict(reason, message, p, best, evidence, runner_up)
@@ -64,6 +66,12 @@ def too_few_inliers(
     """What is decided without looking at the clouds."""
     message = f"too few inliers ({best.inliers} < {config.min_inliers})"
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
+
+
+def confidence_needed(best: Score, config: VerificationConfig) -> float:
+    """More where few segments agree: all wrong poses that look likely are such, in rooms alike."""
+    least = config.min_confidence
+    return least if best.inliers >= FEW_INLIERS else math.sqrt(least)
 
 
 def compared(evidence: Evidence) -> str:

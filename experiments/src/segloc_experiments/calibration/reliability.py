@@ -12,6 +12,7 @@ from scipy.special import expit
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
+from segloc.verification.decision import FEW_INLIERS
 
 COLUMNS = (*FEATURES, "inliers")
 INLIERS, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
@@ -71,7 +72,8 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         ("model of the package", probability(rows, _shipped())),
     ):
         brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
-        believed = (q >= BELIEVED) & (rows[:, EQUAL] == 0)
+        needed = np.where(rows[:, INLIERS] < FEW_INLIERS, np.sqrt(BELIEVED), BELIEVED)
+        believed = (q >= needed) & (rows[:, EQUAL] == 0)
         print(
             f"model of {name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely};"
             f" believed: {believed[right].sum()} of {right.sum()} right ones,"
