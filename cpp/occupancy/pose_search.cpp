@@ -149,41 +149,33 @@ bool alike(const PlanarPose& a, const PlanarPose& b, const SearchLimits& limits)
          turn * 180.0 / kPi < limits.separation_deg;
 }
 
-// A leaf's pose, to a fraction of its window: the mean of the windows and headings about it, begun a
-// cell and turned a step apart, that hold the most.
+// A leaf's pose, to a fraction of its window: the mean of the windows and headings about it, begun
+// a cell and turned a step apart, that hold the most.
 PlanarPose centred(const Branch& leaf, const OccupancyPyramid& map,
                    const std::vector<std::int32_t>& offsets,
                    const std::vector<std::uint8_t>& slices, const SearchLimits& limits) {
   const std::size_t m = slices.size(), yaws = limits.yaws;
   std::uint32_t most = 0;
-  int ties = 0, sum[3] = {0, 0, 0};
-  for (const int turn : {-1, 0, 1}) {
-    const auto yaw = static_cast<std::uint32_t>((leaf.yaw + yaws + std::size_t(turn + 1) - 1) % yaws);
-    for (const int dy : {-1, 0, 1}) {
-      for (const int dx : {-1, 0, 1}) {
-        const Branch other{0, yaw, leaf.x + dx, leaf.y + dy};
-        const std::uint32_t score = bound(map, limits.leaf_level, other,
-                                          offsets.data() + 2 * m * yaw, slices.data(), 0, m);
-        if (score < most) continue;
-        if (score > most) ties = sum[0] = sum[1] = sum[2] = 0;
-        most = score;
-        ++ties;
-        sum[0] += dx;
-        sum[1] += dy;
-        sum[2] += turn;
-      }
-    }
+  double ties = 0, x = 0, y = 0, turn = 0;
+  for (int step = 0; step < 27; ++step) {
+    const int dx = step % 3 - 1, dy = step / 3 % 3 - 1, dk = step / 9 - 1;
+    const std::size_t yaw = (leaf.yaw + yaws + static_cast<std::size_t>(dk + 1) - 1) % yaws;
+    const Branch other{0, static_cast<std::uint32_t>(yaw), leaf.x + dx, leaf.y + dy};
+    const std::uint32_t score =
+        bound(map, limits.leaf_level, other, offsets.data() + 2 * m * yaw, slices.data(), 0, m);
+    if (score < most) continue;
+    if (score > most) most = score, ties = x = y = turn = 0;
+    ++ties, x += dx, y += dy, turn += dk;
   }
   // A column falls half a cell, on average, past the cell that it begins in.
-  const double middle = 0.5 * (double(1 << limits.leaf_level) - 1.0), of = std::max(ties, 1);
-  return {(leaf.x + sum[0] / of + middle) * map.cell(), (leaf.y + sum[1] / of + middle) * map.cell(),
-          angle(leaf.yaw, limits) + sum[2] / of * angle(1, limits), leaf.score};
+  const double middle = 0.5 * (double(1 << limits.leaf_level) - 1.0);
+  return {(leaf.x + x / ties + middle) * map.cell(), (leaf.y + y / ties + middle) * map.cell(),
+          angle(leaf.yaw, limits) + turn / ties * angle(1, limits), leaf.score};
 }
 
 std::vector<PlanarPose> apart(std::vector<Branch>& branches, const OccupancyPyramid& map,
                               const std::vector<std::int32_t>& offsets,
-                              const std::vector<std::uint8_t>& slices,
-                              const SearchLimits& limits) {
+                              const std::vector<std::uint8_t>& slices, const SearchLimits& limits) {
   std::sort(branches.begin(), branches.end());
   std::vector<PlanarPose> poses;
   std::vector<Branch> chosen;

@@ -49,7 +49,9 @@ def test_a_script_runs_as_a_module() -> None:
 
 def test_all_rooms_have_scripts() -> None:
     rooms = {name.split(".")[1] for name in MODULES}
-    assert rooms == {"bench", "calibration", "feature_quality", "peers", "protocols", "weights"}
+    assert rooms == {
+        *("bench", "calibration", "feature_quality", "peers", "protocols", "results", "weights")
+    }
 
 
 @pytest.mark.parametrize("path", SHELL, ids=lambda path: path.name)

@@ -24,7 +24,8 @@ from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
 from segloc.map.segment_map import SegmentMap
 
 SCANS = 30
-PICTURE = {"localizations.jsonl", "poses.tum", "summary.json", "trajectory.png"}
+PICTURES = {"errors.png", "trajectory.png"}
+PICTURE = {"localizations.jsonl", "poses.tum", "summary.json", *PICTURES}
 
 
 def toy_town(rng: np.random.Generator) -> np.ndarray:
@@ -367,7 +368,7 @@ def test_without_matplotlib_there_is_no_picture(
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
     localize_toy(toy, tmp_path / "out")
-    assert set(files(tmp_path / "out")) == PICTURE - {"trajectory.png"}
+    assert set(files(tmp_path / "out")) == PICTURE - PICTURES
     assert "pip install 'segloc[report]'" in " ".join(capsys.readouterr().err.split())
 
 

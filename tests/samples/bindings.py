@@ -238,7 +238,8 @@ def _networks() -> Iterator[tuple[str, Call]]:
     yield "Network.activations", Call(network.activations, prepared | {"layer": 0})
     file = read_weights(path, "network")
     table = [(160, 8, 1, 32), (96, 10, 2, 64), (16, 12, 3, 128), (4, 16, 1, 256)]
-    build = {"layers": table, "tensors": dict(file.tensors), "points": 256, "isa": "auto"}
+    own = {name: t for name, t in file.tensors.items() if not name.startswith("pair.")}
+    build = {"layers": table, "tensors": own, "points": 256, "isa": "auto"}
     yield "Network", Call(_native.Network, build)
     voxels = load_voxels(shipped_weights("segmap.safetensors"))[0]
     shapes = _native.voxel_shapes(**_segments())

@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
 
+from samples.worlds import made_anew
+
 from segloc.datasets.base import parse_select
 from segloc.datasets.loaders.folder import FolderSequence
 from segloc.errors import ConfigError, DatasetError
@@ -67,8 +69,7 @@ def route_in(world: World, metres: float = 40.0) -> Route:
 
 @pytest.mark.slow
 def test_town_depends_on_its_seed_alone(small: World) -> None:
-    town.cache_clear()
-    again = town(3, size_m=SIZE)
+    again = made_anew(town, 3, SIZE)
     assert again is not small
     np.testing.assert_array_equal(again.static.triangles, small.static.triangles)
     np.testing.assert_array_equal(again.terrain.heights, small.terrain.heights)

@@ -177,7 +177,7 @@ def test_confidence_rises_with_every_feature() -> None:
         evidence(15, 0.85, 0.95, 3.0, (0.3, 0.95)),
     ):
         assert MODEL.probability(worse) < good
-    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2, (0.4, 0.6))) < 0.05
+    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2, (0.4, 0.6))) < 0.1
     # However many segments agree, clouds that agree no better than elsewhere outweigh them.
     assert MODEL.probability(evidence(500, 0.4, 0.6, 100.0, (0.4, 0.6))) < 0.5
 
@@ -185,9 +185,9 @@ def test_confidence_rises_with_every_feature() -> None:
 def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
     good = MODEL.probability(evidence(15, 0.85, 0.95, 3.0, (0.1, 0.1)))
     assert MODEL.probability(evidence(15, 0.85, 0.95, 3.0)) < good
-    # Overlap stands in for what is seen, and for walls that are not there.
+    # Overlap stands in for what is seen, and for walls that are not there; much in view says more.
     unseen, same = evidence(15, 0.85, None, 3.0), evidence(15, 0.85, 0.85, 3.0)
-    assert MODEL.probability(unseen) == pytest.approx(MODEL.probability(same))
+    assert MODEL.probability(unseen) < MODEL.probability(same)
     values = {field.name: getattr(unseen.score, field.name) for field in fields(unseen.score)}
     walls = RefinedScore(
         **values, covariance=None, details=SimpleNamespace(fit=SurfaceFit(0.85), sectors=())
@@ -198,7 +198,7 @@ def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
 
 def test_few_judged_points_say_little_and_no_step_lies_between() -> None:
     def p(judged: int) -> float:
-        seen = replace(score(15, 0.85, None), confirmed=0, judged=judged)
+        seen = replace(score(6, 0.8, None), confirmed=0, judged=judged)
         return MODEL.probability(Evidence(seen, 3.0, ()))
 
     falling = [p(judged) for judged in range(0, 400, 5)]

@@ -21,8 +21,16 @@ def evaluate(*arguments: object) -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "line"),
     [
-        (("roc", "--suite", "seven"), ConfigError, "suite must be one of six, not 'seven'"),
-        (("roc", "--scale", "huge"), ConfigError, "scale must be one of small, full, not 'huge'"),
+        (
+            ("roc", "--suite", "seven"),
+            ConfigError,
+            "suite must be one of six, repeated, not 'seven'",
+        ),
+        (
+            ("roc", "--scale", "huge"),
+            ConfigError,
+            "scale must be one of small, full, paper, not 'huge'",
+        ),
         (("localization", "here"), ConfigError, "give two recordings"),
         (("localization", "a", "b"), DatasetError, "a: no such file or folder"),
         (("localization", "--methods", "x"), ConfigError, "no method 'x'; there are dsm"),

@@ -128,7 +128,7 @@ def test_a_part_may_be_a_folder(tmp_path: Path) -> None:
 
 
 def test_a_workspace_knows_its_scales_and_suites(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="scale must be one of small, full, not 'huge'"):
+    with pytest.raises(ConfigError, match="scale must be one of small, full, paper, not 'huge'"):
         Workspace(tmp_path, scale="huge")
     with pytest.raises(ConfigError, match="suite must be one of six"):
         _ = Workspace(tmp_path, suite="seven").sets

@@ -133,7 +133,12 @@ Gnss = Annotated[
 ]
 Epsg = Annotated[
     int | None,
-    typer.Option(min=1, metavar="CODE", help="Of the projected frame that the map lies in."),
+    typer.Option(
+        min=1,
+        metavar="CODE",
+        help="Of the projected frame that the map lies in.",
+        show_default="not said",
+    ),
 ]
 Origin = Annotated[
     str | None,

@@ -12,7 +12,12 @@ from .console import say
 from .train_extract import extract
 
 Commit = Annotated[
-    str | None, typer.Option(metavar="HASH", help="Of the sources that train; goes into the file.")
+    str | None,
+    typer.Option(
+        metavar="HASH",
+        help="Of the sources that train; goes into the file.",
+        show_default="not said",
+    ),
 ]
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="What `train extract` wrote.")]
 train = typer.Typer(

@@ -2,16 +2,18 @@
 
 A page shows a result where it says ``<!-- begin result NAME -->`` and ``<!-- end result NAME -->``.
 Below each table stands what measured it, and whether that code is still the one of this clone.
+
+    python -m segloc_experiments.results.pages --check
 """
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from ..script import parser
 from .fingerprints import PROJECT, changed
 from .store import FOLDER, Cell, Result
 
@@ -86,9 +88,9 @@ def pages(docs: Path = DOCS) -> Iterator[Path]:
 
 def main() -> None:
     """Write all pages, or say what is stale and what is outdated."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="exit status 1 if a page is stale")
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--check", action="store_true", help="exit status 1 if a page is stale")
+    options = arguments.parse_args()
     faults = []
     for path in pages():
         text = path.read_text("utf-8")
