@@ -34,6 +34,7 @@ NOT_RUN = {
     r"(experiments/src/)\S+\.sh": LABORATORY,
     r"M=": LABORATORY,
     r"(for|done)\b": LABORATORY,
+    r"python docs/": "writes the pages themselves; tests compare them",
     r"segloc bench": LABORATORY,
     r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in experiments/tests",
     r"segloc localize .*--gnss": "needs a bag with fixes; in tests/cli/test_gnss.py",

@@ -142,7 +142,7 @@ Epsg = Annotated[
 ]
 Origin = Annotated[
     str | None,
-    typer.Option(metavar="E,N[,H]", help="The map's origin in that frame.  [default: 0,0,0]"),
+    typer.Option(metavar="E,N[,H]", help="The map's origin in that frame.", show_default="0,0,0"),
 ]
 
 Truth = Annotated[
