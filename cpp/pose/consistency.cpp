@@ -12,9 +12,6 @@
 namespace segloc {
 namespace {
 
-// Where everything is consistent with everything, some of a pair's partners do.
-constexpr std::size_t kMostPartners = 512;
-
 struct Pair {
   std::array<double, 3> source, target;
   std::int64_t object, target_id;

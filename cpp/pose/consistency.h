@@ -9,6 +9,10 @@
 
 namespace segloc {
 
+// Where everything is consistent with everything, some of a pair's partners do: no set holds more
+// than a pair and so many.
+constexpr std::size_t kMostPartners = 512;
+
 struct ConsistencyOptions {
   // Their values have one home: ConsistencyConfig of the Python package.
   double resolution;  // lengths of an edge in the query and in the map differ by no more, metres

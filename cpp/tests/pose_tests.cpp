@@ -1,4 +1,5 @@
 // Poses from matches at every size from nothing up.
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <random>
@@ -62,7 +63,8 @@ void poses() {
     const auto sets =
         consistent_sets(query.data(), map.data(), index.data(), index.data(), n, {0.4, 4, 8});
     if (n < 200) continue;
-    CHECK(!sets.empty() && sets[0].members.size() >= 4);  // how good: tests/test_consistency.py
+    CHECK(sets[0].members.size() >= std::min(n / 2, kMostPartners));
+    CHECK(std::fabs(sets[0].T.t[0] - 5e6) < 0.5);
     CHECK(std::fabs(found[0].yaw - yaw) < 0.01 && found[0].inliers > n / 10);
     CHECK(std::fabs(found[0].t[0] - 5e6) < 0.5 && std::fabs(sampled[0].T.t[0] - 5e6) < 0.5);
   }

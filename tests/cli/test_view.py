@@ -192,7 +192,7 @@ def test_the_page_shows_the_map_and_the_queries(
 
     choose(0, "0: found")
     before = pixels(page)
-    assert colourful(before) > 0.003  # segments, matches, markers
+    assert colourful(before) > 0.01  # segments, matches, markers
     choose(2, "2: refused\\n\\nnot localized, ")
     after = pixels(page)
     assert np.abs(after - before)[:500, :700].max(axis=2).mean() > 0.005  # another query
