@@ -154,15 +154,15 @@ bool alike(const PlanarPose& a, const PlanarPose& b, const SearchLimits& limits)
 PlanarPose centred(const Branch& leaf, const OccupancyPyramid& map,
                    const std::vector<std::int32_t>& offsets,
                    const std::vector<std::uint8_t>& slices, const SearchLimits& limits) {
-  const std::size_t m = slices.size(), yaws = limits.yaws;
+  const std::size_t m = slices.size();
   std::uint32_t most = 0;
   double ties = 0, x = 0, y = 0, turn = 0;
   for (int step = 0; step < 27; ++step) {
     const int dx = step % 3 - 1, dy = step / 3 % 3 - 1, dk = step / 9 - 1;
-    const std::size_t yaw = (leaf.yaw + yaws + static_cast<std::size_t>(dk + 1) - 1) % yaws;
+    const int yaw = (int(leaf.yaw) + dk + int(limits.yaws)) % int(limits.yaws);
     const Branch other{0, static_cast<std::uint32_t>(yaw), leaf.x + dx, leaf.y + dy};
-    const std::uint32_t score =
-        bound(map, limits.leaf_level, other, offsets.data() + 2 * m * yaw, slices.data(), 0, m);
+    const std::uint32_t score = bound(map, limits.leaf_level, other,
+                                      offsets.data() + 2 * m * other.yaw, slices.data(), 0, m);
     if (score < most) continue;
     if (score > most) most = score, ties = x = y = turn = 0;
     ++ties, x += dx, y += dy, turn += dk;

@@ -104,13 +104,12 @@ def newest_points(folder: Path) -> Float64 | None:
 def draw_moments(scene: MapScene, moments: Sequence[Moment], points: Float64 | None = None) -> None:
     """The robot's path so far by state, where it is now, and what it sees, in place of before."""
     scene.clear("robot")
-    placed = [moment for moment in moments if moment.T_map_base is not None]
+    placed = [(m.T_map_base, m.state) for m in moments if m.T_map_base is not None]
     if not placed:
         return
     lift = np.array([0.0, 0.0, _ABOVE_M])
-    at = [m.T_map_base[:3, 3] + lift for m in moments if m.T_map_base is not None]
-    path = scene.local(np.array(at))
-    colours = np.array([COLOURS.get(m.state, rgb(PATH)) for m in placed], dtype=np.uint8)
+    path = scene.local(np.array([T[:3, 3] + lift for T, _ in placed]))
+    colours = np.array([COLOURS.get(state, rgb(PATH)) for _, state in placed], dtype=np.uint8)
     scene.points("robot", "/robot/path", path[:-1], colours[:-1], 0.5)
     scene.points("robot", "/robot/now", path[-1:], colours[-1:], 1.5)
     if points is not None:

@@ -69,10 +69,8 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
         If the port is in use.
     """
     server = _server("127.0.0.1", port)
-    scene = MapScene(server.scene, prior_map)
     shown = _in_detail(queries)
-    _look(server, scene, shown[0] if shown else None)
-    scene.draw_map()
+    scene = _map_in_view(server, prior_map, shown[0] if shown else None)
     scene.draw_queries(queries)
     if shown:
         _add_choice(server, scene, shown)
@@ -98,9 +96,7 @@ def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
     """
     read_moments(folder)
     server = _server("127.0.0.1", port)
-    scene = MapScene(server.scene, prior_map)
-    _look(server, scene, None)
-    scene.draw_map()
+    scene = _map_in_view(server, prior_map)
     text = server.gui.add_markdown("")
     _add_layers(server, scene, ROBOT)
     shown: list[int] = []
@@ -140,14 +136,20 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
     """
     server = _server("127.0.0.1", 0)
     try:
-        scene = MapScene(server.scene, prior_map)
-        _look(server, scene, None)
-        scene.draw_map()
+        scene = _map_in_view(server, prior_map)
         draw_moments(scene, moments)
         return drawn_fast(str(server.get_scene_serializer().as_html()))
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
+
+
+def _map_in_view(server: Any, prior_map: SegmentMap, query: Shown | None = None) -> MapScene:
+    """The map drawn, and looked at where a query is."""
+    scene = MapScene(server.scene, prior_map)
+    _look(server, scene, query)
+    scene.draw_map()
+    return scene
 
 
 def _add_layers(server: Any, scene: MapScene, layers: Sequence[str]) -> None:

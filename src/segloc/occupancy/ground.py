@@ -34,8 +34,7 @@ class Ground:
     def __init__(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
         ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
         cells = cells_of(cloud[:, :2], _GROUND_M)
-        keys = cells[:, 0] * (1 << 32) + cells[:, 1]
-        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        _, first, which = np.unique(_keys(cells), return_index=True, return_inverse=True)
         self._places = (cells[first] + 0.5) * _GROUND_M
         if len(path) and len(cloud):
             distance, station = nearest_of(path[:, :2], self._places)
@@ -55,13 +54,12 @@ class Ground:
 
 def _mounted(cloud: Float32, path: Float64) -> float:
     """How high above its floor the mapping sensor was: most columns near it end there below."""
-    near = nearest_of(path[:, :2], cloud[:, :2])[0] < _FLOOR_RADIUS_M
-    cloud = cloud[near]
-    order = np.argsort(cloud[:, 2], kind="stable")
-    columns = cells_of(cloud[order, :2], _FLOOR_COLUMN_M)
-    _, lowest = np.unique(columns[:, 0] * (1 << 32) + columns[:, 1], return_index=True)
-    ends = cloud[order[lowest]]
-    drop = path[nearest_of(path[:, :2], ends[:, :2])[1], 2] - ends[:, 2]
+    gap, station = nearest_of(path[:, :2], cloud[:, :2], within=_FLOOR_RADIUS_M)
+    rising = np.argsort(cloud[:, 2], kind="stable")
+    rising = rising[gap[rising] < _FLOOR_RADIUS_M]
+    columns = cells_of(cloud[rising, :2], _FLOOR_COLUMN_M)
+    lowest = rising[np.unique(_keys(columns), return_index=True)[1]]
+    drop = path[station[lowest], 2] - cloud[lowest, 2]
     counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
     return float(edges[counts.argmax()] + 0.05)
 
@@ -75,11 +73,17 @@ def believed(
 
 
 def nearest_of(
-    places: NDArray[Any], asked: NDArray[Any], count: int = 1
+    places: NDArray[Any], asked: NDArray[Any], count: int = 1, within: float = np.inf
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Distances to the nearest of (N, 2) places, and which they are."""
-    distance, index = cKDTree(places).query(asked, k=count)
+    """Distances to the nearest of (N, 2) places, and which they are; infinite, and N, beyond."""
+    distance, index = cKDTree(places).query(asked, k=count, distance_upper_bound=within)
     return np.asarray(distance), np.asarray(index)
+
+
+def _keys(cells: Int64) -> Int64:
+    """One number for each of (N, 2) cells."""
+    keys: Int64 = cells[:, 0] * (1 << 32) + cells[:, 1]
+    return keys
 
 
 def cells_of(points: NDArray[np.floating[Any]], width: float) -> Int64:

@@ -52,7 +52,7 @@ def decide(
     elif best.overlap < CLOUD_FITS and best.walls is not None and best.walls < WALLS_FIT:
         reason = Reason.TOO_UNCERTAIN
         message = f"walls stand elsewhere there: {best.walls:.0%} of those of one direction fit"
-    elif p < (needed := confidence_needed(best, config)):
+    elif p < (needed := confidence_needed(best.inliers, config)):
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, needed)}: {compared(evidence)}"
     else:
@@ -68,10 +68,10 @@ def too_few_inliers(
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
 
 
-def confidence_needed(best: Score, config: VerificationConfig) -> float:
+def confidence_needed(inliers: int, config: VerificationConfig) -> float:
     """More where few segments agree: all wrong poses that look likely are such, in rooms alike."""
     least = config.min_confidence
-    return least if best.inliers >= FEW_INLIERS else math.sqrt(least)
+    return least if inliers >= FEW_INLIERS else math.sqrt(least)
 
 
 def compared(evidence: Evidence) -> str:

@@ -12,12 +12,11 @@ from scipy.special import expit
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
-from segloc.verification.decision import FEW_INLIERS
+from segloc.verification.decision import confidence_needed
 
 COLUMNS = (*FEATURES, "inliers")
 INLIERS, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
 """Columns of a row: the features come first. EQUAL: whether a rival explains the query as well."""
-BELIEVED = VerificationConfig().min_confidence
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
@@ -60,6 +59,8 @@ def held_out(rows: np.ndarray) -> np.ndarray:
 def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
     """Reliability in bins of confidence, and the gap between right and wrong."""
     right = rows[:, RIGHT] > 0
+    config = VerificationConfig()
+    needed = np.array([confidence_needed(int(n), config) for n in rows[:, INLIERS]])
     print(f"{len(rows)} candidates, {int(right.sum())} right; weights {np.round(weights, 2)}")
     print("| confidence, model of the other worlds | candidates | right |\n|---|---|---|")
     for low, high in pairwise(BINS):
@@ -72,7 +73,6 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         ("model of the package", probability(rows, _shipped())),
     ):
         brier, falsely = float(((q - right) ** 2).mean()), int((q[~right] > 0.5).sum())
-        needed = np.where(rows[:, INLIERS] < FEW_INLIERS, np.sqrt(BELIEVED), BELIEVED)
         believed = (q >= needed) & (rows[:, EQUAL] == 0)
         print(
             f"model of {name}: Brier score {brier:.4f}; confident (over 0.5) and wrong: {falsely};"

@@ -92,7 +92,8 @@ class TransformTree:
 
     def newest(self, target: str, source: str) -> float | None:
         """The newest stamp at which T_target_source is known; None where it is not, or static."""
-        moving = [self._moving.get(frame) for frame in self._path(target, source) or []]
+        up, down = self._ways(target, source) or ([], [])
+        moving = [self._moving.get(frame) for frame in up + down]
         stamps = [kept[-1][0] for kept in moving if kept]
         return min(stamps, default=None)
 
@@ -127,23 +128,23 @@ class TransformTree:
             chain.append(self._parents[chain[-1]])
         return chain
 
-    def _path(self, target: str, source: str) -> list[str] | None:
-        """The frames on the way whose place in their parents counts; None where there is no way."""
+    def _ways(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
+        """The frames from source and from target up to the first above both, without it; None where
+        there is none."""
         up, down = self._chain(frame_name(source)), self._chain(frame_name(target))
         common = next((frame for frame in up if frame in down), None)
         if common is None:
             return None
-        return up[: up.index(common)] + down[: down.index(common)]
+        return up[: up.index(common)], down[: down.index(common)]
 
     def _between(self, target: str, source: str, place: _Place) -> Pose | None:
-        up, down = self._chain(frame_name(source)), self._chain(frame_name(target))
-        common = next((frame for frame in up if frame in down), None)
-        if common is None:
+        ways = self._ways(target, source)
+        if ways is None:
             return None
         ends = []
-        for chain in (up, down):
+        for way in ways:
             T = np.eye(4)
-            for frame in chain[: chain.index(common)]:
+            for frame in way:
                 step = place(frame)
                 if step is None:
                     return None
