@@ -18,7 +18,7 @@ LABEL org.opencontainers.image.title="segloc" \
 RUN useradd --create-home --uid 1000 segloc
 COPY --from=build /opt/segloc /opt/segloc
 ENV PATH=/opt/segloc/bin:$PATH PYTHONDONTWRITEBYTECODE=1 MPLCONFIGDIR=/tmp/matplotlib
-USER segloc
+USER 1000
 WORKDIR /data
 ENTRYPOINT ["segloc"]
 CMD ["--help"]

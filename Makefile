@@ -4,7 +4,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SCALE ?= small
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# Nothing is compiled to bytecode but what is imported.
+INSTALL := -m pip install --quiet --disable-pip-version-check --no-compile
+PIP := $(BIN)/python $(INSTALL) -c constraints.txt
+# The extras that tests find. CI has them from those of `dev`, which are these and more.
+TESTED ?= test
 
 .PHONY: demo test quick test-lowest test-newest test-ros fuzz evaluate lint docs wheel-check clean
 .PHONY: cross-check
@@ -19,13 +23,13 @@ evaluate: $(VENV)/.evaluate
 # One process a core, one thread each. Files stay whole: their fixtures are made once.
 CORES ?= logical
 ALONE := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-PYTEST := $(ALONE) $(BIN)/python -m pytest -n $(CORES) --dist loadfile
+PYTEST := $(ALONE) $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder
 
-test: $(VENV)/.test
+test: $(VENV)/.$(TESTED)
 	$(PYTEST)
 
 QUICK := -m "not slow and not data and not torch and not fuzz"
-quick: $(VENV)/.test
+quick: $(VENV)/.$(TESTED)
 	$(PYTEST) $(QUICK)
 
 # The quick tests of an installed wheel: with Python 3.10 and exactly the lowest versions that
@@ -38,9 +42,9 @@ NEWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.13.*/bin/python)
 define test_installed
 	$(if $(1),,$(error no such Python: name one by $(shell echo $(2) | tr a-z A-Z)_PYTHON=...))
 	$(1) -m venv build/$(2)
-	build/$(2)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade $(3) \
+	build/$(2)/bin/python $(INSTALL) --upgrade $(3) \
 	  ".[$(EXTRAS),test-tools]"
-	build/$(2)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps ./experiments
+	build/$(2)/bin/python $(INSTALL) --no-deps ./experiments
 	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) $(if $(filter smoke,$(TESTS)),$(SMOKE),$(TESTS))
 endef
 
@@ -59,7 +63,7 @@ test-newest:
 
 # The ROS 2 packages, built by colcon and run as nodes, with ROS 2 from PyPI's wheels: Linux, and
 # Python 3.11 in .venv.
-test-ros: $(VENV)/.test
+test-ros: $(VENV)/.$(TESTED)
 	tests/ros2/run.sh $(BIN)/python
 
 # Coverage-guided fuzzing of the readers, a minute a target. What is found joins tests/hostile/found.
@@ -90,7 +94,7 @@ sanitize: $(VENV)/.dev
 
 # The Python module likewise, in tests of what it is given: shapes, values and types of all kinds.
 # Python itself is not built so: the sanitizer is loaded before it, and its own leaks are not ours.
-sanitize-python: sanitize $(VENV)/.test
+sanitize-python: sanitize $(VENV)/.$(TESTED)
 	$(BIN)/cmake --build $(SANITIZED) --parallel 2 --target _native
 	SEGLOC_NATIVE="$$(ls $(abspath $(SANITIZED))/_native*.so)" PYTHONPATH=$(abspath tests/sanitized):src \
 	  ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=1 PYTHONMALLOC=malloc \
@@ -118,15 +122,16 @@ fuzz-native: $(VENV)/.dev
 # The wheels. segloc's is built from its source distribution alone, must be small, and must install
 # and localize where there is nothing else: no torch, no compiler, no plotting, no laboratory. Built
 # by Python 3.12 it is for all later ones: it is audited, and tried on the newest too. The wheel of
-# the experiments adds weights and verbs.
+# the experiments adds weights and verbs. A copy is packed, as the tool looks at every file around.
 WHEEL := build/wheel
 WHEEL_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.12.*/bin/python) $(shell command -v python3.12) $(PYTHON))
 MOST_BYTES := 15000000
 wheel-check:
 	rm -rf $(WHEEL) && mkdir -p $(WHEEL)
 	$(WHEEL_PYTHON) -m venv $(WHEEL)/tools
-	$(WHEEL)/tools/bin/python -m pip install --quiet --disable-pip-version-check build auditwheel abi3audit
-	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) . > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
+	$(WHEEL)/tools/bin/python $(INSTALL) build auditwheel abi3audit
+	mkdir $(WHEEL)/source && tar -c $(patsubst %,--exclude=./%,build .venv .git) . | tar -x -C $(WHEEL)/source
+	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) experiments >> $(WHEEL)/log
 	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
 	case $(WHEEL)/segloc-*.whl in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
@@ -139,9 +144,9 @@ wheel-check:
 # Of a Python and a folder: the wheels in an environment of their own, first that of segloc alone.
 define try_wheel
 	$(1) -m venv $(2) && \
-	  $(2)/bin/python -m pip install --quiet --disable-pip-version-check $(WHEEL)/segloc-*.whl && \
+	  $(2)/bin/python $(INSTALL) $(WHEEL)/segloc-*.whl && \
 	  $(2)/bin/segloc --version && $(2)/bin/python tests/wheel_smoke.py && \
-	  $(2)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps $(WHEEL)/segloc_experiments-*.whl && \
+	  $(2)/bin/python $(INSTALL) --no-deps $(WHEEL)/segloc_experiments-*.whl && \
 	  $(2)/bin/segloc bench --help > /dev/null && $(2)/bin/segloc evaluate roc --help > /dev/null && \
 	  $(2)/bin/python tests/wheel_smoke.py segmap segmatch-esf nsm
 endef

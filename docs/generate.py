@@ -40,6 +40,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "localizer.py": (5, "the method on one page"),
     "fallback.py": (5, "other candidates where segments say little"),
     "search.py": (5, "what passes between the stages of a query"),
+    "thin_vote.py": (5, "where in a thin map of many places a query may be"),
     "answer.py": (5, "a verdict to the answer"),
     "landmarks": (7, "stems found in clouds, and landmarks of one's own: a pose, or candidates"),
     "config.py": (6, "all settings, one preset a method"),

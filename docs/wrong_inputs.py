@@ -112,10 +112,10 @@ def rows(work: Path) -> list[tuple[str, str, int, str]]:
         write(work / str(k), wrong)
         poses = ["--poses", "poses.tum"] if wrong.posed else []
         status, text = said("doctor", work / str(k), *poses)
-        sentence = next(
-            line for line in text.splitlines() if line.startswith(("wrong: ", "note: "))
-        )
-        found.append((wrong.what, "doctor", status, sentence))
+        wrongs = [line for line in text.splitlines() if line.startswith("wrong: ")]
+        if len(wrongs) != 1:
+            raise SystemExit(f"{wrong.what}: one sentence must name it, not {wrongs}")
+        found.append((wrong.what, "doctor", status, wrongs[0]))
     found.append(("a map of another place merged", "map merge", *_merged(work)))
     return found
 

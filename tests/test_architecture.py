@@ -15,6 +15,8 @@ import numpy as np
 from samples import source
 from samples.source import PROJECT, ROOT, Length, Package
 
+from segloc.cli.verbs import MAPS, ORDER
+
 
 class Layer(NamedTuple):
     rooms: str
@@ -29,7 +31,7 @@ LAYERS = (
     Layer("datasets"),
     Layer("tracker scan_check hypotheses views", together=True),
     Layer("tiles"),
-    Layer("localizer answer fallback search", together=True),
+    Layer("localizer answer fallback search thin_vote", together=True),
     Layer("map.build map.sessions map.update", together=True),
     Layer("config"),
     Layer(
@@ -77,8 +79,12 @@ PACKAGES = {
 }
 """Where a package of others may be imported. None draws, knows ROS or trains below the datasets."""
 
-BY_NAME = {"descriptors", "training.pointset", "training.profile", "training.segmap"}
-"""Loaded by name: descriptors by pkgutil, networks by training.tasks."""
+BY_NAME = {
+    *("descriptors", "training.pointset", "training.profile", "training.segmap"),
+    *(f"cli.{verb}" for verb in ORDER),
+    *(f"cli.map_{verb}" for verb in MAPS),
+}
+"""Loaded by name: descriptors by pkgutil, networks by training.tasks, verbs by cli.verbs."""
 
 MOST_LINES_OF_A_FILE = 300
 MOST_LINES_OF_A_FUNCTION = 60

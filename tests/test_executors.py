@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from samples.executors import EXECUTORS, Moved, Walk, square
 from samples.plaza import Plaza
 
 from segloc import Config
-from segloc.alignment import AlignConfig, align_sessions
+from segloc.alignment import AlignConfig, Alignment, align_sessions
 from segloc.alignment.summary import loops_jsonl
 from segloc.errors import ConfigError, SeglocError
 from segloc.map.sessions import build_merged_map
@@ -46,16 +47,24 @@ def test_without_an_executor_this_process_does_it() -> None:
     assert list(as_finished(square, [], None)) == []
 
 
+@pytest.fixture(scope="module")
+def made_here(walks: list[Walk], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    file = tmp_path_factory.mktemp("made") / "here.segmap"
+    build_merged_map(walks, GEO).save(file)
+    return file.read_bytes()
+
+
 @pytest.mark.slow
 @BY
-def test_a_map_of_many_recordings(by: str, walks: list[Walk], tmp_path: Path) -> None:
-    build_merged_map(walks, GEO).save(tmp_path / "here.segmap")
+def test_a_map_of_many_recordings(
+    by: str, walks: list[Walk], made_here: bytes, tmp_path: Path
+) -> None:
     with EXECUTORS[by]() as (executor, kill):
         made = build_merged_map(walks, GEO, kill, executor=executor, folder=tmp_path)
     made.save(tmp_path / "there.segmap")
-    assert (tmp_path / "here.segmap").read_bytes() == (tmp_path / "there.segmap").read_bytes()
+    assert made_here == (tmp_path / "there.segmap").read_bytes()
     assert len(np.unique(made.session)) == len(walks)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["here.segmap", "there.segmap"]
+    assert [p.name for p in tmp_path.iterdir()] == ["there.segmap"]
 
 
 def test_what_parts_cannot_be_written_to_is_said(walks: list[Walk], tmp_path: Path) -> None:
@@ -67,19 +76,32 @@ def test_what_parts_cannot_be_written_to_is_said(walks: list[Walk], tmp_path: Pa
         build_merged_map([], GEO)
 
 
+ALIGN = AlignConfig(every_m=3.0, searched_parts=2)
+
+
+@pytest.fixture(scope="module")
+def moved(plaza: Plaza) -> list[Moved]:
+    return [Moved(plaza, lane, 8) for lane in (0.0, 1.0, 2.0)]
+
+
+@pytest.fixture(scope="module")
+def aligned_here(moved: list[Moved]) -> Alignment:
+    return align_sessions(moved, GEO, ALIGN)
+
+
 @pytest.mark.slow
 @BY
-def test_aligned_sessions(by: str, plaza: Plaza, tmp_path: Path) -> None:
-    sessions = [Moved(plaza, lane, 8) for lane in (0.0, 1.0, 2.0)]
-    settings = AlignConfig(every_m=3.0, searched_parts=2)
-    here = align_sessions(sessions, GEO, settings)
+def test_aligned_sessions(
+    by: str, moved: list[Moved], aligned_here: Alignment, tmp_path: Path
+) -> None:
+    here = aligned_here
     with EXECUTORS[by]() as (executor, kill):
 
         @contextmanager
         def stage(label: str) -> Iterator[Any]:
             yield kill
 
-        there = align_sessions(sessions, GEO, settings, stage, executor=executor, folder=tmp_path)
+        there = align_sessions(moved, GEO, ALIGN, stage, executor=executor, folder=tmp_path)
     assert here.components == there.components == [[0, 1, 2]]
     for a, b in zip(here.poses, there.poses, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -87,27 +109,45 @@ def test_aligned_sessions(by: str, plaza: Plaza, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("register", [False, True])
-@BY
-def test_a_dataset_to_train_on(by: str, register: bool, walks: list[Walk], tmp_path: Path) -> None:
-    items = [Posed(Session("plaza", f"{k:02d}", "none"), walk) for k, walk in enumerate(walks)]
-    settings = ExtractConfig(lengths_m=(8.0, 0.0), every_m=4.0)
+@dataclass
+class Collected:
+    """Datasets of the walks, and the files of one that this process collected."""
 
-    def made(folder: Path, executor: Any, say: Any) -> dict[str, bytes]:
+    walks: list[Walk]
+    register: bool
+    here: dict[str, bytes]
+
+    def made(self, folder: Path, executor: Any, say: Any) -> dict[str, bytes]:
+        sessions = [Session("plaza", f"{k:02d}", "none") for k in range(len(self.walks))]
+        settings = ExtractConfig(lengths_m=(8.0, 0.0), every_m=4.0)
         done = collect_recordings(
             folder,
-            items,
+            [Posed(session, walk) for session, walk in zip(sessions, self.walks, strict=True)],
             settings,
             SegmentationConfig(),
-            register=register,
+            register=self.register,
             progress=say,
             executor=executor,
         )
         finish(folder, done, settings.label)
         return {path.name: path.read_bytes() for path in folder.iterdir()}
 
-    here = made(tmp_path / "here", None, print)
+
+@pytest.fixture(scope="module", params=[False, True])
+def collected(
+    request: pytest.FixtureRequest, walks: list[Walk], tmp_path_factory: pytest.TempPathFactory
+) -> Collected:
+    found = Collected(walks, request.param, {})
+    found.here = found.made(tmp_path_factory.mktemp("collected") / "here", None, print)
+    return found
+
+
+@pytest.mark.slow
+@BY
+def test_a_dataset_to_train_on(
+    by: str, walks: list[Walk], collected: Collected, tmp_path: Path
+) -> None:
+    made, here = collected.made, collected.here
     with EXECUTORS[by]() as (executor, kill):
         assert made(tmp_path / "there", executor, lambda _: kill(1, 4)) == here
         said: list[str] = []

@@ -91,6 +91,19 @@ def test_where_little_of_the_map_is_seen_old_scans_support_nothing() -> None:
     assert track.track is not None and track.track.since == 0.0 and not track.contradicted
 
 
+def test_a_scan_that_does_not_confirm_the_track_degrades_it_whatever_older_scans_say() -> None:
+    undecided = {"check": Check.UNDECIDED, "T_checked": HERE}
+    track = after(view(0.0, HERE), view(10.0, HERE))
+    for k, found in enumerate((None, HERE, None)):
+        track.take(view(13.0 + 3 * k, found, **undecided))
+        assert at(track, HERE) and not track.contradicted
+        assert track.status(19.0) == (Status.DEGRADED, "the newest scan does not confirm the track")
+    track.take(view(22.0, check=Check.HOLDS, T_checked=HERE))
+    assert track.status(22.0) == (Status.LOCALIZED, "")
+    track.take(view(25.0))  # nothing was checked
+    assert track.status(25.0)[0] is Status.LOCALIZED
+
+
 def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:
     jump = geometry.yaw_transform(1.0, (-7.0, 3.0, 0.0))
     moved = HERE @ geometry.inverse(jump)

@@ -58,7 +58,22 @@ class SearchArea {
   static constexpr std::size_t kRun = kWindowRun;
 
   const OccupancyPyramid& map() const { return map_; }
-  std::size_t bytes() const { return image_.size(); }
+  std::size_t bytes() const {
+    std::size_t sum = image_.size();
+    for (const auto& level : flat_) sum += level.size();
+    return sum;
+  }
+
+  // Whether this level and those between it and the highest one are kept as plain images, of which
+  // a cell is this one, and a row so wide. Roots and the columns about them lie within.
+  bool is_flat(int level) const { return level > 0 && !flat_.empty(); }
+  const std::uint8_t* flat(int level, std::int32_t x, std::int32_t y) const {
+    const int top = map_.levels() - 1;
+    const auto row = static_cast<std::size_t>(y - low_y_ * (1 << top));
+    return flat_[static_cast<std::size_t>(level) - 1].data() + row * (wide_ << top) +
+           static_cast<std::size_t>(x - low_x_ * (1 << top));
+  }
+  std::int32_t wide() const { return static_cast<std::int32_t>(wide_) << (map_.levels() - 1); }
   double range() const { return range_; }
 
  private:
@@ -71,6 +86,7 @@ class SearchArea {
   };
 
   void lay_out();
+  void lay_flat();
   std::size_t place_of(std::int32_t x, std::int32_t y) const {
     return static_cast<std::size_t>(y - low_y_) * wide_ + static_cast<std::size_t>(x - low_x_);
   }
@@ -81,6 +97,8 @@ class SearchArea {
   std::int32_t low_x_ = 0, low_y_ = 0;  // of the images, in windows
   std::size_t wide_ = 0, high_ = 0;
   std::vector<std::uint8_t> image_;  // one image for each place of a cell within a window
+  std::vector<std::vector<std::uint8_t>>
+      flat_;  // from the first level to the one below the highest
 };
 
 }  // namespace segloc

@@ -21,7 +21,7 @@ using Vector6 = std::array<double, 6>;
 
 struct Pair {
   std::uint32_t target = Surface::kNone;
-  float stays = -1.0f;        // it stays the nearest while the point moves less than this
+  float stays = -1.0f;        // it, or none, stays the nearest while the point moves less than this
   PointGrid::Point at{};      // where the point was when that was found
   std::array<double, 6> W{};  // xx, xy, xz, yy, yz, zz of the inverse covariance, source frame
 };
@@ -116,10 +116,11 @@ class Problem {
     return total;
   }
 
-  const PointGrid::Point& point(std::size_t i) const { return source_.grid()[i * stride_]; }
+  PointGrid::Point point(std::size_t i) const { return source_.grid()[i * stride_]; }
 
   std::array<double, 3> moved(const Rigid& T, std::size_t i) const {
-    const double s[3] = {point(i)[0], point(i)[1], point(i)[2]};
+    const PointGrid::Point p = point(i);
+    const double s[3] = {p[0], p[1], p[2]};
     return T.apply(s);
   }
 
@@ -133,12 +134,13 @@ class Problem {
     pair.target = nearest.point;
     pair.at = p;
     // Moved by less than half the lead, it is still the nearest, and still close enough.
-    pair.stays = nearest.point == Surface::kNone ? -1.0f : 0.5f * (nearest.next - nearest.distance);
+    pair.stays = nearest.point == Surface::kNone ? target_.room(p)
+                                                 : 0.5f * (nearest.next - nearest.distance);
   }
 
   // In the source's frame at the last linearization.
   std::array<double, 3> residual(const Rigid& T, std::size_t i, const Pair& pair) const {
-    const PointGrid::Point& t = target_.grid()[pair.target];
+    const PointGrid::Point t = target_.grid()[pair.target];
     const auto moved = this->moved(T, i);
     const double e[3] = {t[0] - moved[0], t[1] - moved[1], t[2] - moved[2]};
     return turned_back(frame_, e);

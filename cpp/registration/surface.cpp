@@ -10,6 +10,7 @@ namespace segloc {
 namespace {
 
 constexpr float kClose = 0.4f;      // share of the maximum distance that is searched first
+constexpr double kRounding = 1e-3;  // metres
 constexpr std::size_t kFewest = 4;  // points that can be off a plane
 
 // Three signed steps of 21 bits and a bit that says that they are there.
@@ -47,21 +48,18 @@ Surface::Surface(const float* points, std::size_t n, double max_correspondence_d
 Surface::Nearest Surface::nearest(const PointGrid::Point& p) const {
   for (const float share : {kClose, 1.0f}) {
     const auto limit = static_cast<float>(max_correspondence_distance_) * share;
-    float best = limit * limit, next = best;
-    std::uint32_t point = kNone;
-    grid_.visit(p, limit, [&](std::uint32_t i, float squared) {
-      if (squared < best || (squared == best && point == kNone)) {
-        next = best;
-        best = squared;
-        point = i;
-      } else {
-        next = std::min(next, squared);
-      }
-    });
-    if (point != kNone) return {point, std::sqrt(best), std::sqrt(next)};
+    const PointGrid::Nearest found = grid_.nearest(p, limit);
+    if (found.point != kNone) {
+      return {found.point, std::sqrt(found.squared), std::sqrt(found.next)};
+    }
   }
   return {kNone, std::numeric_limits<float>::infinity(),
           static_cast<float>(max_correspondence_distance_)};
+}
+
+float Surface::room(const PointGrid::Point& p) const {
+  const double clear = grid_.clearance(p, max_correspondence_distance_);
+  return static_cast<float>(clear - max_correspondence_distance_ - kRounding);
 }
 
 Surface::Normal Surface::normal(std::size_t i) const {
@@ -74,7 +72,7 @@ Surface::Normal Surface::normal(std::size_t i) const {
 }
 
 Surface::Normal Surface::found(std::size_t i) const {
-  const PointGrid::Point& p = grid_[i];
+  const PointGrid::Point p = grid_[i];
   const auto limit = static_cast<float>(support_ * support_);
   Moments around;
   grid_.visit(p, support_, [&](std::uint32_t k, float squared) {
@@ -87,7 +85,7 @@ Surface::Normal Surface::found(std::size_t i) const {
 void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
                    double* offsets, double* normals) {
   for (std::size_t i = 0; i * step < source.size(); ++i) {
-    const PointGrid::Point& s = source.grid()[i * step];
+    const PointGrid::Point s = source.grid()[i * step];
     const double p[3] = {s[0], s[1], s[2]};
     const auto moved = T.apply(p);
     const Surface::Nearest nearest = target.nearest(
@@ -98,7 +96,7 @@ void plane_offsets(const Surface& target, const Surface& source, const Rigid& T,
     }
     offsets[i] = std::numeric_limits<double>::infinity();
     if (nearest.point == Surface::kNone) continue;
-    const PointGrid::Point& t = target.grid()[nearest.point];
+    const PointGrid::Point t = target.grid()[nearest.point];
     const Surface::Normal n = target.normal(nearest.point);
     const bool flat = n[0] != 0 || n[1] != 0 || n[2] != 0;
     offsets[i] = flat ? std::abs(n[0] * (moved[0] - t[0]) + n[1] * (moved[1] - t[1]) +

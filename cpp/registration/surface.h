@@ -24,7 +24,7 @@ class Surface {
     float distance;       // to it
     float next;           // at least as far as this are all others: a bound, not a distance
   };
-  static constexpr std::uint32_t kNone = 0xFFFFFFFFu;
+  static constexpr std::uint32_t kNone = PointGrid::kNone;
 
   // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
   // metres away; the points within `support` metres of one decide on its normal.
@@ -34,6 +34,8 @@ class Surface {
   const PointGrid& grid() const { return grid_; }
 
   Nearest nearest(const PointGrid::Point& p) const;
+  // How far a place may move before any point can be close enough, where none is. Metres.
+  float room(const PointGrid::Point& p) const;
 
   // Unit length, of either sign; zero where the points around do not span a plane.
   Normal normal(std::size_t i) const;

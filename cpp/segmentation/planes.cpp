@@ -25,7 +25,7 @@ std::vector<float> plane_normals(const float* points, std::size_t n, const Plane
   const std::size_t judged = std::min(n, options.most);
   std::vector<float> normals;
   for (std::size_t k = 0; k < judged; ++k) {
-    const PointGrid::Point& p = grid[k * n / judged];
+    const PointGrid::Point p = grid[k * n / judged];
     Moments close, around;
     grid.visit(p, options.radius, [&](std::uint32_t i, float squared) {
       if (squared <= far) around.add(grid[i], p);

@@ -35,6 +35,24 @@ void finds_what_it_was_made_of() {
   }
 }
 
+// The plain images say of every cell about the roots what the pyramid does.
+void lays_out_the_levels() {
+  const auto points = random_floats(900, -12.0f, 12.0f, 10);
+  const std::vector<std::uint8_t> slices(300, 5);
+  const OccupancyPyramid pyramid(points.data(), slices.data(), 300, 0.5, 4);
+  const std::int32_t roots[4] = {-2, 0, 3, -1};
+  const SearchArea area(pyramid, roots, 2, 20.0);
+  CHECK(!area.is_flat(0));
+  for (int level = 1; level < 3; ++level) {
+    CHECK(area.is_flat(level));
+    for (std::int32_t y = -8 - 41; y < 8 + 41; ++y) {
+      for (std::int32_t x = -16 - 41; x < 32 + 41; ++x) {
+        CHECK(*area.flat(level, x, y) == pyramid.at(level, x, y));
+      }
+    }
+  }
+}
+
 void refuses_what_lies_too_far_apart() {
   const float point[3] = {0, 0, 1};
   const std::uint8_t slice = 1;
@@ -48,5 +66,6 @@ void refuses_what_lies_too_far_apart() {
 
 void occupancy_tests() {
   segloc::finds_what_it_was_made_of();
+  segloc::lays_out_the_levels();
   segloc::refuses_what_lies_too_far_apart();
 }

@@ -1,8 +1,11 @@
 // Segmentation at every size from nothing up.
+#include <algorithm>
+#include <cmath>
 
 #include "segmentation/cluster.h"
 #include "segmentation/ground.h"
 #include "segmentation/planes.h"
+#include "segmentation/point_grid.h"
 #include "segmentation/voxel.h"
 #include "tests/check.h"
 
@@ -35,7 +38,50 @@ void clouds() {
   CHECK_THROWS(heights_above_ground(wide.data(), 2, {}));
 }
 
+// All that a grid says of its nearest points, beside what looking at every point says. Points on a
+// lattice lie equally near to many places.
+void nearest_points() {
+  for (const std::size_t n : kSizes) {
+    auto points = random_floats(3 * n, -9.0f, 9.0f, 11),
+         places = random_floats(600, -12.0f, 12.0f, 12);
+    for (std::vector<float>* each : {&points, &places}) {
+      for (std::size_t i = 0; i < each->size() / 2; ++i)
+        (*each)[i] = std::round((*each)[i] * 2) / 2;
+    }
+    const PointGrid grid(points.data(), n, 1.5);
+    for (std::size_t k = 0; k < places.size(); k += 3) {
+      const PointGrid::Point p = {places[k], places[k + 1], places[k + 2]};
+      std::vector<float> squared = {1e9f, 1e9f};
+      for (std::size_t i = 0; i < n; ++i) {
+        const float dx = grid[i][0] - p[0], dy = grid[i][1] - p[1], dz = grid[i][2] - p[2];
+        squared.push_back(dx * dx + dy * dy + dz * dz);
+      }
+      std::sort(squared.begin(), squared.end());
+      const bool near = squared[0] <= 2.25f;
+      CHECK(grid.is_near(p, 2.25f) == near);
+      CHECK(near ? grid.nearest_squared(p, 2.25f) == squared[0]
+                 : grid.nearest_squared(p, 2.25f) > 2.25f);
+      const PointGrid::Nearest found = grid.nearest(p, 1.5f);
+      CHECK((found.point == PointGrid::kNone) == !near);
+      CHECK(found.squared == std::min(squared[0], 2.25f));
+      CHECK(found.next == std::min(squared[1], 2.25f));
+      PointGrid::Nearest first{PointGrid::kNone, 2.25f, 2.25f};  // of those equally near
+      grid.visit(p, 1.5, [&](std::uint32_t i, float d) {
+        const bool nearer = d < first.squared || (d == 2.25f && first.point == PointGrid::kNone);
+        if (nearer) first = {i, d, d};
+      });
+      CHECK(found.point == first.point);
+      const double clear = grid.clearance(p, 1.5);
+      CHECK(clear >= 0.0 && clear <= 4.5 && clear <= std::sqrt(squared[0]) + 1e-6);
+    }
+    CHECK(grid.clearance({1e9f, 0, 0}, 1.5) == 0.0 && !grid.is_near({1e9f, 0, 0}, 2.25f));
+  }
+}
+
 }  // namespace
 }  // namespace segloc
 
-void segmentation_tests() { segloc::clouds(); }
+void segmentation_tests() {
+  segloc::clouds();
+  segloc::nearest_points();
+}

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <limits>
 #include <unordered_map>
+#include <vector>
 
 namespace segloc {
 
@@ -16,7 +17,7 @@ namespace segloc {
 class ObservedHeight {
  public:
   ObservedHeight(const float* points, std::size_t n) {
-    std::unordered_map<std::uint64_t, Span> own;
+    std::unordered_map<std::uint64_t, Span> own, around;
     for (std::size_t i = 0; i < n; ++i) {
       const float* p = points + 3 * i;
       if (!near(p[0], p[1])) continue;
@@ -25,8 +26,16 @@ class ObservedHeight {
     for (const auto& [at, span] : own) {
       for (std::int64_t dy = -1; dy <= 1; ++dy) {
         for (std::int64_t dx = -1; dx <= 1; ++dx)
-          around_[key(x_of(at) + dx, y_of(at) + dy)].add(span.low, span.high);
+          around[key(x_of(at) + dx, y_of(at) + dy)].add(span.low, span.high);
       }
+    }
+    std::size_t capacity = 16;
+    while (capacity < 2 * around.size()) capacity *= 2;
+    table_.resize(capacity);
+    for (const auto& [at, span] : around) {
+      std::size_t slot = first_slot(at);
+      while (!table_[slot].is_free()) slot = (slot + 1) & (capacity - 1);
+      table_[slot] = {at, span};
     }
   }
 
@@ -54,13 +63,29 @@ class ObservedHeight {
     }
   };
 
+  struct Slot {
+    std::uint64_t key = 0;
+    Span span;
+    bool is_free() const { return span.low > span.high; }
+  };
+
+  // Its high bits depend on all of the key.
+  std::size_t first_slot(std::uint64_t key) const {
+    return (key * 0x9E3779B97F4A7C15ull >> 32) & (table_.size() - 1);
+  }
   const Span* around(float x, float y) const {
     if (!near(x, y)) return nullptr;
-    const auto found = around_.find(key(cell(x), cell(y)));
-    return found == around_.end() ? nullptr : &found->second;
+    const std::uint64_t at = key(cell(x), cell(y));
+    for (std::size_t slot = first_slot(at);; slot = (slot + 1) & (table_.size() - 1)) {
+      if (table_[slot].is_free()) return nullptr;
+      if (table_[slot].key == at) return &table_[slot].span;
+    }
   }
   static bool near(float x, float y) { return std::abs(x) < kLimit && std::abs(y) < kLimit; }
-  static std::int64_t cell(float v) { return static_cast<std::int64_t>(std::floor(v / kCell)); }
+  static std::int64_t cell(float v) {
+    const auto whole = static_cast<std::int64_t>(v / kCell);
+    return whole - (v / kCell < static_cast<float>(whole));
+  }
   static std::uint64_t key(std::int64_t x, std::int64_t y) {
     return (static_cast<std::uint64_t>(x) << 32) | (static_cast<std::uint64_t>(y) & 0xFFFFFFFFull);
   }
@@ -69,7 +94,7 @@ class ObservedHeight {
     return static_cast<std::int32_t>(at & 0xFFFFFFFFull);
   }
 
-  std::unordered_map<std::uint64_t, Span> around_;
+  std::vector<Slot> table_;  // of cells and those about them: open addressing
 };
 
 }  // namespace segloc

@@ -8,7 +8,8 @@
 namespace segloc {
 namespace {
 
-constexpr double kTile = 20.0;  // metres
+constexpr double kTile = 20.0;      // metres
+constexpr std::size_t kBlock = 32;  // points
 
 std::int64_t tile_of(double v) { return static_cast<std::int64_t>(std::floor(v / kTile)); }
 
@@ -21,16 +22,37 @@ PointIndex::PointIndex(const float* points, std::size_t n, double radius)
 
 void PointIndex::fill_tiles() {
   std::map<std::pair<std::int64_t, std::int64_t>, std::vector<std::uint32_t>> tiles;
+  auto last = tiles.end();  // points come cell by cell: most lie in the tile of the one before
   for (std::size_t i = 0; i < grid_.size(); ++i) {
-    tiles[{tile_of(grid_[i][1]), tile_of(grid_[i][0])}].push_back(static_cast<std::uint32_t>(i));
+    const std::pair at{tile_of(grid_[i][1]), tile_of(grid_[i][0])};
+    if (last == tiles.end() || last->first != at) last = tiles.try_emplace(at).first;
+    last->second.push_back(static_cast<std::uint32_t>(i));
   }
-  for (auto& [at, points] : tiles) {
-    tiles_.push_back({at.first, at.second, std::move(points), {}, {}});
-    for (const std::uint32_t i : tiles_.back().points) {
-      tiles_.back().x_of.push_back(grid_[i][0]);
-      tiles_.back().y_of.push_back(grid_[i][1]);
+  for (const auto& [at, points] : tiles) {
+    const std::size_t begin = points_.size();
+    for (const std::uint32_t i : points) {
+      points_.push_back(i);
+      x_of_.push_back(grid_[i][0]);
+      y_of_.push_back(grid_[i][1]);
     }
+    tiles_.push_back({at.first, at.second, 0, 0});
+    fill_blocks(tiles_.back(), begin);
   }
+}
+
+void PointIndex::fill_blocks(Tile& tile, std::size_t begin) {
+  tile.first_block = blocks_.size();
+  for (; begin < points_.size(); begin += kBlock) {
+    const std::size_t end = std::min(begin + kBlock, points_.size());
+    const auto range = [&](const std::vector<float>& of) {
+      return std::minmax_element(of.begin() + static_cast<std::ptrdiff_t>(begin),
+                                 of.begin() + static_cast<std::ptrdiff_t>(end));
+    };
+    const auto [low_x, high_x] = range(x_of_);
+    const auto [low_y, high_y] = range(y_of_);
+    blocks_.push_back({begin, end, *low_x, *high_x, *low_y, *high_y});
+  }
+  tile.last_block = blocks_.size();
 }
 
 PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, const double* T,
@@ -56,8 +78,29 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
   return result;
 }
 
-std::vector<std::uint32_t> PointIndex::within(double x, double y, double radius) const {
-  std::vector<std::uint32_t> found;
+// What the nearest and the farthest place of a block are decides for all in it: no point is rounded
+// to be nearer or farther than those.
+PointIndex::Part PointIndex::part_of(const Block& block, const Circle& circle) const {
+  const double near_x = std::clamp(circle.x, block.low_x, block.high_x);
+  const double near_y = std::clamp(circle.y, block.low_y, block.high_y);
+  if (!circle.holds(near_x, near_y)) return {&block, 0};
+  const auto farther = [](double at, double low, double high) {
+    return std::abs(low - at) > std::abs(high - at) ? low : high;
+  };
+  if (circle.holds(farther(circle.x, block.low_x, block.high_x),
+                   farther(circle.y, block.low_y, block.high_y))) {
+    return {&block, block.end - block.begin};
+  }
+  std::size_t count = 0;
+  for (std::size_t k = block.begin; k < block.end; ++k) {
+    count += circle.holds(x_of_[k], y_of_[k]);
+  }
+  return {&block, count};
+}
+
+std::vector<PointIndex::Part> PointIndex::parts(const Circle& circle) const {
+  std::vector<Part> found;
+  const double x = circle.x, y = circle.y, radius = circle.radius;
   if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
   const std::int64_t first = tile_of(x - radius), last = tile_of(x + radius);
   const std::int64_t bottom = tile_of(y - radius), top = tile_of(y + radius);
@@ -73,29 +116,27 @@ std::vector<std::uint32_t> PointIndex::within(double x, double y, double radius)
       tile = next(tile, tile->x < first ? tile->y : tile->y + 1);
       continue;
     }
-    // Without branches: every other point of a tile at the rim is inside.
-    const std::size_t before = found.size(), count = tile->points.size();
-    found.resize(before + count);
-    std::uint32_t* last_found = found.data() + before;
-    for (std::size_t k = 0; k < count; ++k) {
-      const double dx = tile->x_of[k] - x, dy = tile->y_of[k] - y;
-      *last_found = tile->points[k];
-      last_found += dx * dx + dy * dy <= radius * radius;
+    for (std::size_t k = tile->first_block; k < tile->last_block; ++k) {
+      const Part part = part_of(blocks_[k], circle);
+      if (part.count > 0) found.push_back(part);
     }
-    found.resize(static_cast<std::size_t>(last_found - found.data()));
     ++tile;
   }
   return found;
 }
 
 std::vector<float> PointIndex::sample(double x, double y, double radius, std::size_t count) const {
-  const std::vector<std::uint32_t> found = within(x, y, radius);
-  if (found.empty()) return {};
-  const std::size_t step = (found.size() - 1) / std::max<std::size_t>(1, count) + 1;
+  const Circle circle{x, y, radius};
+  const std::vector<Part> found = parts(circle);
+  std::size_t all = 0;
+  for (const Part& part : found) all += part.count;
+  if (all == 0) return {};
+  const std::size_t step = (all - 1) / std::max<std::size_t>(1, count) + 1;
   std::vector<float> points;
-  for (std::size_t k = 0; k < found.size(); k += step) {
-    points.insert(points.end(), grid_[found[k]].begin(), grid_[found[k]].end());
-  }
+  each(found, circle, step, [&](std::uint32_t i) {
+    const PointGrid::Point p = grid_[i];
+    points.insert(points.end(), p.begin(), p.end());
+  });
   return points;
 }
 

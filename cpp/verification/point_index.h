@@ -32,7 +32,8 @@ class PointIndex {
   // Calls visit(point) for those within a horizontal distance of (x, y), in the same order.
   template <typename Visit>
   void visit(double x, double y, double radius, Visit&& visit) const {
-    for (const std::uint32_t i : within(x, y, radius)) visit(grid_[i]);
+    const Circle circle{x, y, radius};
+    each(parts(circle), circle, 1, [&](std::uint32_t i) { visit(grid_[i]); });
   }
 
   // Whether there are any points around, at any height.
@@ -42,18 +43,62 @@ class PointIndex {
   double radius() const { return grid_.radius(); }
 
  private:
+  // Points of a tile that follow one another, and where they lie seen from above.
+  struct Block {
+    std::size_t begin, end;
+    double low_x, high_x, low_y, high_y;
+  };
   struct Tile {
     std::int64_t y, x;
-    std::vector<std::uint32_t> points;
-    std::vector<float> x_of, y_of;  // of those, to be read one after another
+    std::size_t first_block, last_block;
+  };
+  struct Circle {
+    double x, y, radius;
+    bool holds(double px, double py) const {
+      const double dx = px - x, dy = py - y;
+      return dx * dx + dy * dy <= radius * radius;
+    }
+  };
+  // A block of which so many points lie in a circle.
+  struct Part {
+    const Block* block;
+    std::size_t count;
+    bool is_whole() const { return count == block->end - block->begin; }
   };
 
   void fill_tiles();
-  std::vector<std::uint32_t> within(double x, double y, double radius) const;
+  void fill_blocks(Tile& tile, std::size_t begin);
+  Part part_of(const Block& block, const Circle& circle) const;
+  // Those of which any do, in order.
+  std::vector<Part> parts(const Circle& circle) const;
+  // Calls take(i) for every step-th of the points in a circle, in the grid's order.
+  template <typename Take>
+  void each(const std::vector<Part>& parts, const Circle& circle, std::size_t step,
+            const Take& take) const {
+    std::size_t skip = 0;  // before the next one that is taken
+    for (const Part& part : parts) {
+      if (skip >= part.count) {
+        skip -= part.count;
+        continue;
+      }
+      for (std::size_t k = part.block->begin; k < part.block->end; ++k) {
+        if (!part.is_whole() && !circle.holds(x_of_[k], y_of_[k])) continue;
+        if (skip > 0) {
+          --skip;
+          continue;
+        }
+        take(points_[k]);
+        skip = step - 1;
+      }
+    }
+  }
 
   PointGrid grid_;
   ObservedHeight height_;
   std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
+  std::vector<Block> blocks_;
+  std::vector<std::uint32_t> points_;  // of one tile after another
+  std::vector<float> x_of_, y_of_;     // of those, to be read one after another
 };
 
 }  // namespace segloc

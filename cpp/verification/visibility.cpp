@@ -113,7 +113,7 @@ VisibilityCheck::Counts VisibilityCheck::count(const float* map, std::size_t m, 
     if (!(r2 < max_range2)) continue;
     const float below = floor_(moved[0], moved[1]);
     if (below == -kFar || moved[2] <= below + kAbove) continue;
-    if (query_.nearest_squared({moved[0], moved[1], moved[2]}, limit) <= limit) {
+    if (query_.is_near({moved[0], moved[1], moved[2]}, limit)) {
       ++counts.confirmed;
       continue;
     }

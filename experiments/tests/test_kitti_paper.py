@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +11,12 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
 from segloc_experiments.intervals import mcnemar, share
-from segloc_experiments.kitti_paper import counting, places, protocol, tables
+from segloc_experiments.kitti_paper import counting, pieces, places, protocol, tables
 from segloc_experiments.kitti_paper.answers import ESTIMATORS, VERIFIED
+from segloc_experiments.results.store import Result
 
 from segloc.batch.score import distances_to_path
+from segloc.errors import DatasetError
 
 
 def test_mcnemar_is_the_binomial_test_of_those_that_differ() -> None:
@@ -53,42 +57,69 @@ def test_the_parts_are_the_papers_and_training_knows_no_query(kitti: Path) -> No
     assert (training.distances <= 3.0).sum() > 30 < (training.distances > 20.0).sum()
 
 
-class Walks:
+def walks(data: Path) -> places.Part:
     """A part made of two walks over one plaza, in place of a drive."""
-
-    def __init__(self) -> None:
-        self.mapped = PlazaSequence(Plaza(1), steps=6)
-        self.queried = PlazaSequence(Plaza(1), steps=4)
-        self.positions = np.array([1, 3])
-        self.truths = self.queried.poses[self.positions]
-        self.distances = distances_to_path(self.truths, self.mapped.poses)
+    mapped, queried = PlazaSequence(Plaza(1), steps=6), PlazaSequence(Plaza(1), steps=4)
+    positions = np.array([1, 3])
+    distances = distances_to_path(queried.poses[positions], mapped.poses)
+    return places.Part(mapped, queried, positions, distances)
 
 
-def test_every_variant_answers_and_nothing_is_measured_twice(
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The protocol on two walks."""
+    monkeypatch.setattr(places, "PARTS", {"test": walks, "training": walks})
+
+
+METHODS = ("geo", "segmatch-eigen")
+
+
+@pytest.mark.usefixtures("tiny")
+def test_pieces_that_were_cut_off_and_put_together_are_one_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for part in ("test_part", "training_part"):
-        monkeypatch.setattr(protocol, part, lambda data: Walks())
-    methods = ("geo", "segmatch-eigen")
-    whole = protocol.queries
+    whole = protocol.answers_of(METHODS, tmp_path, tmp_path / "one", say=str)
+    every = pieces.queries
 
     def cut_off(*arguments: Any) -> Any:
-        yield next(whole(*arguments))
+        yield next(every(*arguments))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(protocol, "queries", cut_off)
+    monkeypatch.setattr(pieces, "queries", cut_off)
     with pytest.raises(KeyboardInterrupt):
-        protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=str)
-    monkeypatch.setattr(protocol, "queries", whole)
-    said: list[str] = []
-    found = protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=said.append)
-    assert "training: queries from 1 on" in said and "test: queries from 0 on" in said
+        protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str)
+    monkeypatch.setattr(pieces, "queries", every)
+    monkeypatch.setattr(pieces, "QUERIES", 1)  # the row that is there is a piece by now
+    asked: list[str] = []
+    for method in METHODS:
+        protocol.answers_of((method,), tmp_path, tmp_path / "two", asked.append, workers=1)
+    assert len(asked) == 8
+    assert protocol.stored(tmp_path / "two") == protocol.stored(tmp_path / "one") == whole
+    monkeypatch.setattr(protocol, "_measure", lambda *_: pytest.fail("measured again"))
+    assert protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str) == whole
+
+
+@pytest.mark.usefixtures("tiny")
+def test_tables_are_of_the_code_that_answered(tmp_path: Path) -> None:
+    folder = tmp_path / "kitti-paper"
+    found = protocol.answers_of(METHODS, tmp_path, folder, say=str)
     for answers in found.values():
         assert set(answers["neighbours"]) == set(ESTIMATORS)
-        assert all(set(VERIFIED) <= set(each) for each in answers["test"])
+        assert set(tables.outcomes_of(answers)) == {*ESTIMATORS, *VERIFIED}
         assert all(letters == "++" for letters in tables.outcomes_of(answers).values())
-    monkeypatch.setattr(protocol, "Run", lambda *_: pytest.fail("measured again"))
-    assert protocol.answers_of(methods, tmp_path, tmp_path / "kept", say=str) == found
-    result = tables.counts(found, "a command")
+    path = folder / "geo.json"
+    path.write_text(json.dumps({**found["geo"], "commit": "other"}))
+    import_module("segloc.cli")  # first: it loads the verbs that others add
+    from segloc_experiments.cli.kitti_paper import kitti_paper
+
+    kitti_paper(out=tmp_path, stored=True, store=tmp_path)
+    result = Result.load(tmp_path / "kitti-paper.json")
+    assert result == tables.counts(protocol.stored(folder), result.command)
     assert [cells[0] for cells in result.rows] == ["segmatch-eigen", "geo"]
     assert result.rows[0][1] == 41 and set(result.rows[0][3:]) == {"2"}
+    assert "other" in result.commit.split(", ")
+    assert "weights of segmatch-eigen" in result.produced_by
+    stages = {**found["geo"]["produced_by"], "pose": "changed"}
+    path.write_text(json.dumps({**found["geo"], "produced_by": stages}))
+    with pytest.raises(DatasetError, match="another pose"):
+        tables.counts(protocol.stored(folder), "a command")

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from segloc_experiments.protocols.table import result as table_of
 from segloc_experiments.results import fingerprints as prints
-from segloc_experiments.results.pages import pages, stale, status, written
-from segloc_experiments.results.store import FOLDER, Result
+from segloc_experiments.results.pages import MARK, pages, stale, status, written
+from segloc_experiments.results.stamp import stamp
+from segloc_experiments.results.store import FOLDER, Origin, Result
+
+from segloc.errors import DatasetError
 
 STORED = sorted(FOLDER.glob("*.json"))
 PAGE = "# A page\n\n<!-- begin result two -->\nold\n<!-- end result two -->\n"
@@ -61,6 +66,39 @@ def test_a_page_is_filled_and_found_stale(tmp_path: Path, clone: Path) -> None:
     assert "Outdated" in marked and "Outdated" not in page
     assert stale(page, tmp_path) == stale(marked, tmp_path) == []
     assert stale(page.replace("| 41 |", "| 42 |"), tmp_path) == ["two"]
+
+
+def test_an_old_table_stays_until_its_result_is_stored(tmp_path: Path, clone: Path) -> None:
+    old = PAGE.replace("old", f"{MARK}\n\n| method |")
+    assert written(old, tmp_path, clone) == old and not stale(old, tmp_path)
+    with pytest.raises(FileNotFoundError):
+        written(PAGE, tmp_path, clone)
+    result(clone).save(tmp_path)
+    assert MARK not in written(old, tmp_path, clone) and stale(old, tmp_path) == ["two"]
+
+
+def test_a_table_of_several_runs_is_of_one_code(tmp_path: Path) -> None:
+    runs = [tmp_path / name for name in ("sparse-dsm", "accumulated-geo")]
+    summary = {
+        "queries": 9, "within_coverage": 4, "within_coverage_correct": 4, "false": 0,
+        "translation_error_m": {"median": 0.7, "p95": 1.0}, "rotation_error_deg": {"median": None},
+    }  # fmt: skip
+    for run in runs:
+        run.mkdir()
+        (run / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(DatasetError, match="nothing says what code"):
+        table_of(runs)
+    stamp(runs[0], ["dsm"])
+    stamp(runs[1], ["geo"])
+    found = table_of(runs)
+    assert [cells[0] for cells in found.rows] == ["accumulated-geo", "sparse-dsm"]
+    assert found.rows[0][1:] == (9, "4 of 4 (51 to 100 %)", 0, "0.70 / 1.00", "-")
+    assert found.produced_by == Origin.now(("dsm",)).produced_by and "geo" in found.command
+    other = json.loads((runs[0] / "produced.json").read_text())
+    other["produced_by"]["pose"] = "another"
+    (runs[0] / "produced.json").write_text(json.dumps(other))
+    with pytest.raises(DatasetError, match="another pose"):
+        table_of(runs)
 
 
 def test_the_documentation_shows_what_is_stored() -> None:

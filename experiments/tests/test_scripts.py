@@ -19,7 +19,7 @@ MODULES = sorted(
     if 'if __name__ == "__main__":' in path.read_text("utf-8")
 )
 SHELL = sorted(ROOT.rglob("*.sh"))
-FOREIGN = {"map_closures", "kiss_matcher"}
+FOREIGN = {"map_closures", "kiss_matcher", "kiss_slam"}
 """Packages of which one must live in an environment of its own."""
 
 

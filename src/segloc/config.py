@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -124,15 +125,20 @@ def map_config(prior_map: SegmentMap) -> Config:
     method. One that was merged of maps built differently keeps several: the first counts.
     """
     text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
-    if len(text) > _MOST_TEXT:  # maps come from strangers, and YAML is read slowly
-        return Config.preset(prior_map.descriptor)
+    return _built_with(text, prior_map.descriptor)
+
+
+@lru_cache(maxsize=8)  # tiles of one map have one text, and YAML is read slowly
+def _built_with(text: str, method: str) -> Config:
+    if len(text) > _MOST_TEXT:  # maps come from strangers
+        return Config.preset(method)
     try:
         values = parse_yaml(text, "the map") or {}
         stored = Config.model_validate({**values, "threads": 0})
     except (ConfigError, ValueError, TypeError, AttributeError, ArithmeticError):
-        return Config.preset(prior_map.descriptor)
-    if stored.method != prior_map.descriptor:
-        return Config.preset(prior_map.descriptor)
+        return Config.preset(method)
+    if stored.method != method:
+        return Config.preset(method)
     return _unmounted(stored)
 
 

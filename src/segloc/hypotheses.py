@@ -16,6 +16,7 @@ from .types import Float64, Pose
 from .views import Check, HypothesesConfig, Hypothesis, Status, View
 
 OFF_THE_MAP = "little of what is seen is in the map"
+UNCONFIRMED = "the newest scan does not confirm the track"
 
 
 class Hypotheses:
@@ -87,6 +88,8 @@ class Hypotheses:
             self.doubt = self.doubt or OFF_THE_MAP
         elif view.T_map_odom is not None and self._agrees(view):
             self._support(view, view.T_map_odom)
+            if view.check is Check.UNDECIDED and view.T_checked is not None:
+                self.doubt = UNCONFIRMED  # what was seen before agrees, perhaps of another place
         elif view.check is Check.HOLDS and view.T_checked is not None:
             self._hold(view, view.T_checked)
         elif view.believed and view.T_map_odom is not None:
@@ -94,6 +97,8 @@ class Hypotheses:
             self._doubt(view, "another place fits better")
         elif view.check is Check.UNMAPPED:
             self.doubt = self.doubt or OFF_THE_MAP
+        elif view.T_checked is not None:
+            self.doubt = self.doubt or UNCONFIRMED
 
     def forget(self, travelled: float) -> None:
         """Drop what nothing has supported for long."""

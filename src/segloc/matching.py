@@ -103,10 +103,17 @@ class Matcher:
     def among(self, rows: Int64) -> Matcher:
         """The same search among some of the map's segments alone, exact however many they are."""
         some = copy(self)
-        some.schedule = self.config.schedule(len(rows))
+        some.schedule = self.config.schedule(len(rows))[: len(self.schedule)]
         vectors = np.ascontiguousarray(self._vectors[rows])
         some._index = _native.DescriptorIndex(vectors, 1, self._threads)
         some._rows = rows
+        return some
+
+    def once(self, growth: float, probes: int) -> Matcher:
+        """The same search without a second attempt, for fewer neighbours from fewer lists."""
+        some = copy(self)
+        some.config = self.config.model_copy(update={"growth": growth, "probes": probes})
+        some.schedule = some.config.schedule(len(self._vectors))[:1]
         return some
 
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from . import _native, geometry
+from . import _native
 from .consistency import ConsistencyConfig, ConsistentMatches
 from .geometry import Separation
 from .section import Section
@@ -64,16 +64,24 @@ class Agreement:
     def __init__(
         self, query: Float64, map_centroids: Float64, matches: Matches, config: PoseConfig
     ) -> None:
-        self._from, self._to = query[matches.query], map_centroids[matches.map]
+        self._from = np.ascontiguousarray(query[matches.query].T)
+        self._to = np.ascontiguousarray(map_centroids[matches.map].T)
         self._objects = _objects(query, config.distinct_radius)[matches.query]
         self._config = config
 
     def __call__(self, T_map_local: Pose) -> int:
         """Distinct objects with a match that fits the pose."""
         config = self._config
-        x, y, z = (self._to - geometry.transform(T_map_local, self._from)).T
-        fits = (x**2 + y**2 < config.inlier_tolerance**2) & (np.abs(z) < config.height_tolerance)
-        return len(np.unique(self._objects[fits]))
+        off = [self._off(T_map_local[axis], axis) for axis in (0, 1)]
+        fits = np.flatnonzero(off[0] ** 2 + off[1] ** 2 < config.inlier_tolerance**2)
+        level = np.abs(self._off(T_map_local[2], 2, fits)) < config.height_tolerance
+        return len(set(self._objects[fits[level]].tolist()))
+
+    def _off(self, row: Float64, axis: int, some: Int64 | slice = slice(None)) -> Float64:
+        """By how much some of the matches miss along an axis, by its row of the pose."""
+        x, y, z = self._from[:, some]
+        moved: Float64 = row[0] * x + row[1] * y + row[2] * z + row[3]
+        return self._to[axis, some] - moved
 
 
 def _objects(centroids: Float64, radius: float) -> Int64:
@@ -84,8 +92,9 @@ def _objects(centroids: Float64, radius: float) -> Int64:
     x, y = centroids[:, 0], centroids[:, 1]
     near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < radius**2
     objects = np.arange(len(centroids), dtype=np.int64)
-    for i, row in enumerate(near):
-        objects[i] = objects[row.argmax()]  # row[i] is true
+    first = near.argmax(axis=1) if len(near) else objects  # near[i, i] is true
+    for i in np.flatnonzero(first < objects):
+        objects[i] = objects[first[i]]
     return objects
 
 

@@ -26,7 +26,7 @@ class ScanCheckConfig(Section):
     0.15 to 0.94.
     """
 
-    holds_from: float = Field(0.8, ge=0, le=1, description="a scan this likely holds the track")
+    holds_from: float = Field(0.98, ge=0, le=1, description="a scan this likely holds the track")
     contradicts_to: float = Field(
         0.05, ge=0, le=1, description="a scan no likelier shows another place, or none of the map"
     )

@@ -185,8 +185,10 @@ class Tracker:
             return view
         T_map_sensor = best.T_map_local @ T_local_sensor
         covariance = best.covariance if isinstance(best, RefinedScore) else None
+        said_more = query.cloud.num_scans == 1 and view.check is Check.UNDECIDED
         return replace(
             view,
+            T_checked=None if said_more else view.T_checked,
             T_map_odom=T_map_sensor @ geometry.inverse(question.T_odom_sensor),
             confidence=verdict.confidence,
             believed=believed,

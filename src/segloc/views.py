@@ -83,7 +83,7 @@ class View:
     check : Check
         What the newest scan says at the pose of the track.
     T_checked, checked_covariance
-        Where the check has put the track; None where it does not hold.
+        Where the check has put the track; None where there was none.
     """
 
     at: float

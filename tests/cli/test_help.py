@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -59,6 +61,18 @@ def test_defaults_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("localize", "--help") == 0
     said = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
     assert "[default: (its own)]" in said and "[default: (all)]" in said
+
+
+def test_a_verb_that_is_asked_for_is_loaded_alone() -> None:
+    code = (
+        "import sys; from segloc.cli.verbs import program; program('localize'); print(*sys.modules)"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=True, text=True
+    )
+    modules = set(loaded.stdout.split())
+    assert "segloc.cli.localize" in modules
+    assert not modules & {"numpy", "scipy", "pydantic", "rich", "segloc.cli.simulate"}
 
 
 def test_the_shell_completes_verbs(

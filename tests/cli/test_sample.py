@@ -17,7 +17,7 @@ def test_the_commands_that_it_prints_work_as_they_stand(
     pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
     from segloc.cli import sample
 
-    monkeypatch.setattr(sample, "LENGTH_M", 120.0)
+    monkeypatch.setattr(sample, "LENGTH_M", 80.0)
     out = tmp_path / "sample"
     assert run("sample", "--out", out, "--workers", 1) == 0
     commands = [line for line in capsys.readouterr().out.splitlines() if line.startswith("segloc ")]
@@ -42,6 +42,7 @@ def test_the_same_seed_gives_the_same_sample(
     from segloc.cli import sample
 
     monkeypatch.setattr(sample, "LENGTH_M", 12.0)
+    monkeypatch.setattr(sample, "SIZE_M", 140.0)
     for name in ("a", "b"):
         assert run("sample", "--out", tmp_path / name, "--seed", 4, "--workers", 1) == 0
     files = sorted((tmp_path / "a").rglob("*.*"))

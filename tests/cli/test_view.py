@@ -166,6 +166,16 @@ def colourful(shot: np.ndarray) -> float:
     return float((np.ptp(middle, axis=2) > 0.3).mean())
 
 
+def drawn(page: Any) -> np.ndarray:
+    """What is to be seen once all has come and is drawn, or after a while."""
+    for _ in range(30):
+        shot = pixels(page)
+        if colourful(shot) > 0.01:
+            break
+        page.wait(1.0)
+    return shot
+
+
 def alike(shot: np.ndarray, colour: str, off: float = 0.06) -> int:
     """Pixels of nearly this colour."""
     wanted = np.array(rgb(colour)) / 255.0
@@ -185,13 +195,14 @@ def test_the_page_shows_the_map_and_the_queries(
     said = "document.querySelector('#segloc').innerText"
 
     def choose(query: int, expected: str) -> None:
-        page.value(f"document.querySelector('#segloc select').value = {query}")
-        page.value("document.querySelector('#segloc select').dispatchEvent(new Event('change'))")
+        box = "const box = document.querySelector('#segloc select')"
+        # In one go: the page itself moves its box as it plays.
+        page.value(f"{{ {box}; box.value = {query}; box.dispatchEvent(new Event('change')); }}")
         assert page.until(f"{said}.includes('{expected}')"), page.value(said)
         page.wait(3.0)
 
     choose(0, "0: found")
-    before = pixels(page)
+    before = drawn(page)
     assert colourful(before) > 0.01  # segments, matches, markers
     choose(2, "2: refused\\n\\nnot localized, ")
     after = pixels(page)
@@ -212,12 +223,7 @@ def test_the_server_shows_a_panel_with_the_reason(
     try:
         page.open(f"http://localhost:{server.get_port()}")
         assert page.until("document.body.innerText.includes('0: found')")
-        shot = pixels(page)
-        for _ in range(30):  # until all has come and is drawn
-            if colourful(shot) > 0.01:
-                break
-            page.wait(1.0)
-            shot = pixels(page)
+        shot = drawn(page)
     finally:
         server.stop()
     assert colourful(shot) > 0.01

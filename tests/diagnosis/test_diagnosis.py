@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -178,6 +179,40 @@ def test_wrong_points_of_real_recordings_are_named(folder: str, name: str) -> No
     recording = open_sequence(real(*folder.split("/")))
     wrong = [Scan(written(scan.points.astype(np.float64))) for scan in scans(recording)]
     assert scan_findings(wrong)[0].fault is fault
+
+
+class Rewritten:
+    """A real recording with something wrong."""
+
+    def __init__(self, recording: Any, points: Points, poses: Poses) -> None:
+        self._recording, self._points = recording, points
+        self.poses = poses(recording.poses)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def __len__(self) -> int:
+        return len(self._recording)
+
+    def scan(self, i: int) -> Scan:
+        return Scan(self._points(self._recording.scan(i).points.astype(np.float64)))
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(("points", "poses"), [("on its side", None), ("z down", None),
+                                               ("camera", None), (None, "camera")])  # fmt: skip
+@pytest.mark.parametrize(("folder", "track"), [("kitti00/scans", "kitti00/scans.tum"), REAL[1]])
+def test_one_sentence_alone_names_what_is_wrong_with_a_real_recording(
+    folder: str, track: str, points: str | None, poses: str | None
+) -> None:
+    """Poses are not blamed for axes, also where a ceiling is like a floor, nor called tilted."""
+    recording = open_sequence(real(*folder.split("/")), real(*track.split("/")))
+    asis = (lambda right: right), None, ""
+    wrong = POINTS.get(points or "", asis), POSES.get(poses or "", asis)
+    read: Any = Rewritten(recording, wrong[0][0], wrong[1][0])
+    found = examine(read, sample=4)
+    assert [one.fault for one in found.findings if one.wrong] == [wrong[0][1] or wrong[1][1]]
 
 
 DRIVES = [

@@ -117,6 +117,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     yield furnish(tmp_path_factory.mktemp("work"))
 
 
+@pytest.fixture(scope="module")
+def done() -> set[str]:
+    """Commands that ran: what another page says again is not run again."""
+    return set()
+
+
 def reason(text: str) -> str | None:
     return next((why for start, why in NOT_RUN.items() if re.match(start, text)), None)
 
@@ -151,6 +157,7 @@ def without_servers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewer, "serve", lambda *_: server)
     monkeypatch.setattr(viewer, "follow", lambda *_: server)
     monkeypatch.setattr(sample, "LENGTH_M", 40.0)
+    monkeypatch.setattr(sample, "SIZE_M", 140.0)
 
 
 @pytest.mark.slow
@@ -158,6 +165,7 @@ def without_servers(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_code_of_a_page_runs(
     path: Path,
     place: Path,
+    done: set[str],
     monkeypatch: pytest.MonkeyPatch,
     without_servers: None,
     capsys: pytest.CaptureFixture[str],
@@ -175,16 +183,19 @@ def test_the_code_of_a_page_runs(
             exec(compile(text, each.place, "exec"), names)
         elif reason(each.text) is None:
             assert each.text.startswith(("segloc ", "SEGLOC_")), f"{each.place}: {each.text}"
-            check(each, capsys)
+            check(each, capsys, done)
 
 
-def check(each: Code, capsys: pytest.CaptureFixture[str]) -> None:
+def check(each: Code, capsys: pytest.CaptureFixture[str], done: set[str]) -> None:
     text = smaller(re.sub(r"^SEGLOC_\w+=\S+ ", "", each.text))
+    if text in done:
+        return
     status = run(*arguments(text))
     said = capsys.readouterr()
     allowed = (0, 1) if FINDS_FAULTS.match(text) else (0,)
     assert status in allowed, f"{each.place}: {text}\n{said.err[-2000:]}"
     assert "segloc: error" not in said.err, f"{each.place}: {text}\n{said.err[-2000:]}"
+    done.add(text)
 
 
 def test_every_exception_is_needed() -> None:

@@ -15,7 +15,7 @@ ws=$home/ws
 # An environment of its own, which also sees what PYTHON sees.
 if ! cmp -s ros2/wheels.txt "$home/wheels.txt"; then
   "$python" -m venv --clear "$home"
-  "$home/bin/python" -m pip install --quiet --disable-pip-version-check -r ros2/wheels.txt
+  "$home/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile -r ros2/wheels.txt
   # The wheels name paths of the machine that they were built on.
   include=$("$home/bin/python" -c 'import sysconfig; print(sysconfig.get_paths()["include"])')
   numpy=$("$home/bin/python" -c 'import numpy; print(numpy.get_include())')

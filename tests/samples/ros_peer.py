@@ -159,6 +159,25 @@ class Peer(Node):
         assert sent and sent[-1].header.frame_id == "map"
         return transform_in(sent[-1]).T_parent_child
 
+    def ask(self, client: Any, request: Any, again_s: float = 60.0) -> Any:
+        """A service's response.
+
+        It is asked again after ``again_s``: ROS 2 drops the response to a client that the service
+        has not discovered yet, though the client sees the service.
+        """
+        calls = [client.call_async(request)]
+        asked = time.monotonic()
+
+        def answered() -> bool:
+            nonlocal asked
+            if asked + again_s < time.monotonic():
+                asked = time.monotonic()
+                calls.append(client.call_async(request))
+            return any(call.done() for call in calls)
+
+        self.until(answered, 60.0)
+        return next(call.result() for call in calls if call.done())
+
     def relocalize(self) -> Any:
         """Call the service; a future."""
         return self._relocalize.call_async(Trigger.Request())

@@ -19,26 +19,40 @@ from .plaza import Plaza, PlazaSequence
 Points = Callable[[Float64], Float64]
 Poses = Callable[[Float64], Float64]
 
+FEW, ALL = 40_000, 200_000
+"""Points of a scan, at most: what looks at them takes as long as they are many."""
+
 
 class Walk(PlazaSequence):
     """A plaza crossed in curves; perhaps with points that are written wrongly."""
 
-    def __init__(self, written: Points = lambda points: points, posed: bool = True) -> None:
+    def __init__(
+        self, written: Points = lambda points: points, posed: bool = True, most: int = FEW
+    ) -> None:
         super().__init__(Plaza(1, objects=90), steps=14, posed=posed)
         turns = 0.5 * np.sin(0.6 * np.arange(len(self)))
         for T, yaw in zip(self.poses, turns, strict=True):
             T[:3, :3] = geometry.yaw_transform(float(yaw))[:3, :3]
-        self._written = written
+        self._written, self._most = written, most
 
     def scan(self, i: int) -> Scan:
         seen = super().scan(i)
-        return Scan(self._written(seen.points.astype(np.float64)), T_odom_sensor=seen.T_odom_sensor)
+        points = seen.points
+        if len(points) > self._most:
+            points = points[np.random.default_rng(i).permutation(len(points))[: self._most]]
+        written = self._written(points.astype(np.float64))
+        return Scan(written, T_odom_sensor=seen.T_odom_sensor)
 
 
-def written(folder: Path, points: Points = lambda p: p, poses: Poses = lambda T: T) -> Path:
+def written(
+    folder: Path,
+    points: Points = lambda p: p,
+    poses: Poses = lambda T: T,
+    most: int = FEW,
+) -> Path:
     """A walk as a folder of scans."""
     folder.mkdir()
-    walk = Walk(points)
+    walk = Walk(points, most=most)
     for i in range(len(walk)):
         np.save(folder / f"{i:04d}.npy", walk.scan(i).points)
     write_tum(folder / "poses.tum", Trajectory(np.arange(len(walk)), poses(walk.poses)))
@@ -68,6 +82,6 @@ class Site(NamedTuple):
 
 def walked_site(root: Path) -> Site:
     """A walk in a folder, and its map beside it."""
-    folder, file = written(root / "run"), root / "site.segmap"
+    folder, file = written(root / "run", most=ALL), root / "site.segmap"
     assert run("map", "build", folder, "--poses", "poses.tum", "--out", file) == 0
     return Site(folder, file)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from segloc.map.parts import along
 from segloc.map.update import update_map
 from segloc.map.voxel_cloud import VoxelCloud
 from segloc.tiles import TiledMap, cut_tiles, merge_into_tiles, tiled_map, update_tiles
+from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
 from segloc.tiles.recent import Recent
 from segloc.tiles.store import Folder, Remote, within
@@ -70,10 +72,23 @@ def test_tiles_together_are_the_map_that_was_cut(whole: SegmentMap, cut: Path) -
     points = {p.tobytes() for p in whole.cloud}
     assert len(joined.cloud) > 0.5 * len(whole.cloud)
     assert all(p.tobytes() in points for p in joined.cloud)
+    voxels = np.floor((joined.cloud + joined.origin) / joined.cloud_voxel)
+    assert len(np.unique(voxels, axis=0)) == len(joined.cloud)  # what two tiles hold is there once
     assert sorted(map(bytes, joined.trajectory)) == sorted(map(bytes, whole.trajectory))
     coarse = tiles.coarse()
     assert 0 < len(coarse) < len(whole) and len(coarse.cloud) == 0
     assert len(coarse.trajectory) == len(whole.trajectory)
+
+
+def test_whoever_cuts_it_is_the_same(whole: SegmentMap, cut: Path, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(3) as threads:
+        cut_tiles(whole, tmp_path / "again", size_m=50.0, margin_m=20.0, executor=threads)
+    for path in cut.glob("*.segmap"):
+        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
+    tile = TiledMap(cut).index.tiles[0]
+    alone = along(whole, whole.trajectory[in_square(whole.trajectory[:, :3, 3], tile.cell, 50.0)])
+    only = cut_tiles(alone, tmp_path / "one", size_m=50.0, margin_m=20.0)
+    assert [(t.cell, t.segments) for t in only.tiles] == [(tile.cell, tile.segments)]
 
 
 def test_cutting_again_replaces_what_changed_alone(whole: SegmentMap, cut: Path) -> None:
@@ -418,7 +433,8 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     assert wrong.reason is Reason.NOT_NEAR_PRIOR
     anywhere = localizer.localize(scan, near=Prior((4000.0, 0.0), 20.0, anywhere=True))
     assert anywhere.localized
-    (tmp_path / localizer.tiles.index.tiles[0].file).unlink()
+    for tile in localizer.tiles.index.tiles:
+        (tmp_path / tile.file).unlink()
     with pytest.raises(MapFormatError, match="tile_"):
         Localizer(TiledMap(tmp_path)).localize(scan)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import fields, replace
 from itertools import pairwise, product
 from pathlib import Path
@@ -29,7 +30,7 @@ from segloc.occupancy import OccupancyConfig
 from segloc.types import Descriptors, Float32, Float64, Int64, Pose
 from segloc.verification import Evidence, Score, VerificationConfig, shipped_confidence
 from segloc.verification.confidence import load_confidence
-from segloc.verification.decision import decide
+from segloc.verification.decision import confidence_needed, decide
 from segloc.verification.evidence import RefinedScore
 from segloc.verification.walls import SurfaceFit
 
@@ -217,6 +218,24 @@ def test_the_verdict_is_a_function_of_the_evidence() -> None:
     assert verdict.reason is Reason.AMBIGUOUS and not verdict.undecided
     verdict = decide(evidence(5, 0.4, 0.6, 1.2), None, MODEL, config)
     assert verdict.reason is Reason.TOO_UNCERTAIN and verdict.undecided
+
+
+def test_where_places_look_alike_a_pose_must_be_all_but_sure_or_fit_wholly() -> None:
+    config = VerificationConfig()
+
+    def root(inliers: int, overlap: float, ratio: float, rival: float, judged: int = 2000) -> float:
+        """The confidence that is needed, as a root of the one that suffices."""
+        found = evidence(inliers, overlap, 0.95, ratio, (rival, 0.95))
+        found = replace(found, score=replace(found.score, judged=judged))
+        return math.log(config.min_confidence) / math.log(confidence_needed(found, config))
+
+    alike, few, many = root(4, 0.9, 1.3, 0.7), root(4, 0.9, 3.0, 0.5), root(9, 0.9, 3.0, 0.7)
+    assert alike > 5 * few and few > many == pytest.approx(1.0)
+    assert root(9, 0.9, 1.2, 0.7) == alike  # nearly as many segments agree elsewhere
+    assert root(4, 0.99, 1.3, 0.9) == few  # hardly a point is left that does not fit
+    assert root(4, 0.9, 1.3, 0.5, judged=100) == alike  # little is in view
+    small = root(4, 0.9, 1.3, 0.7, judged=100)
+    assert small > alike and root(4, 0.99, 1.3, 0.9, judged=100) == small
 
 
 def test_no_score_makes_an_impossible_confidence() -> None:

@@ -14,10 +14,15 @@ def highest_mb() -> float:
     return _status_kb("VmHWM") / 1024
 
 
+def held_mb() -> float:
+    """What the process holds now, megabytes."""
+    return _status_kb("VmRSS") / 1024
+
+
 def rise_mb(work: Callable[[], object]) -> float:
     """By how many megabytes the process's memory rises while it works, at its highest."""
     _RESET.write_text(_RESET_PEAK)
-    before = _status_kb("VmRSS") / 1024
+    before = held_mb()
     work()
     return highest_mb() - before
 

@@ -189,7 +189,8 @@ def test_other_files_are_not_compared(tmp_path: Path, text: str) -> None:
         comparing.read_json(file)
 
 
-def test_the_command_line_writes_every_figure(tmp_path: Path):
+def test_the_command_line_writes_every_figure(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(geometric, "DATABASE", 2000)
     file = tmp_path / "bench.json"
     options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]
     result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)

@@ -33,7 +33,7 @@ def evaluate(*arguments: object) -> None:
         ),
         (("localization", "here"), ConfigError, "give two recordings"),
         (("localization", "a", "b"), DatasetError, "a: no such file or folder"),
-        (("localization", "--methods", "x"), ConfigError, "no method 'x'; there are dsm"),
+        (("localization", "--methods", "x"), ConfigError, "no method 'x'; there are .*dsm"),
         (("localization", "--kitti", "x"), DatasetError, "x: no such folder; --kitti needs"),
         (("localization", "a", "b", "--every", "0"), ConfigError, "--every must be a positive"),
     ],

@@ -1,8 +1,10 @@
-"""Which parts may show what a submap shows: one vote in a thin map of all parts before it.
+"""Which parts may show what a submap shows: votes in thin maps of the parts before it.
 
-The map grows part by part. Each part lies in it at a place of its own, far from all others, so that
-a vote for poses says which parts they are in. So a submap is localized in a few parts, however
-many there are.
+A thin map is made of each block of 1, 2, 4, 8... parts that follow one another. Each part lies in
+it at a place of its own, far from all others, so that a vote for poses says which parts they are
+in. The first so many parts are one block for each binary digit of their number: a submap votes in
+so few maps, however many parts there are, and each map is made once. So the time grows with the
+length and its logarithm.
 """
 
 from __future__ import annotations
@@ -18,15 +20,14 @@ from ..map.parts import concatenated
 from ..map.segment_map import SegmentMap
 from ..map.voxel_cloud import VoxelCloud
 from ..matching import Matcher
-from ..pose import PoseEstimator
-from ..types import Float64, Int64
+from ..thin_vote import ThinVote
+from ..types import Int64
 from .config import AlignConfig
 from .loops import Chain
 from .submaps import Submap
 
 SPACING = 5.185
 """Between parts, as a multiple of their length: no multiple of the cells that votes fall into."""
-CANDIDATES = 32
 _VIEWS = CompactConfig(max_views=2)
 
 
@@ -56,53 +57,44 @@ def _moved(part: SegmentMap, k: int, place: tuple[float, float, float]) -> Segme
     return SegmentMap(part.descriptor, part.fingerprint, columns, cloud, np.empty((0, 4, 4)))
 
 
-class GrowingMap:
-    """The thin map of the first parts, asked which of them a submap may be in.
+def blocks_of(known: int) -> list[range]:
+    """The blocks that the first so many parts are made of, the largest first."""
+    blocks, first = list[range](), 0
+    for digit in reversed(range(known.bit_length())):
+        if known >> digit & 1:
+            blocks.append(range(first, first + (1 << digit)))
+            first += 1 << digit
+    return blocks
+
+
+class PartsVote:
+    """A vote for the parts of a block that a submap may be in.
 
     Parameters
     ----------
-    whole : SegmentMap
-        Of all parts, as :func:`laid_out` makes it.
-    parts : int
-        How many there are in all.
-    known : int
-        How many of them are searched.
+    parts : list of SegmentMap
+        Of the block, as :func:`thin` makes them.
     config : Config
     settings : AlignConfig
     """
 
-    def __init__(
-        self, whole: SegmentMap, parts: int, known: int, config: Config, settings: AlignConfig
-    ) -> None:
-        rows = int(np.searchsorted(whole.session, known))
-        chosen = np.arange(len(whole)) < rows
-        self._map = whole.kept(chosen, np.zeros(0, dtype=bool))
-        self._side, self._known = _side(parts), known
-        self._spacing_m = SPACING * settings.part_m
-        self._limit = settings.searched_parts
-        exact = config.matching.model_copy(update={"indexed_from": 10**12})
+    def __init__(self, parts: list[SegmentMap], config: Config, settings: AlignConfig) -> None:
+        self._count, self._spacing_m = len(parts), SPACING * settings.part_m
+        whole = laid_out(parts, settings.part_m)
         pruner = create(config.method, config.threads, config.weights).pruner
-        self._matcher = Matcher(self._map, exact, pruner=pruner, threads=config.threads)
-        pose = config.pose.model_copy(update={"max_candidates": CANDIDATES})
-        self._estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+        matcher = Matcher(whole, config.matching, pruner=pruner, threads=config.threads)
+        self._vote = ThinVote(whole, matcher, config)
 
-    def parts_of(self, submap: Submap) -> list[int]:
-        """The parts to search for a submap: those of the best poses, best first."""
-        if self._known <= self._limit:
-            return list(range(self._known))
-        matches = self._matcher.match(submap.descriptors)
-        matches = self._matcher.prune(submap.descriptors, matches)
-        centroids = submap.scene.segments.centroids
-        found = self._estimator.estimate(centroids, self._map.centroids, matches)
-        if not found:
-            return []
-        positions = np.stack([candidate.T_map_local[:2, 3] for candidate in found])
-        return list(dict.fromkeys(self._slots(positions)))[: self._limit]
-
-    def _slots(self, positions: Float64) -> list[int]:
-        cells = np.rint(positions / self._spacing_m).astype(np.int64)
-        numbers = cells[:, 1] * self._side + cells[:, 0]
-        return [int(k) for k in numbers if 0 <= k < self._known]
+    def of(self, submap: Submap) -> dict[int, int]:
+        """For each part of the block that a pose is in, how many segments agree with the best."""
+        found = self._vote.candidates(submap.scene, submap.descriptors)
+        votes: dict[int, int] = {}
+        for candidate in found:
+            i, j = np.rint(candidate.T_map_local[:2, 3] / self._spacing_m).astype(int).tolist()
+            part = j * _side(self._count) + i
+            if 0 <= part < self._count:
+                votes[part] = max(votes.get(part, 0), candidate.inliers)
+        return votes
 
 
 def known_parts(chain: Chain, min_travel_m: float) -> Int64:

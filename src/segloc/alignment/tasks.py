@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from ..config import Config
 from ..errors import DatasetError
 from ..files import folder_in
@@ -18,15 +16,13 @@ from ..processes import all_of
 from ..types import Recording
 from .config import AlignConfig
 from .dense import Pair, tied
-from .growing_map import GrowingMap, known_parts, laid_out, thin
+from .growing_map import PartsVote, blocks_of, known_parts, thin
 from .loops import Chain, Loop, PartNodes, Progress, loops_in_part, one_a_pair
 from .submap_store import FolderStore, MemoryStore, SubmapStore
 from .submaps import Session, describe_session
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
 
-_WHOLE = "parts"
-"""The thin map of all parts, in the store."""
 _VOTERS, _PAIRS = 32, 64
 """Submaps, and pairs of them, of a task."""
 
@@ -143,29 +139,39 @@ def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = N
 
 def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
     """By part the submaps that are to be localized in it."""
-    count, settings = len(chain.parts), workspace.settings
-    thin_parts = [workspace.store.map(f"thin_{k}") for k in range(count)]
-    workspace.store.put_map(_WHOLE, laid_out(thin_parts, settings.part_m))
-    known = known_parts(chain, settings.min_travel_m)
-    voters: list[tuple[int, list[int]]] = []
-    for each in np.unique(known[known > 0]):
-        rows = np.flatnonzero(known == each).tolist()
-        voters += [(int(each), rows[k : k + _VOTERS]) for k in range(0, len(rows), _VOTERS)]
-    vote = partial(_votes, workspace.on_its_own(), count)
-    found: dict[int, list[int]] = {k: [] for k in range(count)}
-    for chosen in all_of(vote, voters, workspace.executor):
-        for source, parts in chosen.items():
-            for part in parts:
-                found[part].append(source)
+    settings = workspace.settings
+    found: dict[int, list[int]] = {k: [] for k in range(len(chain.parts))}
+    voters: dict[range, list[int]] = {}
+    for source, known in enumerate(known_parts(chain, settings.min_travel_m).tolist()):
+        for block in blocks_of(known) if known > settings.searched_parts else ():
+            voters.setdefault(block, []).append(source)
+        for part in range(known) if known <= settings.searched_parts else ():
+            found[part].append(source)
+    tasks = [
+        (block, sources[k : k + _VOTERS * len(block)])  # so many that the block's map pays
+        for block, sources in sorted(voters.items(), key=lambda item: (item[0].start, item[0].stop))
+        for k in range(0, len(sources), _VOTERS * len(block))
+    ]
+    ballots: dict[int, list[tuple[int, int]]] = {}
+    for votes in all_of(partial(_votes, workspace.on_its_own()), tasks, workspace.executor):
+        for source, part, inliers in votes:
+            ballots.setdefault(source, []).append((-inliers, part))
+    for source, ballot in ballots.items():
+        for _, part in sorted(ballot)[: settings.searched_parts]:
+            found[part].append(source)
     return {k: sorted(sources) for k, sources in found.items() if sources}
 
 
-def _votes(workspace: Workspace, count: int, voters: tuple[int, list[int]]) -> dict[int, list[int]]:
-    """The parts to search for each of some submaps, of which all know as many."""
-    known, numbers = voters
-    whole, settings = workspace.store.map(_WHOLE), workspace.settings
-    growing = GrowingMap(whole, count, known, workspace.config, settings)
-    return {number: growing.parts_of(workspace.store[number]) for number in numbers}
+def _votes(workspace: Workspace, task: tuple[range, list[int]]) -> list[tuple[int, int, int]]:
+    """Submap, part and votes for it, of submaps that vote for the parts of a block."""
+    block, sources = task
+    parts = [workspace.store.map(f"thin_{k}") for k in block]
+    vote = PartsVote(parts, workspace.config, workspace.settings)
+    return [
+        (source, block.start + part, inliers)
+        for source in sources
+        for part, inliers in vote.of(workspace.store[source]).items()
+    ]
 
 
 def _loops(workspace: Workspace, task: tuple[int, PartNodes, list[int]]) -> list[Loop]:

@@ -3,123 +3,34 @@
 from __future__ import annotations
 
 import atexit
+import os
 import signal
 import sys
-from importlib.metadata import entry_points
-from typing import Annotated, Any, NoReturn
-
-import typer
-from typer.core import TyperGroup
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import SeglocError
-from . import (
-    align,
-    config,
-    demo,
-    doctor,
-    evaluate,
-    explain,
-    export,
-    info,
-    live,
-    localize,
-    map_build,
-    map_info,
-    map_merge,
-    map_tile,
-    map_update,
-    odometry,
-    sample,
-    simulate,
-    view,
-)
-from .train import train
+from .verbs import ORDER, program
 
+if TYPE_CHECKING:
+    import typer
+
+    app: typer.Typer
+
+__all__ = ["ORDER", "app", "main"]
 _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
-_CONTEXT = {"help_option_names": ["-h", "--help"]}
-
-ORDER = (
-    *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
-    *("live", "align", "export", "evaluate", "simulate", "train", "config"),
-)
-"""Verbs in the order in which they are met; those of other distributions follow."""
 
 
-class InOrder(TyperGroup):
-    """Lists the verbs in the order of use."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        known = [name for name in ORDER if name in self.commands]
-        return [*known, *(name for name in self.commands if name not in ORDER)]
-
-
-app = typer.Typer(
-    name="segloc",
-    cls=InOrder,
-    help="Global LiDAR localization: a pose in a prior map from one point cloud.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings=_CONTEXT,
-)
-maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
-app.add_typer(maps, name="map", context_settings=_CONTEXT)
-app.add_typer(train, name="train", context_settings=_CONTEXT)
-app.add_typer(evaluate.app, name="evaluate", context_settings=_CONTEXT)
-app.command("align")(align.align)
-app.command("demo")(demo.demo)
-app.command("localize")(localize.localize)
-app.command("live")(live.live)
-app.command("export")(export.export)
-app.command("explain")(explain.explain)
-app.command("view")(view.view)
-app.command("sample")(sample.sample)
-app.command("info")(info.info)
-app.command("doctor")(doctor.doctor)
-app.command("odometry")(odometry.odometry)
-app.command("config")(config.config)
-app.command("simulate")(simulate.simulate)
-maps.command("build")(map_build.build)
-maps.command("info")(map_info.info)
-maps.command("merge")(map_merge.merge)
-maps.command("update")(map_update.update)
-maps.command("tile")(map_tile.tile)
+def __getattr__(name: str) -> Any:
+    """``app``: all verbs, made once they are asked for."""
+    if name == "app":
+        return program()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def _add_plugins() -> None:
-    """Add the verbs of other distributions, by entry points ``segloc.commands``: register(app)."""
-    for plugin in entry_points(group="segloc.commands"):
-        try:
-            plugin.load()(app)
-        except Exception as error:  # whatever another package does must not end ours
-            print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
-
-
-_add_plugins()
-
-
-@app.callback(invoke_without_command=True)
-def root(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print it.")] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="With --version: all that a report of a fault needs.")
-    ] = False,
-) -> None:
-    if version:
-        _print_version(verbose)
-        raise typer.Exit
-    if context.invoked_subcommand is None:
-        context.fail("Missing command.")
-
-
-def _print_version(verbose: bool) -> None:
-    from .._native import __version__  # also proves that the native module loads
-
-    print(f"segloc {__version__}")
-    if verbose:
-        from ..system import versions
-
-        print("\n".join(versions()))
+def _asked() -> str | None:
+    """The verb that is asked for; None where a shell asks what can be completed."""
+    completes = "_SEGLOC_COMPLETE" in os.environ
+    return None if completes or len(sys.argv) < 2 else sys.argv[1]
 
 
 def main() -> None:
@@ -130,7 +41,7 @@ def main() -> None:
     # Once all is done and said, Ctrl-C would kill Python without a word while it tidies up.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     try:
-        app()
+        program(_asked())()
     except KeyboardInterrupt:
         _end_interrupted()
     except SystemExit as end:

@@ -6,11 +6,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
-
 _UNWRAPPED = 10_000  # columns
 
 Update = Callable[[int, int], None]
@@ -19,6 +14,15 @@ Update = Callable[[int, int], None]
 @contextmanager
 def progress(label: str) -> Iterator[Update]:
     """A bar on stderr that is moved by calling ``update(done, total)``; none without a terminal."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     with Progress(
@@ -35,6 +39,8 @@ def progress(label: str) -> Iterator[Update]:
 @contextmanager
 def busy(label: str) -> Iterator[None]:
     """A sign of life on stderr; none without a terminal."""
+    from rich.console import Console
+
     console = Console(stderr=True)
     if not console.is_terminal:
         yield
@@ -45,6 +51,8 @@ def busy(label: str) -> Iterator[None]:
 
 def note(text: str) -> None:
     """A remark on stderr; in one line where that is no terminal."""
+    from rich.console import Console
+
     console = Console(stderr=True)
     wrapped = console.is_terminal
     console.print(f"segloc: note: {text}", markup=False, highlight=False, soft_wrap=not wrapped)
@@ -60,6 +68,10 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
     Where stdout is no terminal, nothing in it is wrapped.
     """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     console = Console()
     if not console.is_terminal:
         console = Console(width=_UNWRAPPED)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .live_so_far import SoFar, record
 from .options import (
     ConfigFile,
     Degrees,
@@ -83,6 +82,7 @@ def live(
     from ..live.score import summary
     from ..map.segment_map import SegmentMap
     from .console import progress
+    from .live_so_far import SoFar
     from .recording import levelled_poses, open_recording, place_of_sensor
     from .results import check_folder
     from .saving import write_together
@@ -148,6 +148,8 @@ def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[s
 
 
 def _lines(recording: Scans, played: Replay) -> list[str]:
+    from .live_so_far import record
+
     lines = []
     for position in map(int, played.positions):
         found = record(recording, position, played.states[position])

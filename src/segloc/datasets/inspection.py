@@ -20,6 +20,8 @@ _ODD_SIZE = 3.0  # times more or fewer points than the median
 _SUBSTANTIAL = 0.05
 _FEWEST_POINTS = 1000  # that tell a sensor from another
 _MOST_CHANGES = 3  # of the sensor that are listed
+OTHER_SENSOR = "another sensor from here on"
+"""What is said where scans begin to be of another sensor."""
 
 
 class Inspectable(Protocol):
@@ -159,11 +161,9 @@ def _sensor_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> l
         if new.is_like(old):
             continue
         place = _first_unlike(recording, old, low, high)
-        changes.append(
-            f"{recording.where(place)}: another sensor from here on: {new}, before it {old}"
-        )
+        changes.append(f"{recording.where(place)}: {OTHER_SENSOR}: {new}, before it {old}")
     more = len(changes) - _MOST_CHANGES
-    return [*changes[:_MOST_CHANGES], *([f"{more} more changes of the sensor"] if more > 0 else [])]
+    return [*changes[:_MOST_CHANGES], *([f"{OTHER_SENSOR}: {more} more times"] if more > 0 else [])]
 
 
 def _first_unlike(recording: Inspectable, old: Signature, low: int, high: int) -> int:

@@ -8,11 +8,9 @@ is named; where none fits, that is said.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .. import _native, geometry
 from ..datasets.signature import in_one_plane
@@ -21,6 +19,7 @@ from ..registration import Aligner
 from ..segmentation import SegmentationConfig, heights_above_ground
 from ..types import Float32, Float64, Pose, Recording
 from .finding import Fault, Finding
+from .readings import MILLIMETRES, READINGS
 
 _APART_M, _FARTHEST_M = 2.0, 8.0
 _MOST_SCANS_APART = 25
@@ -34,87 +33,6 @@ _ALIGN_M = 1.5
 _BETTER, _CLEARLY = 0.08, 0.3  # more points agree, at least, and of those that do not as it is
 _UNRELATED = 0.2  # right poses agree to 0.5 and more, those of another drive to 0.06
 _GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
-_T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-
-
-def _inverse(poses: Float64) -> Float64:
-    return np.array([geometry.inverse(T) for T in poses], dtype=np.float64)
-
-
-def _scalar_first(poses: Float64) -> Float64:
-    """As if the four numbers of each rotation were w, x, y, z."""
-    first = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    read: Float64 = poses.copy()
-    read[:, :3, :3] = Rotation.from_quat(first[:, [1, 2, 3, 0]]).as_matrix()
-    return read
-
-
-def _of_camera(poses: Float64) -> Float64:
-    return np.asarray(poses @ _T_CAMERA_SENSOR)  # whatever the axes of the world
-
-
-def _in_millimetres(poses: Float64) -> Float64:
-    read: Float64 = poses.copy()
-    read[:, :3, 3] /= 1000.0
-    return read
-
-
-def _nowhere(poses: Float64) -> Float64:
-    return np.tile(np.eye(4), (len(poses), 1, 1))
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What poses may be meant as.
-
-    Attributes
-    ----------
-    fault : Fault
-    means : callable
-        (N, 4, 4) poses -> T_odom_sensor, (N, 4, 4).
-    what, remedy : str
-        Of the finding.
-    """
-
-    fault: Fault
-    means: Callable[[Float64], Float64]
-    what: str
-    remedy: str
-
-
-READINGS = (
-    Reading(
-        Fault.POSES_INVERSE,
-        _inverse,
-        "the poses are inverse: they take points from the world to the sensor",
-        "invert each, so that it is T_world_sensor",
-    ),
-    Reading(
-        Fault.POSES_WXYZ,
-        _scalar_first,
-        "the rotations of the poses are in the order qw qx qy qz",
-        "write them as qx qy qz qw, as TUM files have them",
-    ),
-    Reading(
-        Fault.POSES_OF_CAMERA,
-        _of_camera,
-        "the poses are those of a camera (z forward)",
-        "multiply each by T_camera_sensor from the right, and by its inverse from the left where "
-        "the world has the camera's axes, too; segloc does so in KITTI's own layout",
-    ),
-    Reading(
-        Fault.POSES_IN_MILLIMETRES,
-        _in_millimetres,
-        "the poses are in millimetres",
-        "divide their positions by 1000",
-    ),
-    Reading(
-        Fault.WORLD_COORDINATES,
-        _nowhere,
-        "points are in world coordinates already, not in the sensor's frame",
-        "take them back by T_world_sensor^-1, each scan by its own pose",
-    ),
-)
 
 
 @dataclass(frozen=True)
@@ -155,6 +73,8 @@ def pose_findings(recording: Recording) -> list[Finding]:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
     read = np.mean([fit.read for fit in fits], axis=0)
+    if recording.poses is None or _unit(recording.poses) == 1.0:
+        read[MILLIMETRES] = 0.0  # clouds laid on one spot agree somewhat, whatever they are
     best = int(read.argmax())
     better = float(np.mean([fit.read[best] > fit.as_is for fit in fits]))
     if read[best] - as_is > max(_BETTER, _CLEARLY * (1.0 - as_is)) and better > 0.5:

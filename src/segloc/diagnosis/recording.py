@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..datasets.inspection import Inspectable, Inspection, inspect
+from ..datasets.inspection import OTHER_SENSOR, Inspectable, Inspection, inspect
 from ..errors import DatasetError
 from ..local_cloud import LocalCloudConfig
 from ..types import Recording, Scan
@@ -65,16 +65,26 @@ def examine(
     """
     config = config or LocalCloudConfig()
     facts = inspect(recording, sample)
-    found = [Finding(Fault.READING, line) for line in facts.problems]
     posed = recording.poses is not None
-    found += scan_findings(sampled(recording, sample), config, posed=posed)
+    seen = scan_findings(sampled(recording, sample), config, posed=posed)
+    misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
+    found = [Finding(Fault.READING, line) for line in facts.problems]
+    if misframed:  # beams are not where a sensor would have them
+        found = [finding for finding in found if OTHER_SENSOR not in str(finding)]
+    found += seen
     if not posed and all(finding.fault is not Fault.FEW_BEAMS for finding in found):
         found.append(_NO_POSES)
     said = "not known"
-    if not any(finding.fault in _FRAME_FAULTS for finding in found):
+    if not misframed:
         stands = attitudes(recording, config, sample)
         said = stands.said
-        found += [*stands.findings, *pose_findings(recording)]
+        # What is first to be mended is said alone: poses fit no scans that lie on their side, and
+        # poses that are misread are tilted, too.
+        sound = not any(finding.wrong for finding in seen)
+        posing = pose_findings(recording) if sound else []
+        misread = any(finding.wrong for finding in posing)
+        leaning = [one for one in stands.findings if one.fault is not Fault.POSES_TILTED]
+        found += [*(leaning if misread else stands.findings), *posing]
     order = sorted(found, key=lambda finding: (not finding.wrong, finding.fault is Fault.READING))
     return Examination(facts, said, tuple(order))
 

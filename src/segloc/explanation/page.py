@@ -14,11 +14,14 @@ from .words import steps, verdict
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222b38; max-width: 1260px; margin: 2em auto;
   padding: 0 1em }
-h1 { font-size: 1.3em } .found { color: #0d7a3c } .lost { color: #b81d30 }
+h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin: 1.6em 0 .4em }
+.found, .lost { font-weight: 600 } .found { color: #0d7a3c } .lost { color: #b81d30 }
 table { border-collapse: collapse } td { padding: .15em 1em .15em 0; vertical-align: top }
 td.number { text-align: right; font-variant-numeric: tabular-nums }
-.pictures { display: flex; flex-wrap: wrap; gap: 1em } figure { margin: 0; width: 400px }
-img { width: 400px; border: 1px solid #dde2ea } figcaption { font-size: .85em; color: #59637a }
+.pictures { display: grid; gap: 1em; margin: 1.2em 0;
+  grid-template-columns: repeat(auto-fill, minmax(min(380px, 100%), 1fr)) }
+figure { margin: 0 } img { width: 100%; box-sizing: border-box; border: 1px solid #dde2ea }
+figcaption { font-size: .85em; color: #59637a }
 """
 
 
@@ -41,7 +44,9 @@ def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
         parts.insert(0, (f"{trace.constant:+.1f}", "to begin with: most poses are wrong"))
     noted = "".join(f"<p>{escape(line)}</p>" for line in findings)
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(trace.name)}</title>'
+        f'<!doctype html><html lang="en"><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(trace.name)}</title>"
         f"<style>{_STYLE}</style><h1>{escape(trace.name)}</h1>"
         f'<p class="{kind}">{escape(verdict(trace))}</p>{noted}'
         f"<h2>Stage by stage</h2>{_table(steps(trace))}"

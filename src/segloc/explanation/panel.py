@@ -65,25 +65,6 @@ _PANEL = Template("""
 """)
 
 
-# Edges of points need no smoothing. It takes most of the time where a processor draws: without it
-# 200 000 points are drawn two to three times as fast.
-_SHARP = """<script>
-(() => {
-  const get = HTMLCanvasElement.prototype.getContext;
-  HTMLCanvasElement.prototype.getContext = function (kind, options) {
-    const sharp = /webgl/.test(kind) ? { ...(options || {}), antialias: false } : options;
-    return get.call(this, kind, sharp);
-  };
-})();
-</script>"""
-
-
-def drawn_fast(page: str) -> str:
-    """A page of viser's that draws many points faster."""
-    head, start, tail = page.partition("<head>")
-    return f"{head}{start}{_SHARP}{tail}" if start else page
-
-
 def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
     """A page of viser's player with a panel, for queries that are shown so many seconds each."""
     told = [

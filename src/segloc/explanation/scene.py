@@ -33,6 +33,7 @@ _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
 _MOST_POINTS = 400_000
 _LABEL_WIDTH = 50  # characters
 _BREAK_M = 35.0  # poses farther apart are not joined
+_MARKER_M = 0.4  # points larger than this mark something
 _ABOVE_M = 3.0  # of markers over the path
 
 
@@ -155,7 +156,17 @@ class MapScene:
     def points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:
         """Add points, (N, 3), in the scene's frame, to a layer."""
         if len(points):
-            handle = self._api.add_point_cloud(name, points, colors, point_size=size)
+            # In random order, so that a part is the whole of it, thinner. Half a float would put
+            # points half a metre off a kilometre away.
+            mixed = np.random.default_rng(0).permutation(len(points))
+            style: dict[str, Any] = {
+                "point_size": size,
+                "point_shading": "flat",
+                "precision": "float32",
+            }
+            if size > _MARKER_M:
+                style["point_shape"] = "circle"
+            handle = self._api.add_point_cloud(name, points[mixed], colors[mixed], **style)
             self._keep(layer, handle)
 
     def lines(

@@ -15,8 +15,9 @@ import numpy as np
 from ..errors import MissingDependency, SeglocError
 from ..map.segment_map import SegmentMap
 from ..types import Float64
+from .drawn_fast import draw_fast, drawn_fast
 from .following import Moment, draw_moments, newest_points, read_moments
-from .panel import drawn_fast, with_panel
+from .panel import with_panel
 from .results import Shown
 from .scene import FIXED, OF_QUERY, ROBOT, MapScene
 
@@ -69,6 +70,7 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
         If the port is in use.
     """
     server = _server("127.0.0.1", port)
+    draw_fast(server)
     shown = _in_detail(queries)
     scene = _map_in_view(server, prior_map, shown[0] if shown else None)
     scene.draw_queries(queries)
@@ -96,6 +98,7 @@ def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
     """
     read_moments(folder)
     server = _server("127.0.0.1", port)
+    draw_fast(server)
     scene = _map_in_view(server, prior_map)
     text = server.gui.add_markdown("")
     _add_layers(server, scene, ROBOT)
@@ -153,25 +156,28 @@ def _map_in_view(server: Any, prior_map: SegmentMap, query: Shown | None = None)
 
 
 def _add_layers(server: Any, scene: MapScene, layers: Sequence[str]) -> None:
-    for layer in layers:
-        box = server.gui.add_checkbox(layer, True)
+    with server.gui.add_folder("shown"):
+        for layer in layers:
+            box = server.gui.add_checkbox(layer, True)
 
-        def change(_: Any, box: Any = box, layer: str = layer) -> None:
-            scene.show(layer, bool(box.value))
+            def change(_: Any, box: Any = box, layer: str = layer) -> None:
+                scene.show(layer, bool(box.value))
 
-        box.on_update(change)
+            box.on_update(change)
 
 
 def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
     last = len(queries) - 1
     slider = server.gui.add_slider("query", min=0, max=max(last, 1), step=1, initial_value=0)
-    text = server.gui.add_markdown("")
+    head = server.gui.add_markdown("")
+    with server.gui.add_folder("stages and confidence", expand_by_default=False):
+        text = server.gui.add_markdown("")
 
     def choose(_: Any) -> None:
         query = queries[min(int(slider.value), last)]
         with server.atomic():
             scene.draw_query(query)
-        text.content = described(query)
+        head.content, text.content = described(query), stages(query)
         for client in server.get_clients().values():
             client.camera.position, client.camera.look_at = _from(scene, query)
 
@@ -180,11 +186,15 @@ def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
 
 
 def described(query: Shown) -> str:
-    """Markdown of one query: its outcome, its verdict, each stage and each part."""
-    lines = () if query.seen is None else query.seen.lines
+    """Markdown of one query: its outcome and its verdict."""
     said = query.said if query.seen is None else query.seen.verdict
-    listed = "\n".join(f"- {line}" for line in lines)
-    return f"**{query.index}: {query.outcome}**\n\n{said}\n\n{listed}"
+    return f"**{query.index}: {query.outcome}**\n\n{said}"
+
+
+def stages(query: Shown) -> str:
+    """Markdown of one query: a line for each stage, and for each part of the confidence."""
+    lines = () if query.seen is None else query.seen.lines
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _in_detail(queries: Sequence[Shown]) -> list[Shown]:

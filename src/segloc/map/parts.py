@@ -19,8 +19,11 @@ def along(prior_map: SegmentMap, path: Float64) -> SegmentMap:
     return SegmentMap(*named, prior_map.columns(), cloud, path, prior_map.metadata)
 
 
-def concatenated(parts: list[SegmentMap]) -> SegmentMap:
+def concatenated(parts: list[SegmentMap], *, apart: bool = False) -> SegmentMap:
     """Maps of one frame, one behind the other; rows of several are kept as often.
+
+    With ``apart`` no voxel is in two of them, as is known of parts of one map: their points are not
+    compared, which takes most of the time and memory, where they are relative to one origin.
 
     Raises
     ------
@@ -40,20 +43,29 @@ def concatenated(parts: list[SegmentMap]) -> SegmentMap:
     columns = [part.columns() for part in filled]
     if any(each.keys() != columns[0].keys() for each in columns):
         raise MapMismatch("some parts have descriptor quality and some have none")
-    cloud = VoxelCloud(first.cloud, first.origin, first.cloud_voxel)
     texts = dict(first.metadata)
     for part in parts[1:]:
-        own = VoxelCloud(part.cloud, part.origin, part.cloud_voxel)
-        cloud.add_relative(own.moved_to(first.origin, first.cloud_voxel).points)
         texts = union_of_texts(texts, part.metadata)
     return SegmentMap(
         first.descriptor,
         first.fingerprint,
         {name: np.concatenate([each[name] for each in columns]) for name in columns[0]},
-        cloud,
+        _clouds(parts, apart),
         np.concatenate([part.trajectory for part in parts]),
         texts,
     )
+
+
+def _clouds(parts: list[SegmentMap], apart: bool) -> VoxelCloud:
+    first = parts[0]
+    if apart and all(np.array_equal(part.origin, first.origin) for part in parts):
+        points = np.concatenate([part.cloud for part in parts])
+        return VoxelCloud(points, first.origin, first.cloud_voxel)
+    cloud = VoxelCloud(first.cloud, first.origin, first.cloud_voxel)
+    for part in parts[1:]:
+        own = VoxelCloud(part.cloud, part.origin, part.cloud_voxel)
+        cloud.add_relative(own.moved_to(first.origin, first.cloud_voxel).points)
+    return cloud
 
 
 def with_sessions(prior_map: SegmentMap, session: NDArray[np.int32]) -> SegmentMap:

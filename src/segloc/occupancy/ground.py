@@ -34,10 +34,11 @@ class Ground:
     def __init__(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
         ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
         cells = cells_of(cloud[:, :2], _GROUND_M)
-        _, first, which = np.unique(_keys(cells), return_index=True, return_inverse=True)
-        self._places = (cells[first] + 0.5) * _GROUND_M
+        _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
+        where = (cells[first] + 0.5) * _GROUND_M
+        self._tree = cKDTree(where)
         if len(path) and len(cloud):
-            distance, station = nearest_of(path[:, :2], self._places)
+            distance, station = nearest_of(path[:, :2], where)
             floor = path[station, 2] - _mounted(cloud, path)
             ground = believed(ground, floor[which], distance[which])
         self.below_cloud: Float32 = ground.astype(np.float32)
@@ -46,8 +47,8 @@ class Ground:
 
     def below(self, places: Float64) -> Float64:
         """Its height at (N, 2) places."""
-        count = min(_NEAREST_GROUND, len(self._places))
-        nearest = nearest_of(self._places, places, count)[1].reshape(len(places), -1)
+        count = min(_NEAREST_GROUND, len(self._heights))
+        nearest = np.asarray(self._tree.query(places, k=count)[1]).reshape(len(places), -1)
         heights: Float64 = np.median(self._heights[nearest], axis=1)
         return heights
 
@@ -58,7 +59,7 @@ def _mounted(cloud: Float32, path: Float64) -> float:
     rising = np.argsort(cloud[:, 2], kind="stable")
     rising = rising[gap[rising] < _FLOOR_RADIUS_M]
     columns = cells_of(cloud[rising, :2], _FLOOR_COLUMN_M)
-    lowest = rising[np.unique(_keys(columns), return_index=True)[1]]
+    lowest = rising[np.unique(keys_of(columns), return_index=True)[1]]
     drop = path[station[lowest], 2] - cloud[lowest, 2]
     counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
     return float(edges[counts.argmax()] + 0.05)
@@ -80,8 +81,8 @@ def nearest_of(
     return np.asarray(distance), np.asarray(index)
 
 
-def _keys(cells: Int64) -> Int64:
-    """One number for each of (N, 2) cells."""
+def keys_of(cells: Int64) -> Int64:
+    """One number for each of (N, 2) cells, in the order of x and y."""
     keys: Int64 = cells[:, 0] * (1 << 32) + cells[:, 1]
     return keys
 

@@ -207,5 +207,5 @@ def _coarse(tiles: TiledMap, after: SegmentMap, cells: list[Cell]) -> SegmentMap
         stays &= ~in_square(path[:, :3, 3], cell, size_m)
     owned = [part_of(after, cell, size_m, 0.0) for cell in cells]
     rest = along(old.kept(rows, np.zeros(len(old.cloud), dtype=bool)), path[stays])
-    thin = [along(thin_of(part), part.trajectory) for part in owned]
+    thin = [along(thin_of(part, size_m), part.trajectory) for part in owned]
     return compacted(concatenated([rest, *thin]), COARSE)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,6 +17,7 @@ from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
 from ..map.parts import along, concatenated
 from ..map.segment_map import SegmentMap
+from ..processes import all_of
 from ..types import Float64
 from .index import (
     FORMAT_VERSION,
@@ -29,12 +33,16 @@ from .store import Store, store_of
 
 SIZE_M, MARGIN_M = 500.0, 60.0
 """Of a square, and around it: farther than a local cloud reaches."""
-COARSE_PER_TILE = 3000
-"""Segments of a tile in the thin map of all tiles."""
+COARSE_A_KM2, COARSE_AT_LEAST = 24_000, 500
+"""Segments in the thin map of all tiles: of a square kilometre, and of a tile at least."""
 COARSE = CompactConfig(bits=4, max_views=1, cloud_bits=0)
 """What the thin map of all tiles keeps."""
 
+AT_ONCE = 64
+"""Tiles that are in memory together."""
+
 Bools = NDArray[np.bool_]
+Cell = tuple[int, int]
 
 
 def cut_tiles(
@@ -44,6 +52,7 @@ def cut_tiles(
     size_m: float = SIZE_M,
     margin_m: float = MARGIN_M,
     progress: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
 ) -> TileIndex:
     """Write a map as tiles, and their index last.
 
@@ -59,6 +68,9 @@ def cut_tiles(
         Edge of a square, and how far around it a tile reaches.
     progress : callable, optional
         Called with (tiles done, tiles in all).
+    executor : Executor, optional
+        Writes the tiles, where all its workers see ``out``; by default this process does. What
+        comes of it is the same.
 
     Raises
     ------
@@ -73,17 +85,17 @@ def cut_tiles(
             f"{margin_m:g} m"
         )
     store, cells = store_of(out), _cells(prior_map, size_m)
+    tasks = (
+        _Task(part, cell, size_m, out) for cell, part in _parts(prior_map, cells, size_m, margin_m)
+    )
     with store.alone():
-        tiles, thin = [], []
-        for done, cell in enumerate(cells):
-            part = part_of(prior_map, cell, size_m, margin_m)
-            owned = part_of(prior_map, cell, size_m, 0.0)
-            file = written(store, part, f"tile_{cell[0]}_{cell[1]}")
-            poses = len(owned.trajectory)
-            tiles.append(Tile(**file.model_dump(), cell=cell, poses=poses))
-            thin.append(thin_of(owned))
+        found: list[tuple[Tile, SegmentMap]] = []
+        while some := list(islice(tasks, AT_ONCE)):
+            found += all_of(_cut, some, executor)
             if progress:
-                progress(done + 1, len(cells))
+                progress(len(found), len(cells))
+        found.sort(key=lambda made: made[0].cell)
+        tiles, thin = [tile for tile, _ in found], [part for _, part in found]
         coarse = written(store, _joined(prior_map, thin), "coarse")
         index = TileIndex(
             version=FORMAT_VERSION,
@@ -96,6 +108,41 @@ def cut_tiles(
         )
         publish(store, index)
     return index
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A tile to be written: what it holds, and where."""
+
+    part: SegmentMap
+    cell: Cell
+    size_m: float
+    out: str | Path
+
+
+def _cut(task: _Task) -> tuple[Tile, SegmentMap]:
+    """Write a tile; the best of what it owns."""
+    cell, owned = task.cell, part_of(task.part, task.cell, task.size_m, 0.0)
+    file = written(store_of(task.out), task.part, f"tile_{cell[0]}_{cell[1]}")
+    return Tile(**file.model_dump(), cell=cell, poses=len(owned.trajectory)), thin_of(
+        owned, task.size_m
+    )
+
+
+def _parts(
+    prior_map: SegmentMap, cells: list[Cell], size_m: float, margin_m: float
+) -> Iterator[tuple[Cell, SegmentMap]]:
+    """What each square and its margin hold; by halves, so that none is looked for in the whole."""
+    if len(cells) == 1:
+        yield cells[0], part_of(prior_map, cells[0], size_m, margin_m)
+        return
+    spans = np.ptp(np.array(cells), axis=0)
+    ordered = sorted(cells, key=lambda cell: cell[int(spans.argmax())])
+    half, around_m = len(ordered) // 2, margin_m + 1.0  # of each square it is decided at the end
+    for some in (ordered[:half], ordered[half:]):
+        low, high = np.min(some, axis=0) * size_m, (np.max(some, axis=0) + 1) * size_m
+        near = _within(prior_map, low - around_m, high + around_m)
+        yield from _parts(near, some, size_m, margin_m)
 
 
 def publish(store: Store, index: TileIndex) -> None:
@@ -117,20 +164,20 @@ def _named(index: TileIndex) -> list[str]:
     return [index.coarse.file, *(tile.file for tile in index.tiles)]
 
 
-def part_of(
-    prior_map: SegmentMap, cell: tuple[int, int], size_m: float, margin_m: float
-) -> SegmentMap:
+def part_of(prior_map: SegmentMap, cell: Cell, size_m: float, margin_m: float) -> SegmentMap:
     """What lies in a square, or no farther from it than a margin along either axis."""
+    return _within(prior_map, *_box(cell, size_m, margin_m))
 
-    def inside(positions: Float64) -> Bools:
-        return in_square(positions, cell, size_m, margin_m)
 
+def _within(prior_map: SegmentMap, low: Float64, high: Float64) -> SegmentMap:
+    """What lies in a box, seen from above."""
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
-    kept = prior_map.kept(inside(prior_map.centroids), inside(points))
-    return along(kept, prior_map.trajectory[inside(prior_map.trajectory[:, :3, 3])])
+    path = prior_map.trajectory
+    kept = prior_map.kept(_inside(prior_map.centroids, low, high), _inside(points, low, high))
+    return along(kept, path[_inside(path[:, :3, 3], low, high)])
 
 
-def _cells(prior_map: SegmentMap, size_m: float) -> list[tuple[int, int]]:
+def _cells(prior_map: SegmentMap, size_m: float) -> list[Cell]:
     """The squares that a path goes through; those of the segments where there is no path."""
     path = prior_map.trajectory[:, :3, 3]
     where = path if len(path) else prior_map.centroids
@@ -152,14 +199,15 @@ def written(store: Store, part: SegmentMap, name: str) -> TileFile:
     return TileFile(file=file, bytes=len(data), digest=digest, segments=len(part))
 
 
-def thin_of(part: SegmentMap) -> SegmentMap:
+def thin_of(part: SegmentMap, size_m: float) -> SegmentMap:
     """The best view of each object of a tile, and only so many, without the cloud."""
+    most = max(COARSE_AT_LEAST, round(COARSE_A_KM2 * (size_m / 1e3) ** 2))
     none = np.zeros(len(part.cloud), dtype=bool)
     thin = compacted(part.kept(np.ones(len(part), dtype=bool), none), COARSE)
-    if len(thin) <= COARSE_PER_TILE:
+    if len(thin) <= most:
         return thin
-    rank = np.zeros(len(thin)) if thin.quality is None else thin.quality
-    order = np.argsort(-rank, kind="stable")[:COARSE_PER_TILE]
+    rank = thin.sizes if thin.quality is None else thin.quality
+    order = np.argsort(-rank, kind="stable")[:most]
     chosen = np.zeros(len(thin), dtype=bool)
     chosen[order] = True
     return thin.kept(chosen, np.zeros(0, dtype=bool))
@@ -189,7 +237,14 @@ def in_square(
     positions: Float64, cell: tuple[int, int], size_m: float, margin_m: float = 0.0
 ) -> Bools:
     """Which of (N, 2 or 3) positions lie in a square, or no farther from it than a margin."""
-    low = np.array(cell) * size_m - margin_m
-    high = np.array(cell) * size_m + size_m + margin_m
-    xy = positions[:, :2]
-    return np.asarray(((xy >= low) & (xy < high)).all(axis=1), dtype=bool)
+    return _inside(positions, *_box(cell, size_m, margin_m))
+
+
+def _box(cell: Cell, size_m: float, margin_m: float) -> tuple[Float64, Float64]:
+    low = np.array(cell) * size_m
+    return low - margin_m, low + size_m + margin_m
+
+
+def _inside(positions: Float64, low: Float64, high: Float64) -> Bools:
+    x, y = positions[:, 0], positions[:, 1]
+    return np.asarray((x >= low[0]) & (x < high[0]) & (y >= low[1]) & (y < high[1]), dtype=bool)

@@ -108,29 +108,28 @@ class TileIndex(Section):
     def near(self, prior: Prior) -> tuple[Tile, ...]:
         """The tiles whose squares a sensor near a prior may be in."""
         x, y = np.asarray(prior.position)[:2]
-        return tuple(t for t in self.tiles if self._distance(t, x, y) <= prior.radius_m)
+        return tuple(t for t in self.tiles if self.distance(t, x, y) <= prior.radius_m)
 
-    def at(self, positions: Float64) -> tuple[Tile, ...]:
-        """The tiles that own (N, 2 or 3) positions, in their order, each once.
+    def owners(self, positions: Float64) -> list[Tile | None]:
+        """The tile that owns each of (N, 2 or 3) positions.
 
         Beside the path there may be no tile: then it is the nearest whose margin reaches there.
         """
         by_cell = {tile.cell: tile for tile in self.tiles}
-        found: dict[tuple[int, int], Tile] = {}
-        for (x, y), cell in zip(positions[:, :2], cells_of(positions, self.size_m), strict=True):
-            own = by_cell.get((int(cell[0]), int(cell[1]))) or self._reaching(x, y)
-            if own is not None:
-                found[own.cell] = own
-        return tuple(found.values())
+        return [
+            by_cell.get((int(cell[0]), int(cell[1]))) or self._reaching(x, y)
+            for (x, y), cell in zip(positions[:, :2], cells_of(positions, self.size_m), strict=True)
+        ]
 
     def _reaching(self, x: float, y: float) -> Tile | None:
         """The nearest tile whose margin reaches a place."""
-        nearest = min(self.tiles, key=lambda tile: self._distance(tile, x, y), default=None)
-        if nearest is None or self._distance(nearest, x, y) > self.margin_m:
+        nearest = min(self.tiles, key=lambda tile: self.distance(tile, x, y), default=None)
+        if nearest is None or self.distance(nearest, x, y) > self.margin_m:
             return None
         return nearest
 
-    def _distance(self, tile: Tile, x: float, y: float) -> float:
+    def distance(self, tile: Tile, x: float, y: float) -> float:
+        """From a place to a tile's square, metres; 0 in it."""
         low = [k * self.size_m for k in tile.cell]
         beyond = [max(a - v, v - a - self.size_m, 0.0) for a, v in zip(low, (x, y), strict=True)]
         return math.hypot(*beyond)

@@ -13,13 +13,14 @@ from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..search import Query
 from ..stage_times import StageTimes
+from ..thin_vote import ThinVote
 from .index import Tile, TileIndex
 from .recent import Recent
 
+STRONG = 0.5
+"""Tiles are searched first in which a pose has such a share of the votes of the best."""
 FEW, MORE = 4, 10
-"""Tiles that are searched at first, and where nothing is found in them. Set by hand."""
-COARSE_CANDIDATES = 32
-"""Poses that the thin map of all tiles proposes."""
+"""Tiles that are searched where nothing is found in these, and then. Set by hand."""
 
 
 class Tiles(Protocol):
@@ -34,9 +35,10 @@ class Tiles(Protocol):
 class TileSearch:
     """Searches the tiles that a query may be in.
 
-    With a prior, the tiles are those that a sensor near it may be in. Without one, the query is
-    matched to a thin map of all tiles: those of the best poses are searched as one map, so a
-    place that fits as well in another of them makes the query ambiguous.
+    The query is matched to a thin map of all tiles, or of what lies near the prior: the tiles of
+    the poses that have nearly as many votes as the best are searched as one map, so a place that
+    fits as well in another of them makes the query ambiguous. Where it is not found there, more
+    tiles are searched.
 
     Parameters
     ----------
@@ -47,11 +49,8 @@ class TileSearch:
 
     def __init__(self, tiles: Tiles, coarse: Localizer) -> None:
         self._tiles, self._coarse = tiles, coarse
-        config = coarse.config
-        pose = config.pose.model_copy(update={"max_candidates": COARSE_CANDIDATES})
-        kind = type(coarse.estimator)
-        self._estimator = kind(pose, threads=config.threads, seed=config.seed)
-        self._settings = config.to_yaml()
+        self._vote = ThinVote(coarse.prior_map, coarse.matcher, coarse.config)
+        self._settings = coarse.config.to_yaml()
 
     def locate(
         self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
@@ -92,29 +91,38 @@ class TileSearch:
     ) -> Iterator[tuple[Tile, ...]]:
         """Sets of tiles to search, one after another until the query is localized."""
         index = self._tiles.index
-        if near is not None:
-            if found := index.near(near):
-                yield found
-            return
-        if len(index.tiles) <= FEW:
-            yield index.tiles
+        tiles = index.tiles if near is None else index.near(near)
+        if len(tiles) <= 1:
+            yield from (tiles,) * len(tiles)
             return
         with times("tiles"):
-            voted = self._voted(query)
-        if voted:
-            yield voted[:FEW]
-        if len(voted) > FEW:
-            yield voted[:MORE]
+            voted = self._voted(query, near)
+        best = max(voted.values(), default=0)
+        strong = [tile for tile, votes in voted.items() if votes >= STRONG * best]
+        everywhere = len(tiles) <= (FEW if near is None else MORE)
+        more = [list(tiles)] if everywhere else [list(voted)[:FEW], list(voted)[:MORE]]
+        searched: list[set[str]] = []
+        for chosen in (strong[:FEW], *more):
+            files = {tile.file for tile in chosen}
+            if files and files not in searched:
+                searched.append(files)
+                yield tuple(chosen)
 
-    def _voted(self, query: Query) -> tuple[Tile, ...]:
+    def _voted(self, query: Query, near: Prior | None) -> dict[Tile, int]:
         """The tiles of the poses on which most matches with the thin map agree, best first."""
-        matches = self._coarse.matcher.match(query.descriptors)
-        centroids = query.scene.segments.centroids
-        map_centroids = self._coarse.prior_map.centroids
-        candidates = self._estimator.estimate(centroids, map_centroids, matches)
-        if not candidates:
-            return ()
-        return self._tiles.index.at(np.stack([c.T_map_local[:3, 3] for c in candidates]))
+        found = self._vote.candidates(query.scene, query.descriptors, near)
+        if not found:
+            return {}
+        index = self._tiles.index
+        sees_m = index.margin_m - self._coarse.config.local_cloud.radius_m  # beside a square, too
+        voted: dict[Tile, int] = {}
+        owners = index.owners(np.stack([c.T_map_local[:3, 3] for c in found]))
+        for own, candidate in zip(owners, found, strict=True):
+            x, y = candidate.T_map_local[:2, 3].tolist()
+            tile = next((t for t in voted if index.distance(t, x, y) <= sees_m), own)
+            if tile is not None:
+                voted[tile] = max(voted.get(tile, 0), candidate.inliers)
+        return voted
 
     def _searching(self, tiles: tuple[Tile, ...], times: StageTimes) -> Localizer:
         """A localizer in some tiles, kept among what the tiles were last used for."""
@@ -130,5 +138,5 @@ class TileSearch:
 
 
 def _bytes(localizer: Localizer) -> int:
-    """About what a localizer takes: its map, and as much again for what is looked up in it."""
-    return 2 * localizer.prior_map.memory_bytes
+    """About what a localizer takes: its map, and three times as much for looking up."""
+    return 4 * localizer.prior_map.memory_bytes

@@ -21,7 +21,7 @@ from .store import Folder, Reader, store_of
 
 CACHE_BYTES = 1 << 30
 TIMEOUT_S = 30.0
-MEMORY_BYTES = 1 << 29
+MEMORY_BYTES = 1 << 27
 
 
 class TiledMap:
@@ -115,6 +115,8 @@ class TiledMap:
         MapFormatError
             If one of them cannot be had; names its file.
         """
+        if len(tiles) == 1:
+            return self.tile(tiles[0])
         parts = []
         for tile in tiles:
             part = self.tile(tile)
@@ -125,7 +127,7 @@ class TiledMap:
             path = part.trajectory
             own = chosen_rows(path[:, :3, 3], tile, others, self.index)
             parts.append(along(kept, path[own]))
-        return concatenated(parts)
+        return concatenated(parts, apart=True)
 
     def _loaded(self, file: TileFile) -> SegmentMap:
         data = self._reader.tile(file)

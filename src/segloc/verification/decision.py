@@ -7,7 +7,14 @@ import math
 from ..localization import Reason, ambiguous_with
 from .confidence import ConfidenceModel
 from .config import VerificationConfig
-from .evidence import Evidence, RankedCandidate, RefinedScore, Score, Verdict
+from .evidence import (
+    DECISIVE_INLIERS,
+    Evidence,
+    RankedCandidate,
+    RefinedScore,
+    Score,
+    Verdict,
+)
 
 RIVAL_STANDING = 0.5
 """A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best
@@ -26,7 +33,15 @@ GROUND_FITS = 0.4
 """With less of the ground on that of the map a pose is wrong; at right ones of real recordings at
 least half of it is. Set by hand."""
 FEW_INLIERS = 5
-"""Of the wrong poses of the calibration that are believed, none has as many."""
+"""Fewer than these say little. Set by hand."""
+ALIKE, WHOLLY, SMALL_VIEW = 0.75, 0.98, 150
+"""Where segments say little, and the clouds fit so nearly as well elsewhere, the place repeats
+itself, unless this share of the cloud fits here, with at least so many map points in view. Chosen
+on simulated offices and warehouses."""
+FEW_ROOT, DOUBT_ROOT = 2.0, 20.0
+"""The confidence that is needed where few segments agree, and where, besides, the place repeats
+itself or little is in view (for both, twice the latter): these roots of the one that suffices.
+Chosen on the same."""
 WALLS_FIT, CLOUD_FITS = 0.05, 0.35
 """A pose is wrong where walls of some direction fit nowhere, and less of the cloud than this does.
 Set by hand."""
@@ -52,7 +67,7 @@ def decide(
     elif best.overlap < CLOUD_FITS and best.walls is not None and best.walls < WALLS_FIT:
         reason = Reason.TOO_UNCERTAIN
         message = f"walls stand elsewhere there: {best.walls:.0%} of those of one direction fit"
-    elif p < (needed := confidence_needed(best.inliers, config)):
+    elif p < (needed := confidence_needed(evidence, config)):
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, needed)}: {compared(evidence)}"
     else:
@@ -68,10 +83,30 @@ def too_few_inliers(
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
 
 
-def confidence_needed(inliers: int, config: VerificationConfig) -> float:
-    """More where few segments agree: all wrong poses that look likely are such, in rooms alike."""
-    least = config.min_confidence
-    return least if inliers >= FEW_INLIERS else math.sqrt(least)
+def confidence_needed(evidence: Evidence, config: VerificationConfig) -> float:
+    """More where few segments agree, and most where other places look alike or little is in view.
+
+    All wrong poses of the calibration that look likely are such.
+    """
+    best = evidence.score
+    few = best.inliers < FEW_INLIERS
+    doubts = is_alike(evidence) + (few and best.judged < SMALL_VIEW)
+    root = DOUBT_ROOT * doubts if doubts else FEW_ROOT if few else 1.0
+    return float(config.min_confidence ** (1.0 / root))
+
+
+def is_alike(evidence: Evidence) -> bool:
+    """Whether segments say little, and the clouds fit nearly as well at another place.
+
+    Places that are built alike differ somewhere: where much is in view, and hardly a point is left
+    that does not fit, it is the right one.
+    """
+    best = evidence.score
+    if best.inliers >= FEW_INLIERS and evidence.inlier_evidence >= DECISIVE_INLIERS:
+        return False
+    if best.overlap >= WHOLLY and best.judged >= SMALL_VIEW:
+        return False
+    return any(rival.overlap >= ALIKE * best.overlap for rival in evidence.rivals)
 
 
 def compared(evidence: Evidence) -> str:

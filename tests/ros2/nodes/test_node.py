@@ -184,17 +184,13 @@ def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) ->
     get = peer.create_client(GetState, "/segloc/get_state")
     options = PARAMETERS | {"autostart": "false", "mode": "tf"}
 
-    def call(client: object, request: object) -> object:
-        future = client.call_async(request)
-        peer.until(future.done, WAIT_S)
-        return future.result()
-
     def to(transition: int) -> bool:
-        return call(change, ChangeState.Request(transition=Transition(id=transition))).success
+        return peer.ask(change, ChangeState.Request(transition=Transition(id=transition))).success
 
     with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
-        peer.until(get.service_is_ready, WAIT_S)
-        assert call(get, GetState.Request()).current_state.id == State.PRIMARY_STATE_UNCONFIGURED
+        peer.until(lambda: get.service_is_ready() and change.service_is_ready(), WAIT_S)
+        now = peer.ask(get, GetState.Request(), again_s=2.0).current_state
+        assert now.id == State.PRIMARY_STATE_UNCONFIGURED
         peer.clear()
         assert to(Transition.TRANSITION_CONFIGURE)
         peer.until(lambda: peer.said == "inactive", WAIT_S)

@@ -24,13 +24,14 @@ _STARTS_S, _ANSWERS_S = 90.0, 180.0
 _COUNT_FRAMES = """
 (() => {
   let drawn = false;
-  window.framesDrawn = 0;
+  window.framesDrawn = window.pointsDrawn = 0;
   for (const name of ["drawArrays", "drawElements", "drawArraysInstanced",
                       "drawElementsInstanced"]) {
     const draw = WebGL2RenderingContext.prototype[name];
     WebGL2RenderingContext.prototype[name] = function (...given) {
       drawn = true;
       window.lastContext = this;
+      if (name === "drawArrays" && given[0] === this.POINTS) window.pointsDrawn += given[2];
       return draw.apply(this, given);
     };
   }
@@ -131,11 +132,14 @@ class Page:
         """Frames that are drawn, to the end, while the view is dragged; a second of each time."""
         finish = "window.lastContext && window.lastContext.finish(), window.framesDrawn"
         before, start, worked = float(self.value(finish) or 0), time.monotonic(), self._worked_s()
+        points = float(self.value("window.pointsDrawn"))
         self.drag(seconds)
         frames = float(self.value(finish) or 0) - before
+        points = float(self.value("window.pointsDrawn")) - points
         wall, processor = time.monotonic() - start, self._worked_s() - worked
         return {
             "frames": frames,
+            "points_a_frame": round(points / max(frames, 1.0)),
             "frames_a_second": round(frames / wall, 2),
             "frames_a_processor_second": round(frames / max(processor, 1e-9), 2),
         }

@@ -12,7 +12,7 @@ from scipy.special import expit
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
-from segloc.verification.decision import confidence_needed
+from segloc.verification.decision import FEW_INLIERS, FEW_ROOT
 
 COLUMNS = (*FEATURES, "inliers")
 INLIERS, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
@@ -57,10 +57,14 @@ def held_out(rows: np.ndarray) -> np.ndarray:
 
 
 def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
-    """Reliability in bins of confidence, and the gap between right and wrong."""
+    """Reliability in bins of confidence, and the gap between right and wrong.
+
+    More is asked where other places look alike, which the rows do not tell: fewer are believed.
+    """
     right = rows[:, RIGHT] > 0
     config = VerificationConfig()
-    needed = np.array([confidence_needed(int(n), config) for n in rows[:, INLIERS]])
+    few = rows[:, INLIERS] < FEW_INLIERS
+    needed = config.min_confidence ** np.where(few, 1.0 / FEW_ROOT, 1.0)
     print(f"{len(rows)} candidates, {int(right.sum())} right; weights {np.round(weights, 2)}")
     print("| confidence, model of the other worlds | candidates | right |\n|---|---|---|")
     for low, high in pairwise(BINS):

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.batch.comparison import build_maps, describe_all, on_the_cloud_of, shared_config
+from segloc.batch.comparison import build_maps, on_the_cloud_of, shared_config
 from segloc.batch.methods import published_estimator
 from segloc.batch.run import query_clouds
 from segloc.batch.score import pose_errors
 from segloc.datasets import Sequence
-from segloc.descriptors import Descriptor
+from segloc.descriptors import Descriptor, create
 from segloc.map.compact import compacted
-from segloc.pose import PoseEstimator
+from segloc.pose import PoseConfig, PoseEstimator
 from segloc.search import Query
 from segloc.segmentation import Segmenter
 from segloc.types import Pose
@@ -29,27 +31,39 @@ NEIGHBOURS = (25, 200)
 VERIFIED = ("published, verified", "votes, verified", "everything")
 """One attempt with the published estimator; votes, and a second attempt with 4K; the package."""
 
+DRAWS = PoseConfig().max_draws
+"""Of PROSAC, at most."""
+
+MAP_THREADS = min(4, os.cpu_count() or 1)
+"""While a map is made, nothing else waits for the processor but other maps."""
+
 Answer = list[float | None]
 """Metres and degrees off (None: no answer, or no truth), and inliers."""
 
 
-def configs(method: str, neighbours: Mapping[str, int]) -> dict[str, Config]:
-    """How each of :data:`VERIFIED` is configured, with the K of each estimator."""
+def verified_as(estimator: str, neighbours: int) -> str:
+    """What the answers of an estimator with verification are called, K being one of many."""
+    return f"{estimator} {neighbours}, verified"
+
+
+def configs(method: str, draws: int = DRAWS) -> dict[str, Config]:
+    """How the variants with verification are configured: both estimators with every K, and all."""
     base = shared_config(method, 1)
     found = {"everything": base}
     for estimator, escalation in (("published", 1), ("votes", 4)):
-        matching = {"neighbours": neighbours[estimator], "growth": 0.0, "escalation": escalation}
-        changes = {
-            "occupancy": {"enabled": False},
-            "stems": {"enabled": False},
-            "matching": matching,
-            "pose": {"estimator": _estimator(method, estimator)},
-        }
-        found[f"{estimator}, verified"] = base.model_copy(
-            update={
-                name: getattr(base, name).model_copy(update=each) for name, each in changes.items()
+        for k in NEIGHBOURS:
+            changes = {
+                "occupancy": {"enabled": False},
+                "stems": {"enabled": False},
+                "matching": {"neighbours": k, "growth": 0.0, "escalation": escalation},
+                "pose": {"estimator": _estimator(method, estimator), "max_draws": draws},
             }
-        )
+            found[verified_as(estimator, k)] = base.model_copy(
+                update={
+                    name: getattr(base, name).model_copy(update=each)
+                    for name, each in changes.items()
+                }
+            )
     return found
 
 
@@ -57,31 +71,22 @@ def _estimator(method: str, name: str) -> str:
     return published_estimator(method) if name == "published" else "consensus"
 
 
-def maps(
-    recording: Sequence, descriptors: Mapping[str, Descriptor], folder: Path
-) -> dict[str, SegmentMap]:
-    """Maps by all methods, as they are made by default, kept in a folder.
-
-    The first of them has the cloud of all.
-    """
-    paths = {name: folder / f"{name}.segmap" for name in descriptors}
-    if not all(path.exists() for path in paths.values()):
-        folder.mkdir(parents=True, exist_ok=True)
-        compact = Config().mapping.compact
-        for name, each in build_maps(recording, descriptors).items():
-            compacted(each, compact).save(paths[name])
-    return {name: SegmentMap.load(path) for name, path in paths.items()}
+def prior_map(recording: Sequence, method: str, path: Path) -> SegmentMap:
+    """The map of a method, as it is made by default; kept in a file."""
+    if not path.exists():
+        descriptor = create(method, MAP_THREADS)
+        (built,) = build_maps(recording, {method: descriptor}, MAP_THREADS).values()
+        compacted(built, Config().mapping.compact).save(path)
+    return SegmentMap.load(path)
 
 
 class Place:
     """A map of one method, and what looks for poses in it."""
 
-    def __init__(self, prior_map: SegmentMap, method: str, first: Localizer | None) -> None:
-        base = Localizer(prior_map, shared_config(method, 1))
-        self._first = first or base
-        self.base = on_the_cloud_of(self._first, base)
-        self._localizers: dict[str, Localizer] = {}
-        pose = self.base.config.pose
+    def __init__(self, prior_map: SegmentMap, method: str, draws: int = DRAWS) -> None:
+        self._base = Localizer(prior_map, shared_config(method, 1))
+        self._method, self._draws = method, draws
+        pose = self._base.config.pose.model_copy(update={"max_draws": draws})
         self._estimators = {
             name: PoseEstimator(
                 pose.model_copy(update={"estimator": _estimator(method, name)}), threads=1
@@ -89,23 +94,31 @@ class Place:
             for name in ESTIMATORS
         }
 
-    def with_config(self, config: Config) -> Localizer:
-        """A localizer in the same map, on the cloud of all methods."""
-        key = config.model_dump_json()
-        if key not in self._localizers:
-            new = Localizer(self.base.prior_map, config)
-            self._localizers[key] = on_the_cloud_of(self._first, new)
-        return self._localizers[key]
+    @cached_property
+    def _localizers(self) -> dict[str, Localizer]:
+        """Those with verification, on one cloud."""
+        base = self._base
+        return {
+            name: on_the_cloud_of(base, Localizer(base.prior_map, config))
+            for name, config in configs(self._method, self._draws).items()
+        }
 
-    def unverified(
-        self, query: Query, truth: Pose, wanted: Mapping[str, tuple[int, ...]]
-    ) -> dict[str, Answer]:
+    def verified(self, query: Query, truth: Pose) -> dict[str, Answer | None]:
+        """The answer of each variant with verification; None where it gives none."""
+        found: dict[str, Answer | None] = {}
+        for name, localizer in self._localizers.items():
+            result = localizer.locate(query)
+            T = result.T_map_sensor
+            found[name] = None if T is None else _answer(T, truth, result.inliers)
+        return found
+
+    def unverified(self, query: Query, truth: Pose) -> dict[str, Answer]:
         """The first candidate of each estimator with each K, as "estimator K"."""
-        matcher, prior_map = self.base.matcher, self.base.prior_map
+        matcher, prior_map = self._base.matcher, self._base.prior_map
         found: dict[str, Answer] = {}
-        for k in sorted({k for each in wanted.values() for k in each}):
+        for k in NEIGHBOURS:
             matches = matcher.prune(query.descriptors, matcher.match(query.descriptors, k))
-            for name in (name for name in wanted if k in wanted[name]):
+            for name in ESTIMATORS:
                 candidates = self._estimators[name].estimate(
                     query.scene.segments.centroids, prior_map.centroids, matches
                 )
@@ -122,37 +135,25 @@ def _answer(T: Pose | None, truth: Pose, inliers: int) -> Answer:
     return [round(float(metres), 3), round(float(degrees), 3), inliers]
 
 
-def verified(localizer: Localizer, query: Query, truth: Pose) -> Answer | None:
-    """The answer of a localizer; None where it gives none."""
-    result = localizer.locate(query)
-    return (
-        None if result.T_map_sensor is None else _answer(result.T_map_sensor, truth, result.inliers)
-    )
-
-
 @dataclass(frozen=True)
 class Asked:
-    """One query: described by every method, its truth, and what a row of answers begins with."""
+    """One query, its truth, and what a row of answers begins with."""
 
-    described: Mapping[str, Query]
+    query: Query
     truth: Pose
     row: Mapping[str, Any]
 
 
-def queries(part: Part, descriptors: Mapping[str, Descriptor], first: int = 0) -> Iterator[Asked]:
-    """The queries of a part from ``first`` on; each is gathered and segmented once for all."""
+def queries(part: Part, descriptor: Descriptor) -> Iterator[Asked]:
+    """The queries of a part, gathered, segmented and described."""
     config = Config()
     segmenter = Segmenter(config.segmentation)
-    positions = part.positions[first:]
-    clouds = query_clouds(part.queried, positions, config)
-    rows = zip(positions, part.distances[first:], part.truths[first:], strict=True)
+    clouds = query_clouds(part.queried, part.positions, config)
+    rows = zip(part.positions, part.distances, part.truths, strict=True)
     for (cloud, _), (position, distance, truth) in zip(clouds, rows, strict=True):
         scene = segmenter.segment(cloud)
-        described = describe_all(descriptors, scene.segments)
         row = {
             "keyframe": int(part.queried.indices[position]),
             "distance": round(float(distance), 2),
         }
-        yield Asked(
-            {name: Query(cloud, scene, each) for name, each in described.items()}, truth, row
-        )
+        yield Asked(Query(cloud, scene, descriptor.describe(scene.segments)), truth, row)

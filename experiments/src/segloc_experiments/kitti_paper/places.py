@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,11 @@ class Part:
     positions: Int64
     distances: Float64
 
+    def between(self, first: int, stop: int) -> Part:
+        """The same part with some of its queries."""
+        some = slice(first, stop)
+        return replace(self, positions=self.positions[some], distances=self.distances[some])
+
     @property
     def truths(self) -> Float64:
         """True poses of the queries, (N, 4, 4)."""
@@ -77,6 +82,9 @@ def training_part(data: Path) -> Part:
     near = distances_to_path(poses_of(queried), poses_of(mapped)) <= COVERAGE_RADIUS_M
     spread = query_positions(poses_of(queried), 2 * EVERY_M, MAX_GAP_M)
     return _part(mapped, queried, np.union1d(np.flatnonzero(near), spread))
+
+
+PARTS = {"test": test_part, "training": training_part}
 
 
 def _part(mapped: Sequence, queried: Sequence, positions: Int64) -> Part:

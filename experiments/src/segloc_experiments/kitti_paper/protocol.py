@@ -1,7 +1,6 @@
-"""Methods through the protocol: K and a threshold at training places, then the test.
+"""Methods through the protocol: answers with every K, of which one is chosen at training places.
 
-Answers are kept as JSON, a file a method: only methods that miss are measured. A run that was cut
-off goes on at the query where it stopped.
+Answers are kept as JSON, a file a method: only methods that miss are measured.
 """
 
 from __future__ import annotations
@@ -9,22 +8,92 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from segloc import Localizer, SegmentMap
-from segloc.batch.methods import fingerprint
-from segloc.descriptors import create
+from segloc.batch.methods import METHODS, fingerprint
+from segloc.errors import DatasetError
 from segloc.files import write_text
+from segloc.processes import executing
 
 from ..results.fingerprints import fingerprints
-from .answers import ESTIMATORS, NEIGHBOURS, Asked, Place, configs, maps, queries, verified
+from ..results.store import commit
+from . import places
+from .answers import DRAWS, ESTIMATORS, NEIGHBOURS
 from .counting import chosen
-from .places import Part, test_part, training_part
+from .pieces import Piece, Row, finished, spans
 
-Row = dict[str, Any]
-Wanted = Mapping[str, tuple[int, ...]]
+Answers = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Where the answers of one method are kept, and of which code and weights they are.
+
+    Attributes
+    ----------
+    method : str
+    folder : Path
+        Of all methods.
+    produced : dict
+        What the answers depend on: those of other code are not used.
+    """
+
+    method: str
+    folder: Path
+    produced: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, method: str, folder: Path, verify: bool, draws: int) -> Kept:
+        """By the code as it is now."""
+        produced: Answers = {
+            "method": fingerprint(method),
+            "produced_by": fingerprints(methods=(method,)),
+            "verified": verify,
+        }
+        if draws != DRAWS:
+            produced["draws"] = draws
+        return cls(method, folder, produced)
+
+    def read(self) -> Answers | None:
+        """The answers, if they are there and of this code."""
+        if not self._path.exists():
+            return None
+        stored: Answers = json.loads(self._path.read_text("utf-8"))
+        draws = stored.get("draws") == self.produced.get("draws")
+        same = draws and all(stored.get(key) == value for key, value in self.produced.items())
+        return stored if same else None
+
+    def pieces(self, data: Path, counts: Mapping[str, int]) -> list[Piece]:
+        """All pieces of the method; ``counts`` are the queries of each part."""
+        self._work.mkdir(parents=True, exist_ok=True)
+        asked = (bool(self.produced["verified"]), self.produced.get("draws", DRAWS))
+        return [
+            Piece(self.method, part, first, stop, data, self._work, *asked)
+            for part, count in counts.items()
+            for first, stop in spans(count)
+        ]
+
+    def finish(self, pieces: Iterable[Piece]) -> None:
+        """Put the answers of all pieces together, and choose the Ks."""
+        parts: dict[str, list[Row]] = {}
+        for piece in pieces:
+            parts.setdefault(piece.part, []).extend(piece.rows)
+        neighbours = {each: chosen(parts["training"], each, NEIGHBOURS) for each in ESTIMATORS}
+        answers = {**self.produced, "commit": commit(), "neighbours": neighbours, **parts}
+        write_text(self._path, json.dumps(answers, indent=0) + "\n")
+        shutil.rmtree(self._work)
+
+    @property
+    def _path(self) -> Path:
+        return self.folder / f"{self.method}.json"
+
+    @property
+    def _work(self) -> Path:
+        key = hashlib.sha256(json.dumps(self.produced).encode()).hexdigest()
+        return self.folder / f"unfinished-{self.method}-{key[:12]}"
 
 
 def answers_of(
@@ -33,128 +102,48 @@ def answers_of(
     folder: Path,
     say: Callable[[str], object] = print,
     verify: bool = True,
-) -> dict[str, dict[str, Any]]:
+    workers: int = 1,
+    draws: int = DRAWS,
+) -> dict[str, Answers]:
     """What methods answer to every query, from the folder where it is there and of this code.
 
     Without ``verify`` by inliers alone, which takes a third of the time.
     """
-    stages = fingerprints()
-    produced = {
-        name: {"method": fingerprint(name), "stages": stages, "verified": verify}
-        for name in methods
-    }
-    found = {name: _stored(folder / f"{name}.json", produced[name]) for name in methods}
-    missing = tuple(name for name in methods if not found[name])
+    kept = {name: Kept.of(name, folder, verify, draws) for name in methods}
+    missing = [each for each in kept.values() if each.read() is None]
     if missing:
-        key = hashlib.sha256(json.dumps([produced[name] for name in missing]).encode())
-        work = folder / f"unfinished-{key.hexdigest()[:12]}"
-        for name, measured in Run(missing, data, work, say, verify).answers().items():
-            found[name] = {**produced[name], **measured}
-            write_text(folder / f"{name}.json", json.dumps(found[name], indent=0) + "\n")
-        shutil.rmtree(work)
-    return found
+        _measure(missing, data, say, workers)
+    return {name: each.read() or {} for name, each in kept.items()}
 
 
-def _stored(path: Path, produced: Mapping[str, Any]) -> dict[str, Any]:
-    if not path.exists():
-        return {}
-    stored: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    same = all(stored.get(key) == value for key, value in produced.items())
-    return stored if same else {}
+def _measure(
+    missing: Sequence[Kept], data: Path, say: Callable[[str], object], workers: int
+) -> None:
+    counts = {name: len(part(data).positions) for name, part in places.PARTS.items()}
+    pieces = {each.method: each.pieces(data, counts) for each in missing}
+    kept = {each.method: each for each in missing}
+    every = [piece for part in counts for own in pieces.values() for piece in own
+             if piece.part == part]  # fmt: skip
+    left = {name: len(own) for name, own in pieces.items()}
+    with executing(workers, None) as executor:
+        for number, piece in enumerate(finished(every, executor), 1):
+            name = piece.method
+            say(f"{number} of {len(every)}: {name}, {piece.part} from {piece.first} on")
+            left[name] -= 1
+            if not left[name]:
+                kept[name].finish(pieces[name])
 
 
-class Run:
-    """Methods that are measured together: each cloud is gathered and segmented once for all.
+def stored(folder: Path) -> dict[str, Answers]:
+    """The answers of all methods that a folder has, whatever code they are of.
 
-    Parameters
-    ----------
-    methods : sequence of str
-    data, folder : Path
-        KITTI 00, and where maps and answers are kept until all is done.
-    say : callable
-        Takes remarks of one line.
-    verify : bool
-        Whether to ask the variants with verification, too.
+    Raises
+    ------
+    DatasetError
+        If there are none.
     """
-
-    def __init__(
-        self,
-        methods: Sequence[str],
-        data: Path,
-        folder: Path,
-        say: Callable[[str], object],
-        verify: bool,
-    ) -> None:
-        self._verify = verify
-        self._descriptors = {name: create(name, 1) for name in methods}
-        self._data, self._folder, self._say = data, folder, say
-
-    def answers(self) -> dict[str, dict[str, Any]]:
-        """Choose the Ks at training places, then localize the test's queries with them."""
-        every: dict[str, Wanted] = {
-            name: dict.fromkeys(ESTIMATORS, NEIGHBOURS) for name in self._descriptors
-        }
-        trained = self._rows("training", training_part(self._data), every)
-        ks = {
-            name: {each: chosen(rows, each, NEIGHBOURS) for each in ESTIMATORS}
-            for name, rows in trained.items()
-        }
-        one: dict[str, Wanted] = {
-            name: {each: (k,) for each, k in found.items()} for name, found in ks.items()
-        }
-        verifying = ks if self._verify else None
-        answered = self._rows("test", test_part(self._data), one, verifying)
-        return {
-            name: {"neighbours": ks[name], "training": trained[name], "test": answered[name]}
-            for name in self._descriptors
-        }
-
-    def _rows(
-        self,
-        label: str,
-        part: Part,
-        wanted: Mapping[str, Wanted],
-        verifying: Mapping[str, Mapping[str, int]] | None = None,
-    ) -> dict[str, list[Row]]:
-        """The answers of every method to every query; verified ones where Ks for them are given."""
-        paths = {name: self._folder / f"{label}-{name}.jsonl" for name in self._descriptors}
-        done = min(len(_lines(path)) for path in paths.values())
-        if done < len(part.positions):
-            self._say(f"{label}: mapping")
-            places = _places(maps(part.mapped, self._descriptors, self._folder / label))
-            self._say(f"{label}: queries from {done} on")
-            kept = {name: _lines(path)[:done] for name, path in paths.items()}
-            for name, path in paths.items():
-                path.write_text("".join(kept[name]), "utf-8")
-            for asked in queries(part, self._descriptors, done):
-                for name, place in places.items():
-                    ks = verifying[name] if verifying else None
-                    row = json.dumps(_row(place, name, asked, wanted[name], ks))
-                    with paths[name].open("a", encoding="utf-8") as file:
-                        file.write(row + "\n")
-        return {name: [json.loads(line) for line in _lines(path)] for name, path in paths.items()}
-
-
-def _row(
-    place: Place, name: str, asked: Asked, wanted: Wanted, ks: Mapping[str, int] | None
-) -> Row:
-    query, truth = asked.described[name], asked.truth
-    row = {**asked.row, **place.unverified(query, truth, wanted)}
-    for variant, config in configs(name, ks).items() if ks else ():
-        row[variant] = verified(place.with_config(config), query, truth)
-    return row
-
-
-def _lines(path: Path) -> list[str]:
-    """The lines of a file that were written to their ends."""
-    lines = path.read_text("utf-8").splitlines(keepends=True) if path.exists() else []
-    return [line for line in lines if line.endswith("\n")]
-
-
-def _places(built: Mapping[str, SegmentMap]) -> dict[str, Place]:
-    places: dict[str, Place] = {}
-    first: Localizer | None = None
-    for name, prior_map in built.items():
-        places[name] = Place(prior_map, name, first)
-        first = first or places[name].base
-    return places
+    paths = {name: folder / f"{name}.json" for name in METHODS}
+    found = {name: json.loads(p.read_text("utf-8")) for name, p in paths.items() if p.exists()}
+    if not found:
+        raise DatasetError(f"{folder}: no method is measured there to its end")
+    return found

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from segloc.batch.methods import METHODS
+from segloc.errors import DatasetError
 
 from ..intervals import mcnemar, share
 from ..paper.published import LOCALIZATIONS
-from ..results.store import Result
-from .answers import ESTIMATORS, VERIFIED
+from ..results.store import Origin, Result
+from .answers import DRAWS, ESTIMATORS, VERIFIED, verified_as
 from .counting import outcomes, threshold, within_coverage
 
 PUBLISHED_NAMES = ("segmatch-eigen", "nsm", "segmap", "esm", "dsm")
@@ -32,13 +33,36 @@ Stored = Mapping[str, Mapping[str, Any]]
 def outcomes_of(answers: Mapping[str, Any]) -> dict[str, str]:
     """A letter a query for each variant of one method; see :func:`.counting.outcomes`."""
     found = {}
-    for name in VARIANTS:
-        if name in ESTIMATORS:
-            key = f"{name} {answers['neighbours'][name]}"
-            found[name] = outcomes(answers["test"], key, threshold(answers["training"], key))
-        elif all(name in row for row in answers["test"]):
-            found[name] = outcomes(answers["test"], name)
+    for estimator in ESTIMATORS:
+        k = answers["neighbours"][estimator]
+        least = threshold(answers["training"], f"{estimator} {k}")
+        found[estimator] = outcomes(answers["test"], f"{estimator} {k}", least)
+        if answers["verified"]:
+            verified = outcomes(answers["test"], verified_as(estimator, k))
+            found[f"{estimator}, verified"] = verified
+    if answers["verified"]:
+        found["everything"] = outcomes(answers["test"], "everything")
     return found
+
+
+def _origin(stored: Stored) -> Origin:
+    return Origin.of_all(
+        {name: Origin(each["commit"], each["produced_by"]) for name, each in stored.items()}
+    )
+
+
+def draws_of(stored: Stored) -> int:
+    """Samples of PROSAC at most.
+
+    Raises
+    ------
+    DatasetError
+        If methods differ in it.
+    """
+    found = {each.get("draws", DRAWS) for each in stored.values()}
+    if len(found) > 1:
+        raise DatasetError(f"methods were given different numbers of draws: {sorted(found)}")
+    return int(found.pop())
 
 
 def _ordered(stored: Stored) -> list[str]:
@@ -57,14 +81,15 @@ def counts(stored: Stored, command: str) -> Result:
     note = (
         f"Right localizations of {len(first)} queries, {sum(within_coverage(first))} of them "
         "within 3 m of the mapped path; false ones in brackets where there are any. K: of its "
-        "estimator, and of votes. Its estimator: PROSAC, for SegMatch geometric consistency. The "
-        "published column has 134 clouds, other weights and other voxels."
+        "estimator, and of votes. Its estimator: PROSAC, also for `geo` and `profile`, which were "
+        f"not published with it, of at most {draws_of(stored) / 1e6:g} million samples; for "
+        "SegMatch geometric consistency. The published column has 134 clouds, other weights and "
+        "other voxels."
     )
     columns = ("method", "published", "K", *(_TITLES[name] for name in VARIANTS))
-    return Result.measured(
-        "kitti-paper", command, columns, rows, methods=_ordered(stored), note=note,
-        counts={"outcomes": letters, "within coverage": _flags(within_coverage(first))},
-    )  # fmt: skip
+    kept = {"outcomes": letters, "within coverage": _flags(within_coverage(first))}
+    origin = _origin(stored)
+    return Result.of(origin, "kitti-paper", command, columns, rows, note=note, counts=kept)
 
 
 def _count(letters: str | None) -> str:
@@ -106,6 +131,5 @@ def differences(stored: Stored, command: str) -> Result:
         "In brackets: 95 % by Wilson. p: McNemar's exact test over all queries, right or not; no "
         "correction for several tests."
     )
-    return Result.measured(
-        "kitti-paper-differences", command, columns, rows, methods=_ordered(stored), note=note
-    )
+    origin = _origin(stored)
+    return Result.of(origin, "kitti-paper-differences", command, columns, rows, note=note)

@@ -6,7 +6,9 @@ finer resolution (0.3 m) than verification does (0.8 m), from all points within 
 that move farther than 2.5 m, or from another start (0.3 m aside) end elsewhere, are left out and
 counted.
 
-    python -m segloc_experiments.protocols.accuracy DATA OUT   # OUT as filled by kitti00.sh
+    python -m segloc_experiments.protocols.accuracy DATA OUT --store docs/results
+
+OUT is a folder that ``kitti00.sh`` has filled.
 """
 
 from __future__ import annotations
@@ -22,10 +24,17 @@ from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..kitti00 import PROTOCOLS, query_set
+from ..results.stamp import stamped
+from ..results.store import Origin, Result
 from ..script import head, parser, row
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
 FARTHEST_M, AGREE_M = 2.5, 0.05
+COLUMNS = (
+    "run", "queries", "error m, median / 95 %", "degrees, median / 95 %", "without reference",
+    "not localized",
+)  # fmt: skip
+Row = tuple[str | int, ...]
 
 
 class Reference:
@@ -81,22 +90,51 @@ def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[
     return np.array(found).reshape(-1, 2), out, lost
 
 
+def cells(data: Path, out: Path, protocol: str, config: Config, step: int) -> Row:
+    """One protocol as a row of the table."""
+    map_name = f"{PROTOCOLS[protocol].map_name}-{config.method}.segmap"
+    localizer = Localizer(SegmentMap.load(out / map_name), config)
+    off, without, lost = errors(data, protocol, localizer, step)
+    if not len(off):
+        return protocol, 0, "-", "-", without, lost
+    (m, m95), (deg, deg95) = np.percentile(off, [50, 95], axis=0).T
+    metres, degrees = f"{m:.3f} / {m95:.3f}", f"{deg:.2f} / {deg95:.2f}"
+    return protocol, len(off), metres, degrees, without, lost
+
+
+def result(rows: list[Row], out: Path, method: str, step: int) -> Result:
+    """The table as it is stored, if the maps are of this code, too.
+
+    Raises
+    ------
+    DatasetError
+        If they are of other code, or nothing says of which.
+    """
+    runs = [f"{name}-{method}" for name, *_ in rows]
+    origins = {run: stamped(out / run) for run in runs}
+    origin = Origin.of_all({**origins, "now": Origin.now((method,))})
+    command = "python -m segloc_experiments.protocols.accuracy DATA OUT --store docs/results"
+    note = f"`{method}`; queries within map coverage" + (f", every {step}." if step > 1 else ".")
+    return Result.of(origin, "kitti00-accuracy", command, COLUMNS, rows, note=note)
+
+
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    errors_of = ("median m", "95 % m", "median deg", "95 % deg")
-    print(head("run", "queries", *errors_of, "no reference", "lost"))
-    for name, protocol in PROTOCOLS.items():
-        prior_map = SegmentMap.load(args.out / f"{protocol.map_name}-{args.method}.segmap")
-        off, out, lost = errors(args.data, name, Localizer(prior_map, config), args.step)
-        (m, m95), (deg, deg95) = np.percentile(off, [50, 95], axis=0).T
-        cells = (f"{m:.3f}", f"{m95:.3f}", f"{deg:.2f}", f"{deg95:.2f}")
-        print(row(name, len(off), *cells, out, lost), flush=True)
+    print(head(*COLUMNS))
+    rows = []
+    for name in PROTOCOLS:
+        if (args.out / f"{name}-{args.method}").is_dir():
+            rows.append(cells(args.data, args.out, name, config, args.step))
+            print(row(*rows[-1]), flush=True)
+    if args.store:
+        print(result(rows, args.out, args.method, args.step).save(args.store))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,17 @@
 """Robots that are carried away while their odometry notices nothing: how soon is that noticed?
 
-    python -m segloc_experiments.protocols.kidnapping [--trials 200]
+    python -m segloc_experiments.protocols.kidnapping --worlds 48 --out kidnapping.jsonl
 
-Worlds are mapped in one session and driven through in another, with other cars and a tenth of the
-things replaced. Each robot drives 40 m along the map, is then at another place of it, at least 20 m
-away, and drives on for 100 m, as far as the drive goes. Its odometry drifts by 1 % and goes on as
-if nothing had happened. Noticed: no longer localized. Recovered: localized within 2 m and 10
-degrees of the truth. Held: metres localized farther off than that. Needs the extra ``sim``.
+A part of each world is mapped in one session and driven through in another, with other cars and a
+tenth of the things replaced. Each robot drives 40 m along the map. Then it is put to another street
+(20 m away at least), to a place that is not in the map, or turned on the spot, and drives on for
+100 m, as far as the drive goes. Its odometry drifts by 1 % and goes on as if nothing had happened.
+Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of the truth, where the
+map has the place. Held: metres of the whole trial localized farther off than that.
+
+Each seed is a world of its own, so runs of different seeds can work at once. What was tried is
+kept, a line a trial, and a run goes on where the last one ended. ``--report`` adds up. Needs the
+extra ``sim``.
 """
 
 from __future__ import annotations
@@ -15,198 +20,105 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
+import time
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
-from segloc.live.replay import Replay, replay
-from segloc.live.score import pose_errors
-from segloc.reposed import Derived
-from segloc.simulation import (
-    SCENES,
-    SENSORS,
-    Conditions,
-    OdometryNoise,
-    SimulatedSequence,
-    simulate_sessions,
-)
-from segloc.types import Float64, Int64, Recording
-from segloc.views import Status
-
+from ..intervals import share
+from ..journal import entries, keep
+from ..results.fingerprints import STAGES
+from ..results.store import Cell, Result
 from ..script import head, parser, row
+from .kidnapped import HELD_M, KINDS, NOTICED_M, RECOVERED_M, WAYS, Trial, World
 
-WORLDS = (("town", "hdl64e"), ("park", "hdl64e"), ("industrial", "vlp16"), ("town", "vlp16"))
-BEFORE_M, AFTER_M, AWAY_M, SPACING_M = 40.0, 100.0, 20.0, 2.0
-OFF_M, OFF_DEG = 2.0, 10.0
-NOTICED_M, RECOVERED_M, HELD_M = 30.0, 60.0, 5.0
-DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
-
-
-@dataclass(frozen=True)
-class Carried(Derived[Recording]):
-    """Parts of a drive one after another, with odometry that goes on between them.
-
-    Attributes
-    ----------
-    positions : (N,) int64
-        In the drive.
-    poses : (N, 4, 4) float64
-    """
-
-    positions: Int64
-    poses: Float64
-
-    @property
-    def indices(self) -> Int64:
-        return np.arange(len(self.positions), dtype=np.int64)
-
-    @property
-    def stamps(self) -> Float64 | None:
-        return None
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-    def scan(self, i: int) -> Scan:
-        return self.source.scan(int(self.positions[i]))
+COLUMNS = (
+    *("world", "sensor", "carried to", "trials", "known before", f"noticed within {NOTICED_M:g} m"),
+    *(f"recovered within {RECOVERED_M:g} m", f"false for more than {HELD_M:g} m"),
+    *("noticed, median / worst (m)", "recovered, median / worst (m)", "held, worst (m)"),
+)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Metres; infinite where it did not happen."""
-
-    fixed: bool  # before it was carried
-    noticed: float
-    recovered: float
-    held: float
-
-    @property
-    def good(self) -> bool:
-        soon = self.noticed <= NOTICED_M and self.recovered <= RECOVERED_M
-        return soon and self.held <= HELD_M
+def table(found: list[Trial]) -> list[tuple[Cell, ...]]:
+    """A row for each kind of world, one for each way, and one of all."""
+    rows = []
+    for kind in KINDS:
+        here = [t for t in found if (t.scene, t.sensor) == (kind.scene, kind.sensor)]
+        rows.append(_row((kind.scene, kind.sensor, "all"), here))
+    rows += [_row(("all", "all", way), [t for t in found if t.way == way]) for way in WAYS]
+    return [*rows, _row(("all", "all", "all"), found)]
 
 
-class Kept(Derived[Recording]):
-    """A drive whose scans are cast once."""
-
-    def __init__(self, drive: SimulatedSequence) -> None:
-        super().__init__(drive)
-        object.__setattr__(self, "poses", drive.truth)
-        object.__setattr__(self, "_scans", {})
-
-    poses: Float64
-    _scans: dict[int, Scan]
-
-    def scan(self, i: int) -> Scan:
-        if i not in self._scans:
-            self._scans[i] = Scan(self.source.scan(i).points)
-        return Scan(self._scans[i].points)
-
-
-def trials(truths: Float64, path: Float64, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
-    """Where robots are taken from and to: places of the map, with enough of the drive around."""
-    inside = np.flatnonzero(distances_to_path(truths, path) <= COVERAGE_RADIUS_M)
-    before, after = int(BEFORE_M / SPACING_M), int(RECOVERED_M / SPACING_M)
-    whole = [k for k in inside if set(range(k, k + after)) <= set(inside.tolist())]
-    while True:
-        a = int(rng.choice(inside[inside >= before]))
-        away = np.linalg.norm(truths[whole, :2, 3] - truths[a, :2, 3], axis=1)
-        far = np.array(whole)[away >= AWAY_M]
-        if len(far):
-            yield a, int(rng.choice(far))
-
-
-def carried(drive: Kept, taken: int, put: int, rng: np.random.Generator) -> Carried:
-    """The scans up to a place and from another on."""
-    first = np.arange(taken - int(BEFORE_M / SPACING_M), taken + 1)
-    second = np.arange(put, min(put + int(AFTER_M / SPACING_M), len(drive)))
-    truths = drive.poses
-    T = truths[taken] @ geometry.inverse(truths[put])  # as if it had gone on from there
-    moved = np.concatenate([truths[first], T @ truths[second]])
-    positions = np.concatenate([first, second])
-    return Carried(drive, positions, DRIFT.odometry(moved, rng))
-
-
-def outcome(played: Replay, recording: Carried, truths: Float64) -> Outcome:
-    """What came of it."""
-    count = int(BEFORE_M / SPACING_M) + 1
-    metres, degrees = pose_errors(played, truths[recording.positions])
-    sure = np.array([played.states[int(k)].status is Status.LOCALIZED for k in played.positions])
-    right = sure & (metres <= OFF_M) & (degrees <= OFF_DEG)
-    false = sure & ~right
-    path = geometry.travelled(truths[recording.positions[count:]])
-
-    def first(found: NDArray[np.bool_]) -> float:
-        return float(path[int(found.argmax())]) if found.any() else float("inf")
-
-    held = SPACING_M * float(false[count:].sum())
-    return Outcome(bool(right[count - 1]), first(~false[count:]), first(right[count:]), held)
-
-
-def run(scene: str, sensor: str, seed: int, count: int, length_m: float) -> list[Outcome]:
-    """Trials in one world."""
-    mapped, driven = simulate_sessions(
-        SCENES[scene](seed),
-        SENSORS[sensor]().thinned(4 if sensor == "hdl64e" else 2),
-        [Conditions(), Conditions(replaced=0.1)],
-        length_m=length_m,
-        spacing_m=SPACING_M,
-        seed=seed,
+def _row(name: tuple[str, str, str], found: list[Trial]) -> tuple[Cell, ...]:
+    known = [t for t in found if t.known]
+    mapped = [t for t in known if t.way != "outside"]
+    noticed = [np.inf if t.noticed is None else t.noticed for t in known]
+    recovered = [np.inf if t.recovered is None else t.recovered for t in mapped]
+    held = [t.held for t in found]
+    return (
+        *(*name, len(found), len(known)),
+        share(int((np.array(noticed) <= NOTICED_M).sum()), len(known)),
+        share(int((np.array(recovered) <= RECOVERED_M).sum()), len(mapped)),
+        int((np.array(held) > HELD_M).sum()),
+        *(_spread(noticed), _spread(recovered), max(held, default=0.0)),
     )
-    config = Config(threads=1)
-    prior_map = build_map(mapped, config)
-    localizer, drive = Localizer(prior_map, config), Kept(driven)
-    rng = np.random.default_rng(seed)
-    found = []
-    for taken, put in islice(trials(drive.poses, prior_map.trajectory, rng), count):
-        recording = carried(drive, taken, put, rng)
-        found.append(outcome(replay(localizer, recording), recording, drive.poses))
-    return found
+
+
+def _spread(values: list[float]) -> str:
+    if not values:
+        return "-"
+    worst = "never" if np.isinf(values).any() else f"{max(values):.0f}"
+    return f"{np.median(values):.0f} / {worst}"
+
+
+def report(found: list[Trial], store: Path | None) -> None:
+    """Print the table, and keep it where results are."""
+    rows = table(found)
+    print(head(*COLUMNS))
+    for each in rows:
+        print(row(*each))
+    if store is not None:
+        command = "python -m segloc_experiments.protocols.kidnapping --report kidnapping.jsonl"
+        kept = {"trials": [asdict(t) for t in found]}
+        note = "Recovered: of those known before and put where the map has the place."
+        Result.measured(
+            "kidnapping", command, COLUMNS, rows, stages=tuple(STAGES), note=note, counts=kept
+        ).save(store)
+
+
+def read(paths: Iterable[Path]) -> list[Trial]:
+    """The trials of earlier runs, each once."""
+    kept = [entry for path in paths if path.exists() for entry in entries(path)]
+    found = {(t.seed, t.number): t for t in (Trial(**entry) for entry in kept)}
+    return [found[key] for key in sorted(found)]
 
 
 def main() -> None:
     options = parser(__doc__)
-    options.add_argument("--trials", type=int, default=200)
-    options.add_argument("--worlds", type=int, default=8, help="drives; scenes take turns")
-    options.add_argument("--length", type=float, default=400.0, help="metres of each drive")
-    options.add_argument("--first-seed", type=int, default=4100)
+    options.add_argument("--worlds", type=int, default=48)
+    options.add_argument("--trials", type=int, default=5, help="in each world")
+    options.add_argument("--first-seed", type=int, default=4104)
+    options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
+    options.add_argument("--out", type=Path, default=Path("kidnapping.jsonl"))
+    options.add_argument("--done", type=Path, nargs="+", default=[], help="what others have tried")
+    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs have tried")
+    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
-    print(
-        head(
-            *("world", "trials", "known before", f"noticed within {NOTICED_M:g} m"),
-            *(f"recovered within {RECOVERED_M:g} m", f"false for more than {HELD_M:g} m"),
-            *("noticed, median / worst (m)", "recovered, median / worst (m)", "held, worst (m)"),
-        )
-    )
-    everything: list[Outcome] = []
-    for k in range(args.worlds):
-        scene, sensor = WORLDS[k % len(WORLDS)]
-        count = args.trials // args.worlds + (k < args.trials % args.worlds)
-        found = run(scene, sensor, args.first_seed + k, count, args.length)
-        everything += found
-        print(_row(f"{scene}, {sensor}, {args.first_seed + k}", found), flush=True)
-    print(_row("all", everything))
-
-
-def _row(name: str, found: list[Outcome]) -> str:
-    known = [each for each in found if each.fixed]
-    noticed = np.array([each.noticed for each in known])
-    recovered = np.array([each.recovered for each in known])
-    held = np.array([each.held for each in known])
-
-    def spread(values: Float64) -> str:
-        return f"{np.median(values):.0f} / {values.max():.0f}" if len(values) else "-"
-
-    return row(
-        *(name, len(found), len(known), (noticed <= NOTICED_M).sum()),
-        *((recovered <= RECOVERED_M).sum(), (held > HELD_M).sum()),
-        *(spread(noticed), spread(recovered), f"{held.max(initial=0.0):.0f}"),
-    )
+    if args.report:
+        report(read(args.report), args.store)
+        return
+    begun = time.monotonic()
+    done = {(t.seed, t.number) for t in read([args.out, *args.done])}
+    for seed in range(args.first_seed, args.first_seed + args.worlds):
+        world = None
+        for number in range(args.trials):
+            if (seed, number) in done or time.monotonic() - begun > args.seconds:
+                continue
+            world = world or World(KINDS[seed % len(KINDS)], seed)
+            keep(args.out, asdict(world.trial(number)))
+    report(read([args.out]), args.store)
 
 
 if __name__ == "__main__":

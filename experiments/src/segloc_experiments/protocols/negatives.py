@@ -5,13 +5,11 @@ files, of any recording), and in the map of another simulated town; real recordi
 all these towns.
 
     python -m segloc_experiments.protocols.negatives --towns 2 first.segmap later.segmap \
-      --real DATA/keyframes=DATA/keyframes.tum DATA/scans=DATA/scans.tum
+      --real DATA/keyframes=DATA/keyframes.tum DATA/scans=DATA/scans.tum --store docs/results
 """
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -22,9 +20,15 @@ from segloc.local_cloud import window
 from segloc.simulation import demo_sessions
 from segloc.types import LocalCloud
 
-from ..script import parser
+from ..intervals import share
+from ..results.store import Result
+from ..script import head, parser, row
 
 SCANS_IN_MEMORY = 48
+COLUMNS = ("in the map of", "false (95 %)", "most inliers")
+COMMAND = """\
+python -m segloc_experiments.protocols.negatives --towns 2 first.segmap later.segmap \\
+      --real DATA/keyframes=DATA/keyframes.tum DATA/scans=DATA/scans.tum --store docs/results"""
 Answers = dict[str, list[Localization]]
 
 
@@ -40,17 +44,26 @@ def clouds(drive: Recording, localizer: Localizer, step: int = 1) -> Iterator[Lo
             yield localizer.accumulator.gather([scan(k) for k in behind])
 
 
+def rows(answers: Answers) -> list[tuple[str, str, int]]:
+    """False ones and the most inliers, map by map and over all."""
+    total = sum(map(len, answers.values()))
+    false = sum(r.localized for results in answers.values() for r in results)
+    found = [
+        (name, share(sum(r.localized for r in results), len(results)), _most(results))
+        for name, results in answers.items()
+    ]
+    return [*found, ("all", share(false, total), max(most for *_, most in found))]
+
+
+def _most(results: list[Localization]) -> int:
+    return max((r.inliers for r in results), default=0)
+
+
 def report(answers: Answers) -> None:
-    """Counts for every map, and what so many queries say of the rate."""
-    total = Counter(false=0, queries=0)
-    for name, results in answers.items():
-        false = sum(r.localized for r in results)
-        total.update(false=false, queries=len(results))
-        most = max(r.inliers for r in results)
-        print(f"{name}: {false} false of {len(results)}, most inliers {most}", flush=True)
-    if not total["false"]:
-        bound = 1 - math.exp(math.log(0.05) / total["queries"])
-        print(f"false rate below {100 * bound:.2f} % with 95 % confidence", flush=True)
+    """The table so far."""
+    print(head(*COLUMNS))
+    for cells in rows(answers):
+        print(row(*cells), flush=True)
 
 
 def main() -> None:
@@ -61,6 +74,7 @@ def main() -> None:
     options.add_argument("--method", default="profile")
     options.add_argument("--real", nargs="*", default=[], metavar="SCANS=POSES")
     options.add_argument("--real-every", type=int, default=8, metavar="SCANS")
+    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     first = Localizer(build_map(demo_sessions(args.first_seed - 1)["map"], config), config)
@@ -79,6 +93,16 @@ def main() -> None:
             town = Localizer(build_map(drives["map"], config), config)
             answers[f"real scans in town {seed}"] = [town.localize(cloud) for cloud in real]
         report(answers)
+    if args.store:
+        note = (
+            f"Queries: scans of {args.towns} simulated towns, single and accumulated, in the maps "
+            f"of other places; every {args.real_every}. real scan, single and accumulated, in the "
+            "maps of these towns. Maps of recordings are taken as they were given."
+        )
+        result = Result.measured(
+            "negatives", COMMAND, COLUMNS, rows(answers), methods=(args.method,), note=note
+        )
+        print(result.save(args.store))
 
 
 if __name__ == "__main__":

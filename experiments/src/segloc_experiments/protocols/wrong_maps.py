@@ -14,7 +14,6 @@ work at once; ``--report`` adds up what they counted.
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -33,6 +32,7 @@ from segloc.types import Pose
 
 from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
 from ..intervals import wilson
+from ..journal import entries, keep
 from ..results.store import Result
 from ..script import head, parser, row
 
@@ -63,7 +63,7 @@ class WrongMaps:
         self._config = Config.preset("profile").model_copy(update={"threads": 1})
         self._folder, self._out, self._every_m = folder, out, every_m
         folder.mkdir(parents=True, exist_ok=True)
-        self.records = _read(out) if out.exists() else []
+        self.records = entries(out) if out.exists() else []
         self._maps: list[Localizer] = []
 
     def add(self, world: SimulatedWorld) -> None:
@@ -97,8 +97,7 @@ class WrongMaps:
         record = {"world": world.name, "maps": len(places), "counts": counts, "own": at_home}
         record |= {"false": false, "seconds": round(time.process_time() - start)}
         self.records.append(record)
-        with self._out.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(record) + "\n")
+        keep(self._out, record)
 
     def _map(self, world: SimulatedWorld) -> SegmentMap:
         path = self._folder / f"{world.name}.segmap"
@@ -160,20 +159,17 @@ def _home(counts: Counter[str], place: str) -> tuple[str, int]:
     return f"{counts[f'{place}, right']} of {of}", counts[f"{place}, false"]
 
 
-def _read(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
-
-
-def chosen(first_seed: int, number: int) -> Iterator[SimulatedWorld]:
-    """So many worlds, of all kinds in turn."""
-    each = -(-number // len(KINDS))
-    yield from islice(worlds(first_seed, each, list(KINDS)), number)
+def chosen(first_seed: int, number: int, skip: int = 0) -> Iterator[SimulatedWorld]:
+    """So many worlds, of all kinds in turn, after the first ones."""
+    each = -(-(skip + number) // len(KINDS))
+    yield from islice(worlds(first_seed, each, list(KINDS)), skip, skip + number)
 
 
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("--worlds", type=int, default=42)
     options.add_argument("--first-seed", type=int, default=7000)
+    options.add_argument("--skip", type=int, default=0, help="worlds of other kinds to begin after")
     options.add_argument("--every", type=float, default=10.0, metavar="METRES")
     options.add_argument("--maps", type=Path, default=Path("wrong_maps"))
     options.add_argument("--out", type=Path, default=Path("wrong_maps.jsonl"))
@@ -181,10 +177,10 @@ def main() -> None:
     options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     if args.report:
-        report([r for path in args.report for r in _read(path)], args.store)
+        report([r for path in args.report for r in entries(path)], args.store)
         return
     counted = WrongMaps(args.maps, args.out, args.every)
-    for world in chosen(args.first_seed, args.worlds):
+    for world in chosen(args.first_seed, args.worlds, args.skip):
         counted.add(world)
     report(counted.records, args.store)
 

@@ -35,19 +35,31 @@ STAGES: dict[str, tuple[str, ...]] = {
     ),
     "localizer": ("src/segloc/localizer.py", "src/segloc/fallback.py", "src/segloc/config.py"),
     "confidence": ("src/segloc/weights/confidence.json",),
+    "training": ("src/segloc/training", "cpp/training"),
+    "following": (
+        "src/segloc/tracker.py",
+        "src/segloc/hypotheses.py",
+        "src/segloc/scan_check.py",
+        "src/segloc/views.py",
+        "src/segloc/rolling_cloud.py",
+        "src/segloc/live",
+    ),
 }
-"""Folders and files of each stage."""
+"""Folders and files of each stage, of what trains and of what follows a robot."""
+
+LOCALIZING = tuple(name for name in STAGES if name not in ("training", "following"))
+"""The stages of a single query."""
 
 DESCRIBING = ("local cloud", "segmentation", "descriptors")
 """The stages that figures of descriptors alone depend on."""
 
-_WEIGHTS = Path("src/segloc/weights")
+_WEIGHTS = ("src/segloc/weights", "experiments/src/segloc_experiments/weights")
 
 _PREFIX = 12
 
 
 def fingerprints(
-    stages: Iterable[str] = tuple(STAGES), methods: Iterable[str] = (), root: Path = PROJECT
+    stages: Iterable[str] = LOCALIZING, methods: Iterable[str] = (), root: Path = PROJECT
 ) -> dict[str, str]:
     """A short hash of each stage, and of what is shipped for each method.
 
@@ -57,8 +69,9 @@ def fingerprints(
     found = {stage: _of(root, [root / path for path in STAGES[stage]]) for stage in stages}
     for method in methods:
         name = method.removesuffix("-fq")
-        files = sorted((root / _WEIGHTS).glob(f"{name}*.safetensors"))
-        own = [file for file in files if file.stem in (name, f"{name}-forest")]
+        names = [f"{stem}.safetensors" for stem in (name, f"{name}-forest")]
+        own = [root / folder / each for folder in _WEIGHTS for each in names]
+        own = [file for file in own if file.is_file()]
         if own:
             found[f"weights of {method}"] = _of(root, own)
     return found

@@ -1,7 +1,9 @@
 """Tables of the documentation, generated from stored results.
 
 A page shows a result where it says ``<!-- begin result NAME -->`` and ``<!-- end result NAME -->``.
-Below each table stands what measured it, and whether that code is still the one of this clone.
+Below each table stands what measured it, and whether that code is still the one of this clone. A
+table from before there were stored results stays, marked, until its result is stored; so does a
+remark that there is none yet.
 
     python -m segloc_experiments.results.pages --check
 """
@@ -21,6 +23,12 @@ DOCS = PROJECT / "docs"
 _PLACE = re.compile(
     r"(<!-- begin result ([\w-]+) -->\n)(.*?)(<!-- end result \2 -->)", flags=re.DOTALL
 )
+MARK = "*Not kept with its code, so it may be outdated.*"
+"""Of a table that is shown until its result is stored."""
+
+UNMEASURED = "*Not measured so far.*"
+"""In place of a table until its result is stored."""
+
 _STATUS = re.compile(r"^\*(?:Measured at|Outdated:).*$", flags=re.MULTILINE)
 
 
@@ -50,11 +58,14 @@ def written(page: str, folder: Path = FOLDER, root: Path = PROJECT) -> str:
     Raises
     ------
     FileNotFoundError
-        If a result is not stored.
+        If a result is not stored, and no table from before stands there, marked.
     """
 
     def filled(match: re.Match[str]) -> str:
-        result = Result.load(folder / f"{match[2]}.json")
+        path = folder / f"{match[2]}.json"
+        if not path.exists() and (MARK in match[3] or UNMEASURED in match[3]):
+            return match[0]
+        result = Result.load(path)
         return f"{match[1]}\n{table(result)}{status(result, root)}\n\n{match[4]}"
 
     return _PLACE.sub(filled, page)
@@ -99,7 +110,9 @@ def main() -> None:
         else:
             path.write_text(written(text), "utf-8")
         for name in _names(text):
-            print(f"{path.name}: {name}: {status(Result.load(FOLDER / f'{name}.json'))}")
+            stored = FOLDER / f"{name}.json"
+            state = status(Result.load(stored)) if stored.exists() else "not stored"
+            print(f"{path.name}: {name}: {state}")
     print("\n".join(faults))
     sys.exit(bool(faults))
 

@@ -4,17 +4,66 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .fingerprints import PROJECT, fingerprints
+from segloc.errors import DatasetError
+
+from .fingerprints import PROJECT, changed, fingerprints
 
 FOLDER = PROJECT / "docs" / "results"
 """Where results are kept, beside the pages that show them."""
 
 Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Of which code and weights something is.
+
+    Attributes
+    ----------
+    commit : str
+        Of the clone; ends with ``+`` if files were changed there, "unknown" outside of one.
+    produced_by : dict of str to str
+        Fingerprints of stages and weights, see :mod:`.fingerprints`.
+    """
+
+    commit: str
+    produced_by: Mapping[str, str]
+
+    @classmethod
+    def now(cls, methods: Iterable[str] = (), stages: Sequence[str] | None = None) -> Origin:
+        """Of the code as it is; by default of every stage of a query."""
+        if stages is None:
+            return cls(commit(), fingerprints(methods=methods))
+        return cls(commit(), fingerprints(stages, methods))
+
+    @classmethod
+    def of_all(cls, parts: Mapping[str, Origin]) -> Origin:
+        """What several parts, by their names, have in common: one code, perhaps other methods.
+
+        Where that is the code of this clone, so is the commit if no part knows its own.
+
+        Raises
+        ------
+        DatasetError
+            If they are not all of the same code.
+        """
+        produced: dict[str, str] = {}
+        for name, part in parts.items():
+            for stage, value in part.produced_by.items():
+                if produced.setdefault(stage, value) != value:
+                    raise DatasetError(
+                        f"{name}: of another {stage} than those before it: measure all of them "
+                        "with the same code"
+                    )
+        commits = sorted({part.commit for part in parts.values()})
+        if commits == ["unknown"] and not changed(produced):
+            commits = [commit()]
+        return cls(", ".join(commits), produced)
 
 
 @dataclass(frozen=True)
@@ -66,12 +115,25 @@ class Result:
         note: str = "",
         counts: Mapping[str, Any] | None = None,
     ) -> Result:
-        """A result of the code as it is now; by default of every stage."""
-        produced = fingerprints(methods=methods)
-        if stages is not None:
-            produced = fingerprints(stages, methods)
+        """A result of the code as it is now; by default of every stage of a query."""
+        origin = Origin.now(methods, stages)
+        return cls.of(origin, name, command, columns, rows, note=note, counts=counts)
+
+    @classmethod
+    def of(
+        cls,
+        origin: Origin,
+        name: str,
+        command: str,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[Cell]],
+        *,
+        note: str = "",
+        counts: Mapping[str, Any] | None = None,
+    ) -> Result:
+        """A result of other code, or of what was measured before."""
         table = (tuple(columns), tuple(map(tuple, rows)))
-        return cls(name, command, commit(), produced, *table, note, counts or {})
+        return cls(name, command, origin.commit, origin.produced_by, *table, note, counts or {})
 
     def save(self, folder: Path = FOLDER) -> Path:
         """Write it as ``NAME.json``, a line a row."""

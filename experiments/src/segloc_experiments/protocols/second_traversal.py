@@ -1,0 +1,71 @@
+"""What ``segloc demo`` shows, as a table that is kept: a town driven again, and another town.
+
+python -m segloc_experiments.protocols.second_traversal --store docs/results
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from segloc.cli.demo import demo
+
+from ..intervals import share
+from ..results.store import Cell, Result
+from ..script import head, parser, row
+
+COLUMNS = ("", "second traversal", "another town")
+COMMAND = "python -m segloc_experiments.protocols.second_traversal --store docs/results"
+
+
+def summaries(seed: int) -> list[dict[str, Any]]:
+    """The summaries of both drives through a town."""
+    with TemporaryDirectory() as folder:
+        demo(Path(folder), seed)
+        return [
+            json.loads((Path(folder) / drive / "summary.json").read_text("utf-8"))
+            for drive in ("revisit", "elsewhere")
+        ]
+
+
+def rows(found: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
+    """Counts of both, and the error."""
+
+    def error(summary: dict[str, Any]) -> str:
+        median = summary["translation_error_m"]["median"]
+        return "-" if median is None else f"{median:.2f} m"
+
+    return [
+        ("queries", *(s["queries"] for s in found)),
+        (
+            "found within map coverage",
+            *(share(s["within_coverage_correct"], s["within_coverage"]) for s in found),
+        ),
+        (
+            "near the map, correct too",
+            *(s["correct"] - s["within_coverage_correct"] for s in found),
+        ),
+        ("false", *(s["false"] for s in found)),
+        ("error, median", *map(error, found)),
+    ]
+
+
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("--seed", type=int, default=0, help="another is another town")
+    options.add_argument("--store", type=Path, help="a folder of stored results")
+    args = options.parse_args()
+    table = rows(summaries(args.seed))
+    print(head(*COLUMNS))
+    for cells in table:
+        print(row(*cells))
+    if args.store:
+        note = f"`profile`, town {args.seed}; in brackets 95 % by Wilson."
+        result = Result.measured("demo", COMMAND, COLUMNS, table, methods=("profile",), note=note)
+        print(result.save(args.store))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""All verbs, or the one that is asked for: the others are then not even imported."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib import import_module
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+ORDER = (
+    *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
+    *("live", "align", "export", "evaluate", "simulate", "train", "config"),
+)
+"""Verbs in the order in which they are met; those of other distributions follow."""
+
+MAPS = ("build", "info", "merge", "update", "tile")
+_GROUPS = {"train": ("train", "train"), "evaluate": ("evaluate", "app")}
+_EXTENDED = ("evaluate",)
+"""Verbs that other distributions add to."""
+_CONTEXT = {"help_option_names": ["-h", "--help"]}
+
+
+class InOrder(TyperGroup):
+    """Lists the verbs in the order of use."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        known = [name for name in ORDER if name in self.commands]
+        return [*known, *(name for name in self.commands if name not in ORDER)]
+
+
+@cache
+def program(verb: str | None = None) -> typer.Typer:
+    """The command line; of one verb of our own alone where that one is asked for.
+
+    Parameters
+    ----------
+    verb : str, optional
+        What is no verb of ours, or is extended by others, takes all verbs.
+
+    Returns
+    -------
+    typer.Typer
+    """
+    alone = verb in ORDER and verb not in _EXTENDED
+    if verb is not None and not alone:
+        return program()
+    app = typer.Typer(
+        name="segloc",
+        cls=InOrder,
+        help="Global LiDAR localization: a pose in a prior map from one point cloud.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings=_CONTEXT,
+    )
+    app.callback(invoke_without_command=True)(root)
+    for name in (verb,) if verb is not None else ORDER:
+        _add(app, name)
+    if not alone:
+        _add_plugins(app)
+    return app
+
+
+def _add(app: typer.Typer, name: str) -> None:
+    if name == "map":
+        maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
+        for inner in MAPS:
+            maps.command(inner)(_member(f"map_{inner}", inner))
+        app.add_typer(maps, name=name, context_settings=_CONTEXT)
+    elif name in _GROUPS:
+        app.add_typer(_member(*_GROUPS[name]), name=name, context_settings=_CONTEXT)
+    else:
+        app.command(name)(_member(name, name))
+
+
+def _member(module: str, name: str) -> Any:
+    return getattr(import_module(f".{module}", __package__), name)
+
+
+def _add_plugins(app: typer.Typer) -> None:
+    """Add the verbs of other distributions, by entry points ``segloc.commands``: register(app)."""
+    from importlib.metadata import entry_points
+
+    for plugin in entry_points(group="segloc.commands"):
+        try:
+            plugin.load()(app)
+        except Exception as error:  # whatever another package does must not end ours
+            print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
+
+
+def root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print it.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="With --version: all that a report of a fault needs.")
+    ] = False,
+) -> None:
+    if version:
+        _print_version(verbose)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        context.fail("Missing command.")
+
+
+def _print_version(verbose: bool) -> None:
+    from .._native import __version__  # also proves that the native module loads
+
+    print(f"segloc {__version__}")
+    if verbose:
+        from ..system import versions
+
+        print("\n".join(versions()))

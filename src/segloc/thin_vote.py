@@ -1,0 +1,54 @@
+"""One vote in a thin map of many places: poses on which most matches agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .config import Config
+from .map.segment_map import SegmentMap
+from .matching import Matcher
+from .pose import PoseEstimator
+from .prior import Prior, within
+from .segmentation import Segmentation
+from .types import Candidate, Descriptors, Int64
+
+CANDIDATES = 32
+"""Poses that a vote proposes."""
+GROWTH, PROBES = 0.3, 16
+"""Of matching: a vote need not find all that agrees. Set by queries in half a million segments."""
+
+
+class ThinVote:
+    """Says where in a thin map a query may be; what it shows must be looked at elsewhere.
+
+    Parameters
+    ----------
+    thin : SegmentMap
+        A few views of each object; without a cloud.
+    matcher : Matcher
+        In this map.
+    config : Config
+    """
+
+    def __init__(self, thin: SegmentMap, matcher: Matcher, config: Config) -> None:
+        self._centroids, self._matcher = thin.centroids, matcher.once(GROWTH, PROBES)
+        self._reach_m = config.local_cloud.radius_m
+        self._by_x = np.argsort(self._centroids[:, 0], kind="stable").astype(np.int32)
+        pose = config.pose.model_copy(update={"max_candidates": CANDIDATES})
+        self._estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+
+    def candidates(
+        self, scene: Segmentation, descriptors: Descriptors, near: Prior | None = None
+    ) -> list[Candidate]:
+        """Poses T_map_local of a query, best first; near a prior, if there is one."""
+        matcher = self._matcher if near is None else self._matcher.among(self._rows(near))
+        matches = matcher.prune(descriptors, matcher.match(descriptors))
+        centroids = scene.segments.centroids
+        return within(near, self._estimator.estimate(centroids, self._centroids, matches))
+
+    def _rows(self, near: Prior) -> Int64:
+        """What may be in view near a prior; only what lies in a strip about it is looked at."""
+        far, x = near.radius_m + self._reach_m, float(np.asarray(near.position)[0])
+        ends = np.searchsorted(self._centroids[:, 0], [x - far, x + far], sorter=self._by_x)
+        strip = np.sort(self._by_x[ends[0] : ends[1]]).astype(np.int64)
+        return strip[near.rows(self._centroids[strip], self._reach_m)]
