@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import SeglocError
-from .verbs import ORDER, program
+from .verbs import ORDER, VERSION, program
 
 if TYPE_CHECKING:
     import typer
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     app: typer.Typer
 
 __all__ = ["ORDER", "app", "main"]
+_ABOUT = {VERSION, "--verbose"}
 _INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 
 
@@ -28,9 +29,11 @@ def __getattr__(name: str) -> Any:
 
 
 def _asked() -> str | None:
-    """The verb that is asked for; None where a shell asks what can be completed."""
-    completes = "_SEGLOC_COMPLETE" in os.environ
-    return None if completes or len(sys.argv) < 2 else sys.argv[1]
+    """The verb that is asked for, or ``VERSION``; None where a shell asks what can be completed."""
+    words = sys.argv[1:]
+    if not words or "_SEGLOC_COMPLETE" in os.environ:
+        return None
+    return VERSION if VERSION in words and _ABOUT.issuperset(words) else words[0]
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ import typer
 
 from ..errors import ConfigError, DatasetError, MissingDependency, SeglocError
 from . import evaluate_failures
+from .groups import group
 from .options import Cluster as Cluster
 
 if TYPE_CHECKING:
@@ -69,12 +70,10 @@ Every = Annotated[
     float, typer.Option(metavar="METRES", help="One query in so many metres of travel.")
 ]
 
-app = typer.Typer(
-    help="Compare the methods on two recordings, and see at which stage queries fail. Results are "
+app = group(
+    "Compare the methods on two recordings, and see at which stage queries fail. Results are "
     "stored in DIR as they are finished, so that a run that was cut off goes on where it stopped; "
     "DIR/report.html shows them.",
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
 )
 evaluate_failures.register(app)
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from .console import say
+from .groups import group
 from .train_extract import extract
 
 Commit = Annotated[
@@ -20,11 +21,7 @@ Commit = Annotated[
     ),
 ]
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="What `train extract` wrote.")]
-train = typer.Typer(
-    help="Make datasets, train descriptors, score them.",
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+train = group("Make datasets, train descriptors, score them.")
 
 
 train.command("extract")(extract)

@@ -8,7 +8,8 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+
+from .groups import HELP_NAMES, Listed, group
 
 ORDER = (
     *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
@@ -20,10 +21,11 @@ MAPS = ("build", "info", "merge", "update", "tile")
 _GROUPS = {"train": ("train", "train"), "evaluate": ("evaluate", "app")}
 _EXTENDED = ("evaluate",)
 """Verbs that other distributions add to."""
-_CONTEXT = {"help_option_names": ["-h", "--help"]}
+VERSION = "--version"
+"""Needs no verb."""
 
 
-class InOrder(TyperGroup):
+class InOrder(Listed):
     """Lists the verbs in the order of use."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -38,39 +40,42 @@ def program(verb: str | None = None) -> typer.Typer:
     Parameters
     ----------
     verb : str, optional
-        What is no verb of ours, or is extended by others, takes all verbs.
+        What is no verb of ours, or is extended by others, takes all verbs; ``VERSION`` takes none.
 
     Returns
     -------
     typer.Typer
     """
-    alone = verb in ORDER and verb not in _EXTENDED
-    if verb is not None and not alone:
+    if verb == VERSION:
+        names: tuple[str, ...] = ()
+    elif verb in ORDER and verb not in _EXTENDED:
+        names = (verb,)
+    elif verb is None:
+        names = ORDER
+    else:
         return program()
-    app = typer.Typer(
+    app = group(
+        "Global LiDAR localization: a pose in a prior map from one point cloud.",
+        InOrder,
         name="segloc",
-        cls=InOrder,
-        help="Global LiDAR localization: a pose in a prior map from one point cloud.",
-        no_args_is_help=True,
         pretty_exceptions_enable=False,
-        context_settings=_CONTEXT,
     )
     app.callback(invoke_without_command=True)(root)
-    for name in (verb,) if verb is not None else ORDER:
+    for name in names:
         _add(app, name)
-    if not alone:
+    if verb is None:
         _add_plugins(app)
     return app
 
 
 def _add(app: typer.Typer, name: str) -> None:
     if name == "map":
-        maps = typer.Typer(help="Build, inspect, merge and update maps.", no_args_is_help=True)
+        maps = group("Build, inspect, merge and update maps.")
         for inner in MAPS:
             maps.command(inner)(_member(f"map_{inner}", inner))
-        app.add_typer(maps, name=name, context_settings=_CONTEXT)
+        app.add_typer(maps, name=name, context_settings=HELP_NAMES)
     elif name in _GROUPS:
-        app.add_typer(_member(*_GROUPS[name]), name=name, context_settings=_CONTEXT)
+        app.add_typer(_member(*_GROUPS[name]), name=name, context_settings=HELP_NAMES)
     else:
         app.command(name)(_member(name, name))
 
@@ -92,7 +97,7 @@ def _add_plugins(app: typer.Typer) -> None:
 
 def root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print it.")] = False,
+    version: Annotated[bool, typer.Option(VERSION, help="Print it.")] = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", help="With --version: all that a report of a fault needs.")
     ] = False,
