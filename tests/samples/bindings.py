@@ -1,6 +1,6 @@
 """Every function of the native module, ordinary arguments for it, and arguments to break it with.
 
-``python -m samples.bindings NAME`` calls one with each of its arguments replaced, one at a time.
+``python -m samples.bindings NAME...`` calls them with each argument replaced, one at a time.
 What a caller got wrong must come back as one line that names the argument, or as a finite answer.
 A crash ends the process: run it as a child.
 """
@@ -494,17 +494,21 @@ def check(call: Call, text: str, argument: str, arguments: Arguments) -> str:
     return ""
 
 
-def main(name: str) -> None:
-    call, faults = calls(name)[name], 0
-    assert is_finite(call.function(**call.arguments))
-    for text, argument, arguments in cases(name, call):
-        print(f"{name} {text}", flush=True)  # the last line names a crash
-        fault = check(call, text, argument, arguments)
-        if fault:
-            faults += 1
-            print(f"FAULT {name} {text}: {fault}", flush=True)
-    raise SystemExit(1 if faults else 0)
+DONE = "DONE"
+
+
+def main(names: list[str]) -> None:
+    """A line before each call, and one for each fault; ``DONE`` and its name ends a function."""
+    for name in names:
+        call = calls(name)[name]
+        if not is_finite(call.function(**call.arguments)):
+            print(f"FAULT {name} ordinary: the answer is not finite", flush=True)
+        for text, argument, arguments in cases(name, call):
+            print(f"{name} {text}", flush=True)  # the last line names a crash
+            if fault := check(call, text, argument, arguments):
+                print(f"FAULT {name} {text}: {fault}", flush=True)
+        print(DONE, name, flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1:])
