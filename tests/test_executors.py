@@ -25,7 +25,8 @@ from segloc.training.extract import ExtractConfig
 from segloc.training.shards import Session, finish
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
-BY = pytest.mark.parametrize("by", EXECUTORS)
+ELSEWHERE = ("processes", "dask")
+"""Those that pickle what they do, and lose a worker."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def walks(plaza: Plaza) -> list[Walk]:
 
 
 @pytest.mark.slow
-@BY
+@pytest.mark.parametrize("by", EXECUTORS)
 def test_tasks_come_in_their_order_and_survive_a_killed_worker(by: str) -> None:
     with EXECUTORS[by]() as (executor, kill):
         assert all_of(square, range(40), executor, kill) == [n * n for n in range(40)]
@@ -55,7 +56,7 @@ def made_here(walks: list[Walk], tmp_path_factory: pytest.TempPathFactory) -> by
 
 
 @pytest.mark.slow
-@BY
+@pytest.mark.parametrize("by", ELSEWHERE)
 def test_a_map_of_many_recordings(
     by: str, walks: list[Walk], made_here: bytes, tmp_path: Path
 ) -> None:
@@ -90,12 +91,9 @@ def aligned_here(moved: list[Moved]) -> Alignment:
 
 
 @pytest.mark.slow
-@BY
-def test_aligned_sessions(
-    by: str, moved: list[Moved], aligned_here: Alignment, tmp_path: Path
-) -> None:
+def test_aligned_sessions(moved: list[Moved], aligned_here: Alignment, tmp_path: Path) -> None:
     here = aligned_here
-    with EXECUTORS[by]() as (executor, kill):
+    with EXECUTORS["dask"]() as (executor, kill):
 
         @contextmanager
         def stage(label: str) -> Iterator[Any]:
@@ -133,7 +131,7 @@ class Collected:
         return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@pytest.fixture(scope="module", params=[False, True])
+@pytest.fixture(scope="module")
 def collected(
     request: pytest.FixtureRequest, walks: list[Walk], tmp_path_factory: pytest.TempPathFactory
 ) -> Collected:
@@ -143,7 +141,9 @@ def collected(
 
 
 @pytest.mark.slow
-@BY
+@pytest.mark.parametrize(
+    ("collected", "by"), [(False, "processes"), (True, "dask")], indirect=["collected"]
+)
 def test_a_dataset_to_train_on(
     by: str, walks: list[Walk], collected: Collected, tmp_path: Path
 ) -> None:

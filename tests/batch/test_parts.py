@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples.executors import dask
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localization, Localizer, Prior, SeglocError, build_map
@@ -114,18 +115,7 @@ def test_who_does_it() -> None:
 def test_a_cluster_that_loses_a_worker_gives_the_same(
     place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(parts, "QUERIES", 2)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
-    ) as local:
-        pids = [worker.process.pid for worker in local.workers.values()]
-        with cluster(local.scheduler_address) as executor:
-
-            def kill_one(done: int, _: int) -> None:
-                if pids and done:
-                    os.kill(pids.pop(), signal.SIGKILL)
-                    pids.clear()
-
-            found = localize_parts(str(place), GEO, drive, np.arange(COUNT), executor, kill_one)
-    assert not pids and same(found, expected)
+    with dask() as (executor, kill):
+        found = localize_parts(str(place), GEO, drive, np.arange(COUNT), executor, kill)
+    assert same(found, expected)

@@ -39,10 +39,13 @@ def processes() -> Iterator[tuple[Executor, Progress]]:
 
 @contextmanager
 def dask() -> Iterator[tuple[Executor, Progress]]:
-    """Dask's cluster of two workers, one of which is killed when the first task is done."""
+    """Dask's cluster of two workers, one of which is killed when the first task is done.
+
+    Its dashboard takes any port that is free: others may test at the same time.
+    """
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
+        n_workers=2, threads_per_worker=1, dashboard_address=":0"
     ) as local:
         pids = [worker.process.pid for worker in local.workers.values()]
         with cluster(local.scheduler_address) as executor:

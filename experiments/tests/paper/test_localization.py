@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples.executors import EXECUTORS
+from samples.executors import processes
 from samples.tiny_suite import TINY
 from segloc_experiments.paper import localization
 from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario, scenarios
@@ -159,12 +159,11 @@ def test_kitti_without_its_folders_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by", EXECUTORS)
-def test_any_executor_answers_the_same(
-    by: str, study: Study, workspace: Workspace, tmp_path: Path
+def test_other_processes_answer_the_same(
+    study: Study, workspace: Workspace, tmp_path: Path
 ) -> None:
     (here,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
-    with EXECUTORS[by]() as (executor, kill):
+    with processes() as (executor, kill):
 
         @contextmanager
         def progress(label: str) -> Iterator[Any]:
