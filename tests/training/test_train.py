@@ -20,6 +20,7 @@ pytest.importorskip("segloc.training.train")
 from segloc.datasets.base import Selection  # noqa: E402
 from segloc.descriptors.pair_head import PairHead as NumpyHead  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
+from segloc.training import pair_fitting  # noqa: E402
 from segloc.training.augment import AugmentConfig, augment  # noqa: E402
 from segloc.training.batches import draw_batch  # noqa: E402
 from segloc.training.config import HeadKind, TrainConfig  # noqa: E402
@@ -52,7 +53,14 @@ def quiet(_: str) -> None:
     pass
 
 
+@pytest.fixture
+def quick_head(monkeypatch: pytest.MonkeyPatch) -> None:
+    """FC4, fitted once the network is trained, takes longer than these few steps of training."""
+    monkeypatch.setattr(pair_fitting, "STEPS", 20)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_head")
 def test_training_learns_and_exports(shapes: SegmentDataset, tmp_path: Path) -> None:
     out = tmp_path / "net.safetensors"
     before = train(shapes, tmp_path / "start.safetensors", QUICK.model_copy(update={"steps": 1}),
@@ -71,6 +79,7 @@ def test_training_learns_and_exports(shapes: SegmentDataset, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_head")
 def test_a_run_that_was_cut_off_goes_on_exactly(shapes: SegmentDataset, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole.safetensors", tmp_path / "parts.safetensors"
     config = QUICK.model_copy(update={"hard_share": 0.5})

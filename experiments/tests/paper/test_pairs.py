@@ -34,6 +34,7 @@ from segloc_experiments.paper.workspace import Workspace  # noqa: E402
 
 from segloc.batch.report.study import Study, Table  # noqa: E402
 from segloc.errors import ConfigError, DatasetError  # noqa: E402
+from segloc.training import pair_fitting  # noqa: E402
 from segloc.training.dataset import SegmentDataset  # noqa: E402
 from segloc.training.extract import Extract, sorted_extents  # noqa: E402
 from segloc.training.labels import LabelConfig  # noqa: E402
@@ -69,6 +70,7 @@ def shapes_session(job: Any) -> Session:
 def patched() -> Iterator[pytest.MonkeyPatch]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(making, "_simulate", shapes_session)
+        patch.setattr(pair_fitting, "STEPS", 20)
         label = LabelConfig(rule="centroids")  # the shapes are seen from one side only
         patch.setattr(making, "_EXTRACT", making._EXTRACT.model_copy(update={"label": label}))
         yield patch
