@@ -76,8 +76,8 @@ each_format = pytest.mark.parametrize("name", WRITERS)
 
 
 def problems(path: Path, sample: int = 20) -> str:
-    recording = open_sequence(path, "none")
-    return "\n".join(inspect(recording, sample).problems)  # type: ignore[arg-type]
+    found = inspect(open_sequence(path, "none"), sample)  # type: ignore[arg-type]
+    return "\n".join([*found.problems, *found.sensor_changes])
 
 
 @each_format
