@@ -77,6 +77,7 @@ def commands(command: Any, name: str) -> Iterator[str]:
 
 def _names(option: Any) -> str:
     value = "" if getattr(option, "is_flag", False) else f" {option.metavar or ''}"
+    value += "..." if option.nargs == -1 else ""
     names = option.opts if option.param_type_name == "option" else []
     return f"`{_cell((', '.join(names) + value).strip())}`"
 

@@ -13,7 +13,7 @@ def view(
     results: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[RESULTS]",
+            metavar="RESULTS",
             help="A folder of `segloc localize --out` or `segloc live --out`.",
             show_default="none",
         ),
