@@ -43,7 +43,7 @@ def show_answers(evaluation: Evaluation, title: str) -> None:
     rows = [_row(evaluation, i) for i in order[:MOST_ROWS]]
     table(title, ("query", "confidence", "pose, or why there is none"), rows, texts=(0, 2))
     if len(order) > MOST_ROWS:
-        print(f"and {len(order) - MOST_ROWS} better ones; --out DIR or --json gives all")
+        print(f"and {len(order) - MOST_ROWS} better ones; --out DIR or --json has all")
 
 
 def worst_first(evaluation: Evaluation) -> Sequence[int]:

@@ -59,6 +59,7 @@ def view(
                 else viewer.html(prior, queries)
             )
             write_text(html, page)
+        print(f"{html} opens in a browser, from disk ({len(page) / 1e6:.1f} MB)")
         return
     if robot and results is not None:
         server = viewer.follow(prior, results, port)
