@@ -1,8 +1,10 @@
-"""What is added to the single page: a panel with each query, its reason, stages and confidence."""
+"""What is added to the single page: a panel with each query, its reason, stages and confidence, or
+with the states of a robot."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from string import Template
@@ -16,9 +18,10 @@ LEGEND = (
     "Dots: queries found (green), refused (orange), false (red). Cloud: on the map (green), not on "
     "it (red). Upright green lines: matches that agree."
 )
-# The page's player shows each query for some seconds: its slider tells the time, and its field
-# takes one.
-_PANEL = Template("""
+ROBOT_LEGEND = (
+    "Its path: localized (green), candidate or degraded (orange); the large dot is its end."
+)
+_STYLE = Template("""
 <style>
 #segloc { position: fixed; top: 1em; right: 1em; z-index: 900; width: 23em; max-width: 40vw;
   max-height: 80vh; overflow-y: auto; background: #fffffff2; color: $dark;
@@ -31,6 +34,10 @@ _PANEL = Template("""
 #segloc .parts td:first-child { text-align: right; font-variant-numeric: tabular-nums }
 #segloc small { display: block; border-top: 1px solid #0002; margin-top: .5em; padding-top: .4em }
 </style>
+""").substitute(dark=DARK)
+# The page's player shows each query for some seconds: its slider tells the time, and its field
+# takes one.
+_PANEL = Template("""
 <div id="segloc"><select aria-label="query"></select><b></b><p></p><table></table>
 <b>confidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
 <script>
@@ -94,6 +101,20 @@ def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
         for seen in (query.seen,)
     ]
     text = json.dumps(told).replace("<", "\\u003c")  # no name of a query ends the script
-    panel = _PANEL.substitute(queries=text, seconds=seconds, dark=escape(DARK), legend=LEGEND)
+    panel = _PANEL.substitute(queries=text, seconds=seconds, legend=LEGEND)
+    return _with(page, panel)
+
+
+def with_states(page: str, states: Sequence[str]) -> str:
+    """A page of where a robot was, with how often it was in which state."""
+    rows = "".join(
+        f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
+        for state, count in Counter(states).most_common()
+    )
+    told = f"<b>{len(states)} scans</b><table>{rows}</table><small>{ROBOT_LEGEND}</small>"
+    return _with(page, f'<div id="segloc">{told}</div>')
+
+
+def _with(page: str, panel: str) -> str:
     head, end, tail = page.rpartition("</body>")
-    return f"{head}{panel}{end}{tail}" if end else f"{page}{panel}"
+    return f"{head}{_STYLE}{panel}{end}{tail}" if end else f"{page}{_STYLE}{panel}"

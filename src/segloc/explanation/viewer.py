@@ -17,7 +17,7 @@ from ..map.segment_map import SegmentMap
 from ..types import Float64
 from .drawn_fast import draw_fast, drawn_fast
 from .following import Moment, draw_moments, newest_points, read_moments
-from .panel import LEGEND, with_panel
+from .panel import LEGEND, ROBOT_LEGEND, with_panel, with_states
 from .results import Shown
 from .scene import FIXED, OF_QUERY, ROBOT, MapScene
 
@@ -101,6 +101,7 @@ def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
     draw_fast(server)
     scene = _map_in_view(server, prior_map)
     text = server.gui.add_markdown("")
+    server.gui.add_markdown(ROBOT_LEGEND)
     _add_layers(server, scene, ROBOT)
     shown: list[int] = []
 
@@ -141,7 +142,8 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
     try:
         scene = _map_in_view(server, prior_map)
         draw_moments(scene, moments)
-        return drawn_fast(str(server.get_scene_serializer().as_html()))
+        page = drawn_fast(str(server.get_scene_serializer().as_html()))
+        return with_states(page, [moment.state for moment in moments])
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
