@@ -104,10 +104,7 @@ class Accumulator:
         if len(scans) == 1 and anchor.T_odom_sensor is None:
             return self._alone(anchor)
         T_local_odom = geometry.inverse(geometry.levelled(odometry_pose(anchor)))
-        clouds = [
-            self._moved(T_local_odom @ odometry_pose(scan), scan.points)
-            for scan in scans
-        ]
+        clouds = [self._moved(T_local_odom @ odometry_pose(scan), scan.points) for scan in scans]
         T_local_sensor = T_local_odom @ odometry_pose(anchor)
         return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
 

@@ -224,8 +224,13 @@ def _pose_problems(recording: Inspectable) -> list[str]:
         return []
     problems = []
     if isinstance(track, Track) and len(track.gaps):
-        gaps = track.gaps
-        problems.append(f"{len(gaps)} gaps in the poses, the longest {gaps.max():.1f} s")
+        usual = float(np.median(np.diff(track.keys)))  # of key frames it may be seconds
+        gaps = track.gaps[track.gaps > 3 * usual]
+        if len(gaps):
+            problems.append(
+                f"{len(gaps)} gaps in the poses, the longest {gaps.max():.1f} s: scans in them are "
+                "left out"
+            )
     ways = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     if stamps is None or not len(ways):
         return problems
