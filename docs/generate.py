@@ -21,6 +21,7 @@ TOLERANCE = 0.10
 
 # Top to bottom, as tests/test_architecture.py holds them: a room may import what stands below it.
 ROOMS: dict[str, tuple[int, str]] = {
+    "__main__.py": (1, "`python -m segloc`"),
     "cli": (1, "the command line, one module a verb"),
     "batch": (2, "many queries at once: run, score, negative maps, reports"),
     "alignment": (2, "sessions with drifting poses brought into one frame"),

@@ -56,9 +56,16 @@ def relinked(text: str, page: Path, places: dict[Path, Path]) -> str:
         if goal not in places:
             return label
         relative = os.path.relpath(places[goal], places[page].parent)
+        if label.endswith(".md"):  # a name of a file, where the site has a page
+            label = _heading(goal)
         return f"{mark}[{label}]({relative}{hash_}{anchor})"
 
     return LINK.sub(link, text)
+
+
+def _heading(page: Path) -> str:
+    found = re.search(r"^# (.+)$", page.read_text("utf-8"), re.MULTILINE)
+    return found[1].strip() if found else page.stem
 
 
 def commands(command: Any, name: str) -> Iterator[str]:
@@ -77,6 +84,7 @@ def commands(command: Any, name: str) -> Iterator[str]:
 
 def _names(option: Any) -> str:
     value = "" if getattr(option, "is_flag", False) else f" {option.metavar or ''}"
+    value += "..." if option.nargs == -1 else ""
     names = option.opts if option.param_type_name == "option" else []
     return f"`{_cell((', '.join(names) + value).strip())}`"
 

@@ -12,7 +12,7 @@ import argparse
 import io
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -105,9 +105,22 @@ def said(*arguments: object) -> tuple[int, str]:
     return status, text.getvalue()
 
 
-def rows(work: Path) -> list[tuple[str, str, int, str]]:
-    """What is wrong, the verb, its exit status and its sentence."""
-    found = []
+class Row(NamedTuple):
+    """A row of the table."""
+
+    what: str
+    verb: str
+    status: int
+    sentence: str
+    also: str = ""
+    """Which other verbs say the same."""
+
+
+def rows(work: Path) -> Iterator[Row]:
+    """What is wrong, and what is said of it."""
+    prior_map = work / "site.segmap"
+    write(work / "right", Wrong("nothing"))
+    said("map", "build", work / "right", "--poses", "poses.tum", "--out", prior_map)
     for k, wrong in enumerate(WRONG):
         write(work / str(k), wrong)
         poses = ["--poses", "poses.tum"] if wrong.posed else []
@@ -115,31 +128,50 @@ def rows(work: Path) -> list[tuple[str, str, int, str]]:
         wrongs = [line for line in text.splitlines() if line.startswith("wrong: ")]
         if len(wrongs) != 1:
             raise SystemExit(f"{wrong.what}: one sentence must name it, not {wrongs}")
-        found.append((wrong.what, "doctor", status, wrongs[0]))
-    found.append(("a map of another place merged", "map merge", *_merged(work)))
-    return found
+        building = ["map", "build", work / str(k), *poses, "--out", work / "wrong.segmap"]
+        asking = ["localize", work / str(k), *poses, "--map", prior_map]
+        heard = {"map build": said(*building), "localize": said(*asking)}
+        also = [
+            f"`segloc {verb}` ({code})"
+            for verb, (code, told) in heard.items()
+            if _without_figures(wrongs[0].removeprefix("wrong: ")) in _without_figures(told)
+        ]
+        yield Row(wrong.what, "doctor", status, wrongs[0], ", ".join(also))
+    yield from _other_places(work)
 
 
-def _merged(work: Path) -> tuple[int, str]:
+def _without_figures(text: str) -> str:
+    """Which differ with the scans that are looked at."""
+    return re.sub(r"-?\d+(\.\d+)?", "#", " ".join(text.split()))
+
+
+def _other_places(work: Path) -> Iterator[Row]:
+    """Two places taken for one."""
     from segloc import Config, build_map
 
     for seed in (1, 2):
         built = build_map(PlazaSequence(Plaza(seed, objects=40), steps=8), Config.preset("geo"))
         built.save(work / f"{seed}.segmap")
-    status, text = said(
-        "map", "merge", work / "1.segmap", work / "2.segmap", "--out", work / "both.segmap"
-    )
-    return status, text.strip().splitlines()[-1].replace(f"{work}/", "")
+    write(work / "there", Wrong("nothing"))
+    first, second, out = work / "1.segmap", work / "2.segmap", work / "both.segmap"
+    session = [work / "there", "--poses", "poses.tum", "--out", out]
+    for what, verb, given in (
+        ("a map of another place merged", "map merge", [first, second, "--out", out]),
+        ("a map updated with another place", "map update", [second, *session]),
+    ):
+        status, text = said(*verb.split(), *given)
+        yield Row(what, verb, status, text.strip().splitlines()[-1].replace(f"{work}/", ""))
 
 
 def table() -> str:
     with TemporaryDirectory() as folder:
         lines = [
-            f"| {what} | `segloc {verb}` | {status} | {sentence.replace('|', '&#124;')} |"
-            for what, verb, status, sentence in rows(Path(folder))
+            f"| {row.what} | `segloc {row.verb}` | {row.status} | "
+            f"{row.sentence.replace('|', '&#124;')} | {row.also} |"
+            for row in rows(Path(folder))
         ]
-    head = "| what is wrong | verb | exit status | what it says |\n|---|---|---|---|\n"
-    return head + "\n".join(lines) + "\n"
+    head = "| what is wrong | verb | exit status | what it says | also said by (exit status) |\n"
+    return head + "|---|---|---|---|---|\n" + "\n".join(lines) + "\n"
 
 
 def kept(page: str) -> str:

@@ -24,6 +24,7 @@ class Layer(NamedTuple):
 
 
 LAYERS = (
+    Layer("__main__"),
     Layer("cli"),
     Layer(ROOT),
     Layer("batch alignment training live export explanation"),
@@ -153,7 +154,7 @@ def test_every_module_is_used() -> None:
     by_name = {
         name for name in package().files if any(f"{name}.".startswith(f"{b}.") for b in BY_NAME)
     }
-    starts = {ROOT, "cli"} | by_name | package().used_by(outside)
+    starts = {ROOT, "__main__"} | by_name | package().used_by(outside)
     unused = sorted(set(package().files) - package().reached(starts))
     assert not unused, f"modules that nothing imports: {', '.join(unused)}"
 

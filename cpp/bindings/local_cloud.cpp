@@ -3,6 +3,7 @@
 
 #include "bindings/bindings.h"
 #include "bindings/rigid.h"
+#include "local_cloud/crop.h"
 #include "local_cloud/voxel_window.h"
 
 namespace segloc::bindings {
@@ -51,6 +52,20 @@ Out<float> cloud_(BoundWindow& self, const In2<double>& T_local_odom, double rad
   return to_numpy(std::move(points), {count, 3});
 }
 
+Out<float> moved_crop_(const In2<float>& points, const In2<double>& T, double radius) {
+  require_points(points);
+  const Rigid moved = rigid_of(T, "T");
+  require_length(radius, "radius");
+  std::vector<float> kept;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    kept = moved_crop(points.data(), points.shape(0), moved, radius);
+  }
+  const std::size_t count = kept.size() / 3;
+  return to_numpy(std::move(kept), {count, 3});
+}
+
 // A number that is read while no other thread changes it.
 template <std::size_t (VoxelWindow::*Number)() const>
 std::size_t number_(BoundWindow& self) {
@@ -62,6 +77,8 @@ std::size_t number_(BoundWindow& self) {
 }  // namespace
 
 void bind_local_cloud(nb::module_& m) {
+  m.def("moved_crop", &moved_crop_, nb::arg("points").noconvert(), nb::arg("T").noconvert(),
+        nb::arg("radius"));
   nb::class_<BoundWindow>(m, "VoxelWindow")
       .def(
           "__init__",

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/cells.h"
+#include "local_cloud/crop.h"
 
 namespace segloc {
 namespace {
@@ -160,13 +161,12 @@ std::vector<float> VoxelWindow::cloud(const Rigid& T_local_odom, double radius) 
   std::vector<std::uint64_t> numbers;
   points.reserve(3 * table_.size());
   numbers.reserve(table_.size());
-  const double radius2 = radius * radius;
   table_.visit([&](std::uint64_t key, const VoxelSum& sum) {
     const std::array<Fixed, 3> cell = cell_near(key, near);
     std::array<double, 3> mean = sum.mean(cell);
     for (double& v : mean) v *= voxel_size_;
     const std::array<double, 3> p = T_local_odom.apply(mean.data());
-    if (!(p[0] * p[0] + p[1] * p[1] < radius2 && std::abs(p[2]) < radius)) return;
+    if (!is_near_axis(p, radius)) return;
     numbers.push_back(cube.number(cell));
     for (const double v : p) points.push_back(static_cast<float>(v));
   });

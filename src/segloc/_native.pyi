@@ -68,6 +68,9 @@ def consistent_sets(
     min_size: int,
     max_sets: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]: ...
+def moved_crop(
+    points: NDArray[np.float32], T: NDArray[np.float64], radius: float
+) -> NDArray[np.float32]: ...
 
 class VoxelWindow:
     def __init__(self, voxel_size: float, reach: float) -> None: ...

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from . import geometry
+from . import _native, geometry
 from .attitude import AttitudeConfig, AttitudeEstimator, angle_deg
 from .errors import InvalidScan
 from .mounting import MountConfig
 from .section import Section
-from .types import AttitudeSource, LocalCloud, Pose, Scan
+from .types import AttitudeSource, Float32, LocalCloud, Pose, Scan
 
 _Z = np.array([0.0, 0.0, 1.0])
 
@@ -104,10 +104,7 @@ class Accumulator:
         if len(scans) == 1 and anchor.T_odom_sensor is None:
             return self._alone(anchor)
         T_local_odom = geometry.inverse(geometry.levelled(odometry_pose(anchor)))
-        clouds = [
-            self._crop(geometry.transform(T_local_odom @ odometry_pose(scan), scan.points))
-            for scan in scans
-        ]
+        clouds = [self._moved(T_local_odom @ odometry_pose(scan), scan.points) for scan in scans]
         T_local_sensor = T_local_odom @ odometry_pose(anchor)
         return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
 
@@ -115,7 +112,7 @@ class Accumulator:
         """The local cloud of a scan without a pose."""
         up, attitude = self._up(scan)
         T_local_sensor = geometry.upright(up)
-        points = self._crop(geometry.transform(T_local_sensor, scan.points))
+        points = self._moved(T_local_sensor, scan.points)
         return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
 
     def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
@@ -138,10 +135,9 @@ class Accumulator:
         T_base_sensor = scan.T_base_sensor if configured is None else configured
         return unknown if T_base_sensor is None else T_base_sensor[2, :3].copy()
 
-    def _crop(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        radius = self.config.radius_m
-        near = (points[:, 0] ** 2 + points[:, 1] ** 2 < radius**2) & (np.abs(points[:, 2]) < radius)
-        return points[near].astype(np.float32)
+    def _moved(self, T_local_sensor: Pose, points: Float32) -> Float32:
+        """The points of a scan that belong to the local cloud, in its frame."""
+        return _native.moved_crop(points, T_local_sensor, self.config.radius_m)
 
 
 def _listed(scans: Scans) -> Sequence[Scan]:

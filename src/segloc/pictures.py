@@ -57,10 +57,10 @@ def blank(size_in: tuple[float, float], dpi: int, **options: Any) -> Figure:
     return figure
 
 
-def png(figure: Figure) -> bytes:
-    """A PNG image, the same for the same picture."""
-    image = io.BytesIO()
-    figure.savefig(image, format="png", metadata={"Software": None})
+def png(figure: Figure, description: str = "") -> bytes:
+    """A PNG image, the same for the same picture; the description is kept in it as text."""
+    image, said = io.BytesIO(), {"Description": description} if description else {}
+    figure.savefig(image, format="png", metadata={"Software": None, **said})
     return image.getvalue()
 
 

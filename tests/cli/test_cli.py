@@ -416,26 +416,3 @@ def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
     )
     assert done.returncode == 130 and "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_the_demo_tells_right_from_elsewhere(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("embreex")
-    from segloc import simulation
-
-    full = simulation.demo_sessions
-    lidar = simulation.hdl32e(700)
-    short = {"sensor": lidar, "size_m": 180.0, "length_m": 100.0}
-    monkeypatch.setattr(simulation, "demo_sessions", lambda seed: full(seed, **short))
-    assert run("demo", "--out", tmp_path / "out", "--seed", 3) == 0
-    again, other = (
-        json.loads((tmp_path / "out" / name / "summary.json").read_text())
-        for name in ("revisit", "elsewhere")
-    )
-    assert again["within_coverage_correct"] > 0.7 * again["within_coverage"] > 0
-    assert again["false"] == other["localized"] == other["within_coverage"] == 0
-    assert len(SegmentMap.load(tmp_path / "out" / "town.segmap")) > 0
-    assert {*files(tmp_path / "out" / "revisit")} == PICTURE
-    assert "refused" in capsys.readouterr().out

@@ -14,6 +14,7 @@ from segloc import Localizer, SegmentMap
 from segloc.explanation import steps, trace, verdict
 from segloc.explanation.page import page
 from segloc.types import Scan
+from segloc.verification.confidence import FEATURES
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,8 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
         if found.parts:
             score = found.constant + sum(part.log_odds for part in found.parts)
             assert 1 / (1 + np.exp(-score)) == pytest.approx(plain.confidence)
+            assert [part.name for part in found.parts] == list(FEATURES)
+            assert all(" " in part.words for part in found.parts)  # no bare name of a feature
         if plain.localized:
             assert found.T_map_local is not None
             assert np.allclose(found.T_map_local @ found.T_local_sensor, plain.T_map_sensor)

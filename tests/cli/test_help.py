@@ -56,6 +56,19 @@ def test_every_argument_says_what_it_is_and_its_default(name: str, command: Any)
             assert re.search(r"METRES|DEGREES|FACTOR|SHARE|MINUTES|0 to 1", unit), (name, unit)
 
 
+RECORDINGS = ("SEQUENCE", "SCAN")
+
+
+@pytest.mark.parametrize(("name", "command"), EVERY, ids=[name for name, _ in EVERY])
+def test_every_verb_on_a_recording_takes_a_part_of_it(name: str, command: Any) -> None:
+    arguments = [each for each in command.params if each.param_type_name == "argument"]
+    if command.callback.__module__.startswith("segloc."):
+        assert all(re.fullmatch(r"[A-Z_]+(\.segmap)?", each.metavar) for each in arguments), name
+    options = {option for each in command.params for option in each.opts}
+    if any(each.metavar in RECORDINGS for each in arguments):
+        assert "--select" in options, name
+
+
 def test_defaults_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
     """Also those that are no value: brackets in a help text would be taken for markup."""
     assert run("localize", "--help") == 0

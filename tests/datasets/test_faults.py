@@ -76,8 +76,25 @@ each_format = pytest.mark.parametrize("name", WRITERS)
 
 
 def problems(path: Path, sample: int = 20) -> str:
-    recording = open_sequence(path, "none")
-    return "\n".join(inspect(recording, sample).problems)  # type: ignore[arg-type]
+    found = inspect(open_sequence(path, "none"), sample)  # type: ignore[arg-type]
+    return "\n".join([*found.problems, *found.sensor_changes])
+
+
+@pytest.mark.parametrize(("lost_s", "gaps"), [(0.0, 0), (9.0, 1)])
+def test_poses_that_come_seldom_are_no_gaps(lost_s: float, gaps: int, tmp_path: Path) -> None:
+    """Those of key frames are seconds apart; one of them that is much longer is named."""
+    pytest.importorskip("rosbags")
+    from samples.bags import BagWriter
+
+    writer = BagWriter("mcap")
+    for i, pose in enumerate(DRIVE.poses):
+        stamp = START + 1.5 * i + (lost_s if i > 7 else 0.0)
+        writer.cloud("/points", stamp, seen(VLP16))
+        writer.odometry("/odom", stamp, pose, "lidar")
+    recording = open_sequence(writer.write(tmp_path / "drive"))
+    said = "\n".join(inspect(recording, 4).problems)  # type: ignore[arg-type]
+    assert said.count("gaps in the poses, the longest 10.5 s") == gaps
+    assert said.count("gaps in the poses") == gaps
 
 
 @each_format

@@ -49,7 +49,7 @@ NOT_RUN = {
     r"segloc map build .*--weights": "of weights that the line before trains",
     r"segloc simulate (building|industrial|forest)": "minutes; in tests/cli/test_simulate.py",
     r"segloc (map build|localize) runs/": "of recordings that the line before simulates",
-    r"segloc demo": "minutes; smaller in tests/cli/test_cli.py",
+    r"segloc demo": "minutes; in tests/docs/test_pictures.py",
     r"segloc .*(--install-completion|--show-completion)": "changes the reader's shell",
     r"segloc .*--cluster": "needs a cluster; one is made in tests/map",
     r"segloc .*(gs://|s3://|https://)": "needs a bucket",

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import json
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from samples.source import PROJECT
+from samples.walk import run
+
+from segloc import SegmentMap
 
 IMAGES = PROJECT / "docs" / "images"
 
@@ -28,7 +33,7 @@ def loaded(name: str) -> ModuleType:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_hero_is_what_its_command_draws(tmp_path: Path) -> None:
-    """To the eye: fonts and the rounding of colours may differ, the scan, pose and matches not."""
+    """Scan, pose and matches."""
     pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
     pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
     image = pytest.importorskip("PIL.Image")
@@ -36,12 +41,44 @@ def test_the_hero_is_what_its_command_draws(tmp_path: Path) -> None:
     prior_map, found = hero.answered(hero.SEED, hero.QUERY)
     drawn = image.open(io.BytesIO(hero.picture(prior_map, found))).convert("RGB")
     with image.open(IMAGES / "hero.png") as kept:
-        assert kept.size == drawn.size
-        small = [each.convert("L").resize((110, 70)) for each in (kept, drawn)]
+        alike(kept, drawn)
+    assert found.result.inliers > 20 and found.result.confidence > 0.99
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_demo_tells_right_from_elsewhere_and_its_pictures_are_the_kept_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The counts in the legend to the last one, the rest to the eye."""
+    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
+    image = pytest.importorskip("PIL.Image")
+    out, demo = tmp_path / "demo", loaded("demo")
+    assert run("demo", "--out", out) == 0
+    assert "refused" in capsys.readouterr().out
+    again, other = (
+        json.loads((out / name / "summary.json").read_text()) for name in ("revisit", "elsewhere")
+    )
+    assert again["within_coverage_correct"] > 0.7 * again["within_coverage"] > 0
+    assert again["false"] == other["localized"] == other["within_coverage"] == 0
+    assert len(SegmentMap.load(out / "town.segmap")) > 0
+    demo.keep(out / "revisit", tmp_path)
+    for name in demo.KEPT.values():
+        with image.open(tmp_path / name) as drawn, image.open(IMAGES / name) as kept:
+            assert drawn.info.get(demo.SAID) == kept.info.get(demo.SAID)
+            alike(kept, drawn)
+    with image.open(IMAGES / "demo.png") as kept:
+        assert f"localized ({again['correct']})" in kept.info[demo.SAID]
+
+
+def alike(kept: Any, drawn: Any) -> None:
+    """To the eye: fonts and the rounding of colours may differ."""
+    assert kept.size == drawn.size
+    small = [each.convert("L").resize((110, 70)) for each in (kept, drawn)]
     one, other = (np.asarray(each, dtype=float) for each in small)
     assert np.abs(one - other).mean() < 3.0
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.97
-    assert found.result.inliers > 20 and found.result.confidence > 0.99
 
 
 def test_the_moving_picture_is_a_drive_that_ends_localized() -> None:
@@ -54,3 +91,12 @@ def test_the_moving_picture_is_a_drive_that_ends_localized() -> None:
         first = np.asarray(kept.convert("RGB"), dtype=float)
     green = np.abs(last - np.array([18, 161, 80])).max(axis=2) < 40
     assert green.sum() > 500 > (np.abs(first - np.array([18, 161, 80])).max(axis=2) < 40).sum()
+
+
+def test_the_picture_of_the_viewer_is_of_the_size_that_its_command_draws() -> None:
+    """Drawing it takes a browser, whose rendering differs from one to another."""
+    pytest.importorskip("segloc_experiments", reason="the browser is driven by it")
+    image = pytest.importorskip("PIL.Image")
+    with image.open(IMAGES / "view.png") as kept:
+        view = loaded("view")
+        assert kept.size == (view.WIDTH, view.HEIGHT)

@@ -32,7 +32,9 @@ def test_each_wrong_input_is_answered_as_the_table_says() -> None:
 
     assert told(kept) == told(table)
     rows = [[cell.strip() for cell in row.strip("|").split(" | ")] for row in told(table)[1:]]
-    assert len(rows) == len(wrong_inputs.WRONG) + 1
+    assert len(rows) == len(wrong_inputs.WRONG) + 2
+    refused = [row for row in rows if "`segloc map build` (#)" in row[-1]]
+    assert len(refused) == sum(wrong.posed for wrong in wrong_inputs.WRONG)
 
 
 def test_healthy_ends_with_0_and_each_fault_with_1_and_a_line() -> None:
@@ -40,6 +42,6 @@ def test_healthy_ends_with_0_and_each_fault_with_1_and_a_line() -> None:
     wrong_inputs = loaded()
     rows = wrong_inputs.kept(wrong_inputs.PAGE.read_text("utf-8")).splitlines()[3:-1]
     for row in rows:
-        what, _, status, sentence = (cell.strip() for cell in row.strip("| ").split(" | "))
+        what, _, status, sentence, *_ = (cell.strip() for cell in row.strip("| ").split(" | "))
         assert sentence.startswith(("wrong: ", "note: ", "segloc: error: "))
         assert (status == "0") == sentence.startswith("note: "), what

@@ -82,6 +82,7 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
 
 def _local_clouds() -> Iterator[tuple[str, Call]]:
     points, T = _points(600), np.eye(4)
+    yield "moved_crop", Call(_native.moved_crop, {"points": points, "T": T, "radius": 20.0})
     build = {"voxel_size": 0.5, "reach": 30.0}
     yield "VoxelWindow", Call(_native.VoxelWindow, build)
 
@@ -302,6 +303,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "point_spacing",
     ),
     _local_clouds: (
+        "moved_crop",
         *("VoxelWindow", "VoxelWindow.push", "VoxelWindow.drop", "VoxelWindow.move"),
         "VoxelWindow.cloud",
     ),

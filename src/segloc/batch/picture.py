@@ -67,7 +67,8 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
     scale(axes)
     legend(axes)
     title(figure, heading)
-    return png(figure)
+    labels = axes.get_legend_handles_labels()[1]
+    return png(figure, f"{heading}: {', '.join(labels)}")
 
 
 def _extent(prior_map: SegmentMap, evaluation: Evaluation) -> tuple[Float64, Float64]:

@@ -36,7 +36,7 @@ _NOISE = {"odometry_m", "odometry_deg", "odometry_scale"}
 
 def align(
     sequences: Annotated[
-        list[Path], typer.Argument(metavar="SEQUENCE...", help="Sessions: recordings of one place.")
+        list[Path], typer.Argument(metavar="SEQUENCE", help="Sessions: recordings of one place.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
     poses: PosesOfEach = None,

@@ -41,18 +41,19 @@ def show_answers(evaluation: Evaluation, title: str) -> None:
         return
     order = worst_first(evaluation)
     rows = [_row(evaluation, i) for i in order[:MOST_ROWS]]
-    table(title, ("query", "confidence", "pose, or why there is none"), rows)
+    table(title, ("query", "confidence", "pose, or why there is none"), rows, texts=(0, 2))
     if len(order) > MOST_ROWS:
-        print(f"and {len(order) - MOST_ROWS} better ones; --out DIR or --json gives all")
+        print(f"and {len(order) - MOST_ROWS} better ones; --out DIR or --json has all")
 
 
 def worst_first(evaluation: Evaluation) -> Sequence[int]:
     """Positions of the queries: false ones, those not localized, then those localized; of each the
-    least sure first, but the surest first of what is false."""
+    least sure first, but the surest first of what is false. Those as sure, to the digits that are
+    shown, come in their order."""
     results, false = evaluation.results, evaluation.false
 
     def rank(i: int) -> tuple[int, float, int]:
-        confidence = results[i].confidence
+        confidence = round(results[i].confidence, 2)
         if false[i]:
             return 0, -confidence, i
         return (2 if results[i].localized else 1), confidence, i

@@ -15,25 +15,25 @@ Update = Callable[[int, int], None]
 def progress(label: str) -> Iterator[Update]:
     """A bar on stderr that is moved by calling ``update(done, total)``; none without a terminal."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    count = TextColumn("{task.fields[count]}", style="progress.download")  # once it is known
     with Progress(
-        *columns,
+        TextColumn("{task.description}"),
+        BarColumn(),
+        count,
         TimeRemainingColumn(),
         console=console,
         transient=True,
         disable=not console.is_terminal,
     ) as bars:
-        task = bars.add_task(label, total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+        task = bars.add_task(label, total=None, count="")
+
+        def update(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total, count=f"{done}/{total}")
+
+        yield update
 
 
 @contextmanager
@@ -63,8 +63,13 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table whose first column is text and whose others are numbers.
+def table(
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    texts: Sequence[int] = (0,),
+) -> None:
+    """Print a table: text in the first column, or in those named, and numbers in the others.
 
     Where stdout is no terminal, nothing in it is wrapped.
     """
@@ -78,7 +83,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     console.print(Text(title, style="bold"), soft_wrap=True)  # a title of the table's would wrap
     shown = Table(show_header=any(header))
     for i, name in enumerate(header):
-        shown.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
+        shown.add_column(name, justify="left" if i in texts else "right", overflow="fold")
     for row in rows:
         shown.add_row(*row)
     console.print(shown)

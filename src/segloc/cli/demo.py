@@ -49,7 +49,9 @@ def demo(
     write_results(out / "elsewhere", prior_map, other, None)
     prior_map.save(out / "town.segmap")
     _show(again.summary(), other.summary(), f"Town {seed}, described by {prior_map.descriptor}")
-    print(f"The map, the answers and pictures are in {out}")
+    print(
+        f"The map is {out}/town.segmap, its picture with the answers {out}/revisit/trajectory.png"
+    )
 
 
 def _evaluate(

@@ -68,6 +68,7 @@ def explain(
 
         with busy("Drawing"):
             write_text(html, page(found, localizer.prior_map, findings))
+        print(f"\n{html} has the pictures")
 
 
 def _position(recording: Recording, number: int | None) -> int:

@@ -206,12 +206,14 @@ def _tell(
     from .hints import hint
     from .results import write_results
 
-    recording, localizer = asked.recording, asked.localizer
+    recording, localizer, written = asked.recording, asked.localizer, list[str]()
     if out is not None:
         title = f"{recording.name} in {Path(name).stem}"
         with busy("Drawing"):
-            write_results(out, localizer.prior_map, evaluation, title, kept)
+            written = write_results(out, localizer.prior_map, evaluation, title, kept)
     _show_all(evaluation, f"{recording.name} in {name}", json)
+    if written and not json:
+        print(f"{out} has {', '.join(written)}")
     with busy("Looking why"):
         line = hint(recording, evaluation.results, localizer.config.local_cloud)
     if line:

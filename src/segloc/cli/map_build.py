@@ -46,7 +46,7 @@ def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
 def build(
     sequences: Annotated[
         list[Path],
-        typer.Argument(metavar="SEQUENCE...", help="Recordings whose poses share a frame."),
+        typer.Argument(metavar="SEQUENCE", help="Recordings whose poses share a frame."),
     ],
     out: MapOut,
     method: Method = None,

@@ -35,11 +35,12 @@ def show(prior_map: SegmentMap, title: str) -> None:
     from .console import table
 
     facts = prior_map.info()
+    sessions = f"{facts['sessions']} session{'s' if facts['sessions'] != 1 else ''}"
     extent = " x ".join(f"{metres:.0f}" for metres in facts["extent_m"])
     rows = [
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),
         ("segments", f"{facts['segments']}"),
-        ("poses", f"{facts['poses']} in {facts['sessions']} sessions"),
+        ("poses", f"{facts['poses']} in {sessions}"),
         ("cloud", f"{facts['cloud_points']} points, one in {facts['cloud_voxel_m']:g} m"),
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),

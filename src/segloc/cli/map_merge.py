@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def merge(
     maps: Annotated[
-        list[str], typer.Argument(metavar="MAP MAP...", help="Two or more; the first may be tiles.")
+        list[str], typer.Argument(metavar="MAP", help="Two or more; the first may be tiles.")
     ],
     out: Annotated[
         str, typer.Option(metavar="MAP", help="The file to write; tiles change where they lie.")

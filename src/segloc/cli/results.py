@@ -34,11 +34,16 @@ def write_results(
     evaluation: Evaluation,
     title: str | None,
     more: Mapping[str, bytes] | None = None,
-) -> None:
+) -> list[str]:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
     Where the truth is known there is ``errors.png``, too. There is no picture without a title.
     ``more`` are other files, by their names in the folder.
+
+    Returns
+    -------
+    list of str
+        Names of the files, and of folders of others.
     """
     where = Georeference.of(prior_map.metadata)
     files = {**_contents(evaluation, where), **(more or {})}
@@ -48,6 +53,8 @@ def write_results(
         except MissingDependency as error:
             note(f"no trajectory.png: {error}")
     write_together(out, files)
+    tops = (name.partition("/") for name in files)
+    return list(dict.fromkeys(top + slash for top, slash, _ in tops))
 
 
 def _pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict[str, bytes]:

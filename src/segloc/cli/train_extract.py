@@ -39,7 +39,7 @@ Workers = Annotated[
 Sequences = Annotated[
     list[Path] | None,
     typer.Argument(
-        metavar="[SEQUENCE]...",
+        metavar="SEQUENCE",
         help="Recordings of one place, one a session.",
         show_default="none: --simulate",
     ),

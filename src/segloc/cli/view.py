@@ -13,7 +13,7 @@ def view(
     results: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[RESULTS]",
+            metavar="RESULTS",
             help="A folder of `segloc localize --out` or `segloc live --out`.",
             show_default="none",
         ),
@@ -59,6 +59,7 @@ def view(
                 else viewer.html(prior, queries)
             )
             write_text(html, page)
+        print(f"{html} opens in a browser, from disk ({len(page) / 1e6:.1f} MB)")
         return
     if robot and results is not None:
         server = viewer.follow(prior, results, port)

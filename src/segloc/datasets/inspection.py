@@ -20,8 +20,7 @@ _ODD_SIZE = 3.0  # times more or fewer points than the median
 _SUBSTANTIAL = 0.05
 _FEWEST_POINTS = 1000  # that tell a sensor from another
 _MOST_CHANGES = 3  # of the sensor that are listed
-OTHER_SENSOR = "another sensor from here on"
-"""What is said where scans begin to be of another sensor."""
+_OTHER_SENSOR = "another sensor from here on"
 
 
 class Inspectable(Protocol):
@@ -72,6 +71,8 @@ class Inspection:
         Whether points have times.
     problems : tuple of str
         One line each.
+    sensor_changes : tuple of str
+        Likewise, where scans begin to be of another sensor.
     """
 
     sensor: str
@@ -84,6 +85,7 @@ class Inspection:
     poses: str
     timed: bool
     problems: tuple[str, ...]
+    sensor_changes: tuple[str, ...]
 
 
 def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
@@ -100,7 +102,6 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
         except DatasetError as error:
             problems.append(str(error))
     problems += _scan_problems(recording, scans)
-    problems += _sensor_problems(recording, scans)
     problems += _time_problems(recording) + _pose_problems(recording)
     sizes = [len(scan) for _, scan in scans]
     dropped = sum(scan.dropped for _, scan in scans)
@@ -117,6 +118,7 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
         poses=_source(recording),
         timed=any(scan.times is not None for _, scan in scans),
         problems=tuple(problems),
+        sensor_changes=tuple(_sensor_changes(recording, scans)),
     )
 
 
@@ -151,7 +153,7 @@ def _sensor(scans: list[tuple[int, Scan]]) -> str:
     return "unknown" if found is None else str(found)
 
 
-def _sensor_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
+def _sensor_changes(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
     """Where scans begin to be of another sensor: between those of the sample it is searched for."""
     whole = [(i, scan) for i, scan in scans if not _broken(scan) and len(scan) >= _FEWEST_POINTS]
     signed = [(i, signature(scan.points)) for i, scan in whole]
@@ -161,9 +163,10 @@ def _sensor_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> l
         if new.is_like(old):
             continue
         place = _first_unlike(recording, old, low, high)
-        changes.append(f"{recording.where(place)}: {OTHER_SENSOR}: {new}, before it {old}")
+        changes.append(f"{recording.where(place)}: {_OTHER_SENSOR}: {new}, before it {old}")
     more = len(changes) - _MOST_CHANGES
-    return [*changes[:_MOST_CHANGES], *([f"{OTHER_SENSOR}: {more} more times"] if more > 0 else [])]
+    rest = [f"{_OTHER_SENSOR}: {more} more times"] if more > 0 else []
+    return [*changes[:_MOST_CHANGES], *rest]
 
 
 def _first_unlike(recording: Inspectable, old: Signature, low: int, high: int) -> int:
@@ -221,8 +224,13 @@ def _pose_problems(recording: Inspectable) -> list[str]:
         return []
     problems = []
     if isinstance(track, Track) and len(track.gaps):
-        gaps = track.gaps
-        problems.append(f"{len(gaps)} gaps in the poses, the longest {gaps.max():.1f} s")
+        usual = float(np.median(np.diff(track.keys)))  # of key frames it may be seconds
+        gaps = track.gaps[track.gaps > 3 * usual]
+        if len(gaps):
+            problems.append(
+                f"{len(gaps)} gaps in the poses, the longest {gaps.max():.1f} s: scans in them are "
+                "left out"
+            )
     ways = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     if stamps is None or not len(ways):
         return problems

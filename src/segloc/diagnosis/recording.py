@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..datasets.inspection import OTHER_SENSOR, Inspectable, Inspection, inspect
+from ..datasets.inspection import Inspectable, Inspection, inspect
 from ..errors import DatasetError
 from ..local_cloud import LocalCloudConfig
 from ..types import Recording, Scan
@@ -68,10 +68,9 @@ def examine(
     posed = recording.poses is not None
     seen = scan_findings(sampled(recording, sample), config, posed=posed)
     misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
-    found = [Finding(Fault.READING, line) for line in facts.problems]
-    if misframed:  # beams are not where a sensor would have them
-        found = [finding for finding in found if OTHER_SENSOR not in str(finding)]
-    found += seen
+    # Where frames are wrong, beams are not where a sensor would have them.
+    lines = facts.problems if misframed else (*facts.problems, *facts.sensor_changes)
+    found = [Finding(Fault.READING, line) for line in lines] + seen
     if not posed and all(finding.fault is not Fault.FEW_BEAMS for finding in found):
         found.append(_NO_POSES)
     said = "not known"

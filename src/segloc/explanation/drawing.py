@@ -41,7 +41,7 @@ def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
                 lambda axes: _matches(axes, trace, T, prior_map),
             ),
             (
-                "The best pose: the cloud on the map",
+                "The best pose: the cloud on the map; a red cross is the runner-up",
                 lambda axes: _placed(axes, trace, T, prior_map),
             ),
             (

@@ -1,8 +1,10 @@
-"""What is added to the single page: a panel with each query, its reason, stages and confidence."""
+"""What is added to the single page: a panel with each query, its reason, stages and confidence, or
+with the states of a robot."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from string import Template
@@ -12,22 +14,43 @@ from .results import Outcome, Shown
 
 _COLOURS: dict[Outcome, str] = {"found": GREEN, "refused": ORANGE, "false": RED}
 
+LEGEND = (
+    "Dots: queries found (green), refused (orange), false (red). Cloud: on the map (green), not on "
+    "it (red). Upright green lines: matches that agree."
+)
+ROBOT_LEGEND = (
+    "Its path: localized (green), candidate or degraded (orange); the large dot is its end."
+)
+_STYLE = Template("""
+<style>
+#segloc { position: fixed; top: 1em; right: 1em; z-index: 900; width: 23em; max-width: 40vw;
+  max-height: 80vh; overflow-y: auto; background: #fffffff2; color: $dark;
+  border-radius: 6px; padding: .8em 1em;
+  font: 13px/1.4 system-ui, sans-serif; box-shadow: 0 1px 8px #0003 }
+#segloc select { width: 100%; font: inherit } #segloc > b { display: block; margin: .6em 0 .3em }
+#segloc p { margin: .3em 0 .6em } #segloc td { padding: .1em 0; vertical-align: top }
+#segloc table { border-collapse: collapse; border-top: 1px solid #0002; width: 100% }
+#segloc td:first-child { padding-right: .7em; white-space: nowrap; opacity: .75 }
+#segloc .parts td:first-child { text-align: right; font-variant-numeric: tabular-nums }
+#segloc small { display: block; border-top: 1px solid #0002; margin-top: .5em; padding-top: .4em }
+</style>
+""").substitute(dark=DARK)
 # The page's player shows each query for some seconds: its slider tells the time, and its field
 # takes one.
 _PANEL = Template("""
-<style>
-#segloc { position: fixed; top: 1em; right: 1em; z-index: 900; width: 19em; max-height: 78vh;
-  overflow-y: auto; background: #fffffff2; color: $dark; border-radius: 6px; padding: .8em 1em;
-  font: 13px/1.45 system-ui, sans-serif; box-shadow: 0 1px 8px #0003 }
-#segloc select { width: 100%; font: inherit } #segloc ul { padding-left: 1.2em; margin: .4em 0 }
-#segloc b { display: block; margin: .6em 0 .3em }
-</style>
-<div id="segloc"><select aria-label="query"></select><b></b><p></p><ul></ul></div>
+<div id="segloc"><select aria-label="query"></select><b></b><p></p><table></table>
+<b>confidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
 <script>
 (() => {
   const queries = $queries, seconds = $seconds;
-  const [box, head, said, lines] =
-    ["select", "b", "p", "ul"].map((name) => document.querySelector("#segloc " + name));
+  const [box, head, said, stages, title, parts] =
+    ["select", "b", "p", "table", "p ~ b", ".parts"].map((name) =>
+      document.querySelector("#segloc > " + name));
+  const fill = (table, rows) => table.replaceChildren(...rows.map((row) => {
+    const line = document.createElement("tr");
+    row.forEach((text) => line.insertCell().textContent = text);
+    return line;
+  }));
   queries.forEach((q, k) => box.add(new Option(q.index + ": " + q.outcome, k)));
   let shown = -1;
   const show = (k) => {
@@ -38,11 +61,9 @@ _PANEL = Template("""
     head.textContent = q.index + ": " + q.outcome;
     head.style.color = q.colour;
     said.textContent = q.said;
-    lines.replaceChildren(...q.lines.map((text) => {
-      const item = document.createElement("li");
-      item.textContent = text;
-      return item;
-    }));
+    fill(stages, q.stages);
+    fill(parts, q.parts);
+    title.hidden = parts.hidden = !q.parts.length;
   };
   const time = () => document.querySelector("[role=slider]")?.getAttribute("aria-valuenow");
   setInterval(() => {
@@ -72,12 +93,28 @@ def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
             "index": query.index,
             "outcome": query.outcome,
             "colour": _COLOURS[query.outcome],
-            "said": query.said if query.seen is None else query.seen.verdict,
-            "lines": [] if query.seen is None else list(query.seen.lines),
+            "said": query.said if seen is None else seen.verdict,
+            "stages": [] if seen is None else [line.split(": ", 1) for line in seen.stages],
+            "parts": [] if seen is None else [line.split(" ", 1) for line in seen.parts],
         }
         for query in queries
+        for seen in (query.seen,)
     ]
     text = json.dumps(told).replace("<", "\\u003c")  # no name of a query ends the script
-    panel = _PANEL.substitute(queries=text, seconds=seconds, dark=escape(DARK))
+    panel = _PANEL.substitute(queries=text, seconds=seconds, legend=LEGEND)
+    return _with(page, panel)
+
+
+def with_states(page: str, states: Sequence[str]) -> str:
+    """A page of where a robot was, with how often it was in which state."""
+    rows = "".join(
+        f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
+        for state, count in Counter(states).most_common()
+    )
+    told = f"<b>{len(states)} scans</b><table>{rows}</table><small>{ROBOT_LEGEND}</small>"
+    return _with(page, f'<div id="segloc">{told}</div>')
+
+
+def _with(page: str, panel: str) -> str:
     head, end, tail = page.rpartition("</body>")
-    return f"{head}{panel}{end}{tail}" if end else f"{page}{panel}"
+    return f"{head}{_STYLE}{panel}{end}{tail}" if end else f"{page}{_STYLE}{panel}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Sequence
-from textwrap import fill
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,7 +30,6 @@ OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-
 _GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
 _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
 _MOST_POINTS = 400_000
-_LABEL_WIDTH = 50  # characters
 _BREAK_M = 35.0  # poses farther apart are not joined
 _MARKER_M = 0.4  # points larger than this mark something
 _ABOVE_M = 3.0  # of markers over the path
@@ -113,12 +111,11 @@ class MapScene:
         return np.median(cloud, axis=0).astype(np.float64) if len(cloud) else np.zeros(3)
 
     def draw_query(self, query: Shown, prefix: str = "/query") -> None:
-        """One query in place of another: cloud, segments, matches, runner-up, and a sentence."""
+        """One query in place of another: cloud, segments, matches, runner-up, and its outcome."""
         for layer in OF_QUERY:
             self.clear(layer)
         at = self.middle(query) + [0.0, 0.0, 3.0 * _ABOVE_M]
-        said = query.said if query.seen is None else query.seen.verdict
-        text = fill(f"{query.index}: {said}", _LABEL_WIDTH)
+        text = f"{query.index}: {query.outcome}"  # the panel has the rest
         label = self._api.add_label(f"{prefix}/label", text, position=tuple(at))
         self._keep("text", label)
         if query.seen is not None and query.seen.T_map_local is not None:

@@ -19,6 +19,7 @@ from .words import steps, verdict
 _VOXEL_M = 0.3
 _STEP_M = 0.01  # positions are kept as whole numbers of it
 _MOST_BYTES = 64_000_000
+_SIGNS = ("+", "-")
 _DAMAGE = (
     *(ValueError, KeyError, TypeError, IndexError, OverflowError, OSError, EOFError),
     *(NotImplementedError, RuntimeError, BadZipFile, zlib.error),
@@ -68,6 +69,16 @@ class Seen:
     centroids: Float32
     matched: Int64
     inliers: NDArray[np.bool_]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The lines of the stages."""
+        return tuple(line for line in self.lines if line[:1] not in _SIGNS)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The lines of the confidence: log-odds, and what they are of."""
+        return tuple(line for line in self.lines if line[:1] in _SIGNS)
 
 
 def seen(trace: Trace) -> Seen:

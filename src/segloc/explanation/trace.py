@@ -153,7 +153,7 @@ def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> 
 def _parts(model: ConfidenceModel, evidence: Evidence) -> tuple[Part, ...]:
     words = _measured(evidence)
     return tuple(
-        Part(name, model.weights[name] * feature, words.get(name, name))
+        Part(name, model.weights[name] * feature, words[name])
         for name, feature in zip(FEATURES, model.features(evidence), strict=True)
     )
 
@@ -166,17 +166,22 @@ def _measured(evidence: Evidence) -> dict[str, str]:
         seen = f"{score.seen:.0%} of the map in view is seen"
     overlaps = [rival.overlap for rival in rivals]
     rivals_seen = [rival.seen for rival in rivals if rival.seen is not None]
-    walls = "no walls to compare"
+    walls, ground = "no walls to compare", "no ground to compare"
     if score.walls is not None:
         walls = f"{score.walls:.0%} of the walls that fit worst lie on walls"
+    if score.ground is not None:
+        ground = f"{score.ground:.0%} of the ground lies on the map's ground"
+    lies = f"{score.overlap:.0%} of the cloud lies on the map"
     return {
         "seen": seen,
+        "in_view": f"{score.judged} points of the map are in view",
+        "overlap": lies,
         "inliers": f"{score.inliers} segments agree",
         "inliers_over_rival": f"{evidence.inlier_ratio:.1f} times as many as elsewhere",
-        "overlap_over_rival": f"{score.overlap:.0%} of the cloud lies on the map, "
-        f"{_elsewhere(overlaps)}",
+        "overlap_over_rival": f"{lies}, {_elsewhere(overlaps)}",
         "seen_over_rival": f"{seen}, {_elsewhere(rivals_seen)}",
         "walls": walls,
+        "ground": ground,
     }
 
 

@@ -17,13 +17,13 @@ from ..map.segment_map import SegmentMap
 from ..types import Float64
 from .drawn_fast import draw_fast, drawn_fast
 from .following import Moment, draw_moments, newest_points, read_moments
-from .panel import with_panel
+from .panel import LEGEND, ROBOT_LEGEND, with_panel, with_states
 from .results import Shown
 from .scene import FIXED, OF_QUERY, ROBOT, MapScene
 
 SECONDS_A_QUERY = 2.0
 _EVERY_S = 0.5
-_BACK_M, _UP_M, _IN_VIEW_M = 45.0, 60.0, 70.0
+_BACK_M, _UP_M, _IN_VIEW_M = 45.0, 60.0, 95.0
 
 
 def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
@@ -101,6 +101,7 @@ def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
     draw_fast(server)
     scene = _map_in_view(server, prior_map)
     text = server.gui.add_markdown("")
+    server.gui.add_markdown(ROBOT_LEGEND)
     _add_layers(server, scene, ROBOT)
     shown: list[int] = []
 
@@ -141,7 +142,8 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
     try:
         scene = _map_in_view(server, prior_map)
         draw_moments(scene, moments)
-        return drawn_fast(str(server.get_scene_serializer().as_html()))
+        page = drawn_fast(str(server.get_scene_serializer().as_html()))
+        return with_states(page, [moment.state for moment in moments])
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
@@ -172,6 +174,7 @@ def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
     head = server.gui.add_markdown("")
     with server.gui.add_folder("stages and confidence", expand_by_default=False):
         text = server.gui.add_markdown("")
+    server.gui.add_markdown(LEGEND)
 
     def choose(_: Any) -> None:
         query = queries[min(int(slider.value), last)]
@@ -193,8 +196,13 @@ def described(query: Shown) -> str:
 
 def stages(query: Shown) -> str:
     """Markdown of one query: a line for each stage, and for each part of the confidence."""
-    lines = () if query.seen is None else query.seen.lines
-    return "\n".join(f"- {line}" for line in lines)
+    if query.seen is None:
+        return ""
+    lines = [f"- {line}" for line in query.seen.stages]
+    if query.seen.parts:
+        lines += ["", "confidence, in log-odds", ""]
+        lines += [f"- {line}" for line in query.seen.parts]
+    return "\n".join(lines)
 
 
 def _in_detail(queries: Sequence[Shown]) -> list[Shown]:

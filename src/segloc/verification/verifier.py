@@ -139,11 +139,13 @@ class Verifier:
     ) -> tuple[RefinedScore, list[Score]]:
         """The pose that is likelier by itself, and its rivals near it.
 
-        A rival is refined where the clouds roughly fit nearly as well.
+        A rival is refined where the clouds roughly fit nearly as well; of a pose that is unlikely
+        by itself only where they fit better, since it is refused unless one of those is likelier.
         """
         rough, rivals = scores.rough_overlap(score), list[Score]()
         for each in nearby:
-            if each.overlap < self.config.refined_from * rough:
+            unlikely = self.model.standalone(score) < UNLIKELY
+            if each.overlap < (1.0 if unlikely else self.config.refined_from) * rough:
                 rivals.append(scores.roughly(each))
                 continue
             rival = scores.closely(each.candidate)

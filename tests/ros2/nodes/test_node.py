@@ -233,6 +233,7 @@ def test_autoware_is_answered(peer: Peer, maps: Path, tmp_path: Path) -> None:
         peer.until(client.service_is_ready, WAIT_S)
         peer.tell_mount()
         peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)  # until the service has discovered its client, too
         for x, expected in ((-9.0, True), (300.0, False)):
             near = geometry.yaw_transform(0.0, (x, 3.0, 0.0))
             request = kind.Request()

@@ -191,7 +191,8 @@ table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabu
 caption { text-align: left; font-weight: 600; padding-bottom: .5rem; font-size: 1rem; }
 th, td { padding: .35rem .8rem; text-align: right; white-space: nowrap;
   border-bottom: 1px solid var(--line); }
-thead th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); }
+thead th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line);
+  white-space: normal; max-width: 7.5rem; vertical-align: bottom; }
 th:first-child, td.words { text-align: left; }
 tbody th { font-weight: 500; }
 tbody tr:hover { background: var(--tint); }
@@ -200,7 +201,7 @@ table.paper caption { color: var(--ink); }
 .badge { font-size: .72rem; font-weight: 600; color: var(--badge); background: var(--badge-bg);
   border-radius: 999px; padding: .15em .7em; margin-left: .4em; vertical-align: middle; }
 .note, figcaption span { color: var(--soft); font-size: .88rem; margin-top: .25rem; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr));
+.figures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 24rem), 1fr));
   gap: 1.5rem; margin: 1.5rem 0; }
 figure { margin: 0; padding: 1rem; background: var(--tint); border-radius: 10px; }
 figure svg { display: block; width: 100%; height: auto; }

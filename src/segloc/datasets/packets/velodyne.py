@@ -129,7 +129,8 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
     try:
         import velodyne_decoder
     except ImportError as error:
-        raise MissingDependency("velodyne-decoder", "packets", "Velodyne packets") from error
+        purpose = "reading Velodyne packets"
+        raise MissingDependency("velodyne-decoder", "packets", purpose) from error
     check_packets(len(packets))
     if not packets:  # of none, the decoder ends the process
         raise DatasetError(f"{where}: no packets")

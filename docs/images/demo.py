@@ -1,0 +1,43 @@
+"""Keep the pictures that `segloc demo` leaves: those of the README and docs/seeing.md.
+
+python docs/images/demo.py        # writes demo.png and demo_errors.png beside itself
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from segloc.cli.demo import demo
+
+KEPT = {"trajectory.png": "demo.png", "errors.png": "demo_errors.png"}
+SAID = "Description"
+COLOURS = 128
+
+
+def keep(results: Path, out: Path) -> None:
+    """The pictures of a folder of results in few colours, with what they say of themselves."""
+    for drawn, name in KEPT.items():
+        with Image.open(results / drawn) as image:
+            said = PngInfo()
+            if SAID in image.info:
+                said.add_text(SAID, image.info[SAID])
+            few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+            few.save(out / name, optimize=True, pnginfo=said)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent)
+    options = parser.parse_args()
+    with TemporaryDirectory() as folder:
+        demo(Path(folder))
+        keep(Path(folder) / "revisit", options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Draw the picture of docs/seeing.md: `segloc view` with a query of the sample.
+
+python docs/images/view.py        # writes view.png beside itself; needs the extras sim and view,
+                                  # segloc-experiments and a Chromium
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+from segloc_experiments.bench.browser import Page, browser
+
+from segloc import Config, Localizer, build_map
+from segloc.cli.answers import sentence
+from segloc.cli.sample import drives
+from segloc.explanation import trace, viewer
+from segloc.explanation.results import Shown
+from segloc.explanation.seen import seen
+from segloc.local_cloud import Accumulator
+from segloc.map.segment_map import SegmentMap
+
+SEED, QUERY = 0, 9
+WIDTH, HEIGHT, COLOURS = 1280, 720, 256
+SETTLE_S, DRAWN_S = 60.0, 12.0
+_CLOSE_NOTICES = "document.querySelectorAll('.mantine-Notification-closeButton')"
+_CHOOSE = """(() => {
+  const field = document.querySelector("input[inputmode=numeric], input[type=text]");
+  const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+  field.focus();
+  set.call(field, "%d");
+  field.dispatchEvent(new Event("input", { bubbles: true }));
+  field.blur();
+})()"""
+
+
+def answered(seed: int) -> tuple[SegmentMap, list[Shown]]:
+    """A map of the sample's Monday, and how each scan of its Tuesday is found in it."""
+    monday, tuesday, _ = drives(seed)
+    config = Config.preset("profile").model_copy(update={"threads": 1})
+    localizer = Localizer(build_map(monday, config), config)
+    clouds = Accumulator(config.local_cloud)
+    shown = []
+    for i in range(len(tuesday)):
+        found = trace(localizer, clouds.gather(tuesday.scan(i)), f"scan {i}")
+        result = found.result
+        T = result.T_map_sensor if result.localized else None
+        outcome = "found" if result.localized else "refused"
+        shown.append(Shown(i, outcome, sentence(result), T, seen(found)))
+    return localizer.prior_map, shown
+
+
+def picture(page: Page, address: str, query: int) -> bytes:
+    """What the browser shows of a query, once it is drawn."""
+    size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
+    page.do("Emulation.setDeviceMetricsOverride", **size)
+    page.open(address)
+    page.until("document.body.innerText.includes('0: ')", SETTLE_S)
+    page.value(_CHOOSE % query)
+    if not page.until(f"document.body.innerText.includes('{query}: ')", SETTLE_S):
+        raise SystemExit(f"query {query} is not shown")
+    page.wait(DRAWN_S)
+    page.value(f"{_CLOSE_NOTICES}.forEach((button) => button.click())")
+    page.wait(1.0)
+    if page.faults:
+        raise SystemExit(f"the page has faults: {page.faults}")
+    return page.picture()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("view.png"))
+    options = parser.parse_args()
+    server = viewer.serve(*answered(SEED), 0)
+    try:
+        with TemporaryDirectory() as profile, browser(Path(profile)) as page:
+            drawn = picture(page, f"http://localhost:{server.get_port()}", QUERY)
+    finally:
+        server.stop()
+    with Image.open(io.BytesIO(drawn)) as image:  # few colours keep it small
+        few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        few.save(options.out, optimize=True)
+
+
+if __name__ == "__main__":
+    main()

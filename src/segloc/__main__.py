@@ -1,0 +1,5 @@
+"""``python -m segloc``: the command line."""
+
+from .cli import main
+
+main()
