@@ -39,6 +39,7 @@ class Hypotheses:
         self.track: Hypothesis | None = None
         self.doubt = ""
         self._doubts = 0
+        self._held = False  # whether the last scan fitted an unconfirmed track
         self._ends_at = math.inf  # travelled distance at which an unconfirmed track ends
         self._candidates: list[Hypothesis] = []
 
@@ -98,7 +99,7 @@ class Hypotheses:
         elif view.check is Check.UNMAPPED:
             self.doubt = self.doubt or OFF_THE_MAP
         elif view.T_checked is not None:
-            self.doubt = self.doubt or UNCONFIRMED
+            self.doubt, self._held = self.doubt or UNCONFIRMED, False
 
     def forget(self, travelled: float) -> None:
         """Drop what nothing has supported for long."""
@@ -149,7 +150,7 @@ class Hypotheses:
 
     def _begin(self, found: Hypothesis) -> None:
         self.track, self.doubt, self._doubts, self._ends_at = found, "", 0, math.inf
-        self._candidates = []
+        self._candidates, self._held = [], False
 
     def _end(self, doubt: str) -> None:
         self.track, self.doubt, self._doubts, self._ends_at = None, doubt, 0, math.inf
@@ -162,7 +163,8 @@ class Hypotheses:
         """The newest scan fits where the track is; another place that fits, too, is no rival yet.
 
         Before as many views have spoken for the track as for that place it is chance which of the
-        two came first.
+        two came first. A track that was not confirmed is by two scans in a row: one may fit by
+        chance.
         """
         assert self.track is not None
         if view.believed and view.T_map_odom is not None:
@@ -171,6 +173,7 @@ class Hypotheses:
                 self._doubt(view, "another place fits as well")
                 return
         track, candidates = self.track, self._candidates
+        once = self.doubt == UNCONFIRMED and not self._held
         self._begin(
             replace(
                 track,
@@ -181,6 +184,8 @@ class Hypotheses:
             )
         )
         self._candidates = candidates
+        if once:
+            self.doubt, self._held = UNCONFIRMED, True
 
     def _doubt(self, view: View, why: str) -> None:
         """Speak against the track; the last doubt ends it, and another place may take over."""

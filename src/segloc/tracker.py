@@ -45,7 +45,7 @@ class TrackerConfig(HypothesesConfig):
         4.0, ge=0, description="the same while there is no track, or it is contradicted, metres"
     )
     check_m: float = Field(
-        3.0, ge=0, description="between queries the track is checked by single scans, so far apart"
+        2.0, ge=0, description="between queries the track is checked by single scans, so far apart"
     )
     check: ScanCheckConfig = ScanCheckConfig()
 

@@ -4,8 +4,8 @@
 
 Run it in an environment of its own: ``pip install kiss-slam``, which brings map-closures (Gupta et
 al., ICRA 2024). Each closure of map-closures between its local maps is kept, also where KISS-SLAM
-then refuses it. Where keyframes are missing, on 40 m around a bend, KISS-ICP is told the true motion
-as its first guess: it would be lost there. ``loops`` reads what is written here.
+then refuses it. Where keyframes are missing, on 40 m around a bend, KISS-ICP is told the true
+motion as its first guess: it would be lost there. ``loops`` reads what is written here.
 """
 
 from __future__ import annotations
