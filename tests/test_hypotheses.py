@@ -99,13 +99,17 @@ def test_a_scan_that_does_not_confirm_the_track_degrades_it_whatever_older_scans
         assert at(track, HERE) and not track.contradicted
         assert track.status(19.0) == (Status.DEGRADED, "the newest scan does not confirm the track")
     fits = {"check": Check.HOLDS, "T_checked": HERE}
-    for at_m, scan in ((22.0, fits), (24.0, undecided), (26.0, fits)):  # one may fit by chance
-        track.take(view(at_m, **scan))
+    seen = [(22.0, fits), (24.0, undecided), *((26.0 + 2 * k, fits) for k in range(5))]
+    for at_m, scan in seen:  # a few fit by chance
+        track.take(view(at_m, HERE if at_m == 28.0 else None, **scan))
         assert track.status(at_m)[0] is Status.DEGRADED
-    track.take(view(28.0, **fits))
-    assert track.status(28.0) == (Status.LOCALIZED, "")
-    track.take(view(30.0))  # nothing was checked
-    assert track.status(30.0)[0] is Status.LOCALIZED
+    track.take(view(36.0, **fits))
+    assert track.status(36.0) == (Status.LOCALIZED, "")
+    track.take(view(38.0))  # nothing was checked
+    assert track.status(38.0)[0] is Status.LOCALIZED
+    for at_m, scan in ((40.0, undecided), (42.0, fits), (44.0, fits)):  # for as long as not
+        track.take(view(at_m, **scan))
+    assert track.status(44.0)[0] is Status.LOCALIZED
 
 
 def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:

@@ -17,6 +17,9 @@ from .views import Check, HypothesesConfig, Hypothesis, Status, View
 
 OFF_THE_MAP = "little of what is seen is in the map"
 UNCONFIRMED = "the newest scan does not confirm the track"
+_REGAINED_M = 10.0
+"""A track that was not confirmed is after so much travel on which all scans fit, or as much as none
+did: a few fit by chance where rooms are alike. Set by hand."""
 
 
 class Hypotheses:
@@ -39,7 +42,8 @@ class Hypotheses:
         self.track: Hypothesis | None = None
         self.doubt = ""
         self._doubts = 0
-        self._held = False  # whether the last scan fitted an unconfirmed track
+        self._unconfirmed_at = 0.0  # travelled distance since which the track is not confirmed
+        self._fits_from: float | None = None  # and since which all scans fit it again
         self._ends_at = math.inf  # travelled distance at which an unconfirmed track ends
         self._candidates: list[Hypothesis] = []
 
@@ -89,8 +93,6 @@ class Hypotheses:
             self.doubt = self.doubt or OFF_THE_MAP
         elif view.T_map_odom is not None and self._agrees(view):
             self._support(view, view.T_map_odom)
-            if view.check is Check.UNDECIDED and view.T_checked is not None:
-                self.doubt = UNCONFIRMED  # what was seen before agrees, perhaps of another place
         elif view.check is Check.HOLDS and view.T_checked is not None:
             self._hold(view, view.T_checked)
         elif view.believed and view.T_map_odom is not None:
@@ -99,7 +101,8 @@ class Hypotheses:
         elif view.check is Check.UNMAPPED:
             self.doubt = self.doubt or OFF_THE_MAP
         elif view.T_checked is not None:
-            self.doubt, self._held = self.doubt or UNCONFIRMED, False
+            self._unconfirm(view, self.doubt)
+            self.doubt = self.doubt or UNCONFIRMED
 
     def forget(self, travelled: float) -> None:
         """Drop what nothing has supported for long."""
@@ -150,21 +153,46 @@ class Hypotheses:
 
     def _begin(self, found: Hypothesis) -> None:
         self.track, self.doubt, self._doubts, self._ends_at = found, "", 0, math.inf
-        self._candidates, self._held = [], False
+        self._candidates = []
 
     def _end(self, doubt: str) -> None:
         self.track, self.doubt, self._doubts, self._ends_at = None, doubt, 0, math.inf
 
     def _support(self, view: View, T_map_odom: Pose) -> None:
         assert self.track is not None
-        self._begin(self.track.joined(view, T_map_odom, self.config.apart_m))
+        self._go_on(self.track.joined(view, T_map_odom, self.config.apart_m), view)
+
+    def _go_on(self, track: Hypothesis, view: View) -> None:
+        """Follow a track that a view supports; doubted on, unless its newest scan confirms it.
+
+        What was seen before agrees, too, where a robot was carried to a place that looks alike.
+        """
+        doubt = self.doubt
+        self._begin(track)
+        if view.check is Check.UNDECIDED and view.T_checked is not None:
+            self._unconfirm(view, doubt)
+            self.doubt = UNCONFIRMED
+        elif doubt == UNCONFIRMED and not self._regained(view):
+            self.doubt = UNCONFIRMED
+
+    def _unconfirm(self, view: View, doubt: str) -> None:
+        """Note since when scans do not confirm the track, by how it was doubted before."""
+        if doubt != UNCONFIRMED:
+            self._unconfirmed_at = view.at
+        self._fits_from = None
+
+    def _regained(self, view: View) -> bool:
+        """Whether scans have fitted an unconfirmed track for as long as they had not."""
+        if self._fits_from is None:
+            self._fits_from = view.at
+        without = self._fits_from - self._unconfirmed_at
+        return view.at - self._fits_from >= min(without, _REGAINED_M)
 
     def _hold(self, view: View, T_map_odom: Pose) -> None:
         """The newest scan fits where the track is; another place that fits, too, is no rival yet.
 
         Before as many views have spoken for the track as for that place it is chance which of the
-        two came first. A track that was not confirmed is by two scans in a row: one may fit by
-        chance.
+        two came first.
         """
         assert self.track is not None
         if view.believed and view.T_map_odom is not None:
@@ -173,19 +201,15 @@ class Hypotheses:
                 self._doubt(view, "another place fits as well")
                 return
         track, candidates = self.track, self._candidates
-        once = self.doubt == UNCONFIRMED and not self._held
-        self._begin(
-            replace(
-                track,
-                T_map_odom=T_map_odom,
-                covariance=view.checked_covariance,
-                T_odom_sensor=view.T_odom_sensor,
-                since=view.at,
-            )
+        moved = replace(
+            track,
+            T_map_odom=T_map_odom,
+            covariance=view.checked_covariance,
+            T_odom_sensor=view.T_odom_sensor,
+            since=view.at,
         )
+        self._go_on(moved, view)
         self._candidates = candidates
-        if once:
-            self.doubt, self._held = UNCONFIRMED, True
 
     def _doubt(self, view: View, why: str) -> None:
         """Speak against the track; the last doubt ends it, and another place may take over."""
