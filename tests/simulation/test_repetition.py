@@ -41,7 +41,7 @@ def test_things_are_of_few_types(world: World) -> None:
 
 
 def test_a_world_is_remade_as_it_was(world: World) -> None:
-    again = pickle.loads(pickle.dumps(world))  # noqa: S301
+    again = pickle.loads(pickle.dumps(world))
     np.testing.assert_array_equal(again.static.triangles, world.static.triangles)
     assert again.catalogue == world.catalogue
     cars = [group.changing(0).triangles for group in (world, again)]
