@@ -117,7 +117,7 @@ class Peer(Node):
 
     def ready(self) -> None:
         """Wait until the node's ends of the topics are there."""
-        ends = (self._points, self._odom)
+        ends = (self._points, self._odom, self._tf_static)
         self.until(lambda: all(end.get_subscription_count() for end in ends), 60.0)
 
     def send_cloud(self, stamp: float, points: Float32) -> None:

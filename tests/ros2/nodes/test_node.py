@@ -129,7 +129,7 @@ def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
     with running(NODE, log, map=str(used), **PARAMETERS) as node:  # as by respawn
         peer.ready()
         peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(0.5)
+        peer.spin(1.0)  # the mount is sent to it again, as all that is latched
         truth = peer.walk(4, T_map_odom=reset, begin=(2.0, 1.0), step=1.0)
         assert localized(peer, SHIFT @ truth), peer.said
         node.send_signal(signal.SIGINT)
