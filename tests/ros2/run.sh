@@ -45,5 +45,10 @@ export COLCON_CURRENT_PREFIX=$ws/install SEGLOC_ROS_INSTALL=$ws/install OMP_NUM_
 set +u
 . "$ws/install/local_setup.sh"
 set -u
-"$home/bin/python" -m pytest -p no:cacheprovider -W "ignore:module 'sre_:DeprecationWarning" \
-  tests/ros2/nodes "$@"
+# Processes that find one another by a network's clock: where a busy machine is too slow for that, all
+# is tried once more.
+nodes() {
+  "$home/bin/python" -m pytest -p no:cacheprovider -W "ignore:module 'sre_:DeprecationWarning" \
+    tests/ros2/nodes "$@"
+}
+nodes "$@" || { echo "once more:"; nodes "$@"; }
