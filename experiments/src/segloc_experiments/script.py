@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 
 def parser(doc: str | None) -> argparse.ArgumentParser:
@@ -10,6 +12,15 @@ def parser(doc: str | None) -> argparse.ArgumentParser:
     return argparse.ArgumentParser(
         description=(doc or "").strip(), formatter_class=argparse.RawDescriptionHelpFormatter
     )
+
+
+def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
+    """The same of a run that keeps what it has done in a file, and of several can be added up."""
+    options = parser(doc)
+    options.add_argument("--out", type=Path, default=Path(out))
+    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs have kept")
+    options.add_argument("--store", type=Path, help="a folder of stored results")
+    return options
 
 
 def head(*columns: str) -> str:
@@ -20,3 +31,10 @@ def head(*columns: str) -> str:
 def row(*cells: object) -> str:
     """A row of a Markdown table."""
     return f"| {' | '.join(map(str, cells))} |"
+
+
+def show(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a Markdown table."""
+    print(head(*columns))
+    for cells in rows:
+        print(row(*cells), flush=True)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from segloc.types import Float64
 
 from ..kitti00 import keyframes, poses_of
 from ..results.store import Cell, Result
-from ..script import head, parser, row
+from ..script import parser, show
 
 FALSE_M = 5.0
 LOOP_M, LOOP_DEG = 0.5, 0.5
@@ -61,9 +62,8 @@ def own_loops(drive: Sequence, odometry: Float64) -> tuple[Edges, float]:
     return _edges(ends, T), seconds
 
 
-def map_closures(folder: Path, maps: Float64) -> Edges:
+def map_closures(found: list[dict[str, Any]], maps: Float64) -> Edges:
     """Closures between local maps as loops between the first scans of each."""
-    found = json.loads((folder / "closures.json").read_text("utf-8"))
     first = {int(k): int(np.argmax(maps == k)) for k in np.unique(maps)}
     found = [each for each in found if {each["source"], each["target"]} <= first.keys()]
     ends = [[first[each["source"]], first[each["target"]]] for each in found]
@@ -105,8 +105,9 @@ def main() -> None:
     kept = np.load(args.out / "kiss_slam.npz")
     odometry = chained(kept["steps"])
     ours, seconds = own_loops(drive, odometry)
-    theirs = map_closures(args.out, kept["maps"])
-    believed = [each["believed"] for each in json.loads((args.out / "closures.json").read_text())]
+    closures = json.loads((args.out / "closures.json").read_text("utf-8"))
+    theirs = map_closures(closures, kept["maps"])
+    believed = [each["believed"] for each in closures]
     rows: list[tuple[Cell, ...]] = [
         ("none: KISS-ICP", 0, 0, round(ate(odometry, truths), 2), None),
         _row("LoopDetector", ours, odometry, truths, seconds),
@@ -116,9 +117,7 @@ def main() -> None:
             f"{float(kept['seconds']):.0f}, odometry included",
         ),
     ]
-    print(head(*COLUMNS))
-    for each in rows:
-        print(row(*each))
+    show(COLUMNS, rows)
     if args.store is not None:
         command = "python -m segloc_experiments.peers.loops DATA OUT"
         note = f"{len(drive)} keyframes, {geometry.travelled(truths)[-1]:.0f} m."

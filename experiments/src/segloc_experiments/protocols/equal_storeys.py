@@ -24,7 +24,7 @@ from segloc.types import Float64, Pose
 from ..intervals import share
 from ..recordings import Unposed
 from ..results.store import Result
-from ..script import head, parser, row
+from ..script import parser, show
 
 WITHIN_M = 0.2
 LENGTH_M, SPACING_M = 40.0, 2.0
@@ -120,9 +120,7 @@ def main() -> None:
         total = sum(found.values())
         rest = (found[name] for name in ("wrong", "ambiguous", "refused"))
         rows.append((differ, own, other, share(found["right"], total), *rest))
-    print(head(*COLUMNS))
-    for cells in rows:
-        print(row(*cells))
+    show(COLUMNS, rows)
     if args.store:
         command = "python -m segloc_experiments.protocols.equal_storeys --store docs/results"
         note = (

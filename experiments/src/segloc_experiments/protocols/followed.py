@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.live import LiveCore, State, Status
 from segloc.simulation import (
     SCENES,
     SENSORS,
     Conditions,
     OdometryNoise,
+    SimulatedSequence,
     simulate_sessions,
 )
 from segloc.types import Float64, Int64, Recording
@@ -31,7 +32,6 @@ STEP_M, SLOW_M, STREET_M = 1.0, 0.15, 150.0
 STARTS_M, GIVE_UP_M = 20.0, 100.0
 OFF_M, KITTI_OFF_M, OFF_DEG = 2.0, 3.0, 10.0
 SAMPLE_SCANS = 600
-KITTI_NOISE = OdometryNoise()
 
 
 @dataclass(frozen=True)
@@ -56,22 +56,30 @@ class Stream:
 
 def town_stream(sensor: str, seed: int, length_m: float, root: Path | None) -> Stream:
     """Full scans, a metre apart, of a drive through a town that was mapped on another day."""
-    world = SCENES["town"](seed, size_m=330.0)
+    localizer, again = _town(sensor, seed, 330.0, length_m, STEP_M)
+    driven = again.with_odometry()
+    name = f"town, {sensor}"
+    return Stream(name, seed, localizer, kept(driven, root), driven.poses, driven.truth)
+
+
+def _town(
+    sensor: str, seed: int, size_m: float, length_m: float, spacing_m: float
+) -> tuple[Localizer, SimulatedSequence]:
+    """A town that was mapped, and a drive through it on another day."""
+    world = SCENES["town"](seed, size_m=size_m)
     days = [Conditions(), Conditions(replaced=0.1)]
     mapped = simulate_sessions(world, SENSORS["hdl64e"](900), days, length_m=length_m, seed=seed)[0]
     driven = simulate_sessions(
-        world, SENSORS[sensor](), days, length_m=length_m, spacing_m=STEP_M, seed=seed
-    )[1].with_odometry()
-    localizer = _localizer(mapped)
-    name = f"town, {sensor}"
-    return Stream(name, seed, localizer, kept(driven, root), driven.poses, driven.truth)
+        world, SENSORS[sensor](), days, length_m=length_m, spacing_m=spacing_m, seed=seed
+    )[1]
+    return _localizer(mapped), driven
 
 
 def kitti00_stream(data: Path) -> Stream:
     """Keyframes of the second half of KITTI 00 in a map of the first."""
     drive = keyframes(data, SECOND_HALF)
     truths = poses_of(drive)
-    odometry = KITTI_NOISE.odometry(truths, np.random.default_rng(0))
+    odometry = OdometryNoise().odometry(truths, np.random.default_rng(0))
     localizer = _localizer(keyframes(data, FIRST_HALF))
     return Stream("KITTI 00, keyframes", 0, localizer, drive, odometry, truths, KITTI_OFF_M)
 
@@ -108,14 +116,13 @@ def error(state: State, truth: Float64) -> tuple[float, float]:
     """Metres and degrees that a pose is off; infinite without one."""
     if state.T_map_base is None:
         return float("inf"), float("inf")
-    off = geometry.inverse(truth) @ state.T_map_base
-    return float(np.linalg.norm(off[:3, 3])), float(np.degrees(geometry.rotation_angle(off)))
+    metres, degrees = pose_errors(state.T_map_base[None], truth[None])
+    return float(metres[0]), float(degrees[0])
 
 
-def false(state: State, truth: Float64, off_m: float) -> bool:
-    """Whether a pose is said that is not so."""
-    metres, degrees = error(state, truth)
-    return state.localized and not (metres <= off_m and degrees <= OFF_DEG)
+def right(metres: float, degrees: float, off_m: float) -> bool:
+    """Whether a pose is where it is said to be."""
+    return metres <= off_m and degrees <= OFF_DEG
 
 
 def stream_record(stream: Stream) -> dict[str, Any]:
@@ -123,11 +130,14 @@ def stream_record(stream: Stream) -> dict[str, Any]:
     steps = list(_along(stream, range(len(stream.odometry))))
     covered = _covered(stream)
     sure = np.array([step.state.status is Status.LOCALIZED for step in steps])
+    errors = [error(s.state, T) for s, T in zip(steps, stream.truths, strict=True)]
     off = np.array(
-        [false(s.state, T, stream.off_m) for s, T in zip(steps, stream.truths, strict=True)]
+        [
+            step.state.localized and not right(*each, stream.off_m)
+            for step, each in zip(steps, errors, strict=True)
+        ]
     )
     metres = np.diff(geometry.travelled(stream.truths), prepend=0.0)
-    errors = [error(s.state, T)[0] for s, T in zip(steps, stream.truths, strict=True)]
     return {
         "stream": stream.name,
         "seed": stream.seed,
@@ -136,7 +146,7 @@ def stream_record(stream: Stream) -> dict[str, Any]:
         "localized": int((sure & covered & ~off).sum()),
         "false_m": round(float(metres[sure & off].sum()), 2),
         "degraded_false_m": round(float(metres[~sure & off].sum()), 2),
-        "errors": np.round(np.array(errors)[sure & ~off], 3).tolist(),
+        "errors": np.round(np.array(errors)[sure & ~off, 0], 3).tolist(),
         "scan_ms": [round(step.scan_ms, 2) for step in steps],
         "query_ms": [round(ms, 2) for step in steps for ms in step.query_ms],
         "first_fix": _first_fixes(stream, covered),
@@ -173,25 +183,20 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
 
 def memory(seed: int, minutes: int, root: Path, ends: float) -> Iterator[dict[str, Any]]:
     """A robot with a VLP-16 goes there and back along a street; a sample every minute."""
-    world = SCENES["town"](seed, size_m=200.0)
-    days = [Conditions(), Conditions(replaced=0.1)]
-    mapped = simulate_sessions(world, SENSORS["hdl64e"](900), days, length_m=STREET_M, seed=seed)[0]
-    driven = simulate_sessions(
-        world, SENSORS["vlp16"](), days, length_m=STREET_M, spacing_m=SLOW_M, seed=seed
-    )[1]
+    localizer, driven = _town("vlp16", seed, 200.0, STREET_M, SLOW_M)
     recording = kept(driven, root)
     positions = there_and_back(len(driven), round(minutes * 60 * RATE_HZ))
     truths = driven.truth[positions]
     odometry = OdometryNoise().odometry(truths, np.random.default_rng(seed))
     for i in range(len(driven)):
         recording.scan(i)  # cast before anything is measured
-    core = LiveCore(_localizer(mapped), T_base_sensor=np.eye(4))
+    core = LiveCore(localizer, T_base_sensor=np.eye(4))
     localized, false_m, seconds = 0, 0.0, 0.0
     for k, i in enumerate(positions.tolist()):
         step = followed(core, Scan(recording.scan(i).points), k / RATE_HZ, odometry[k])
         sure = step.state.status is Status.LOCALIZED
         localized += sure
-        false_m += SLOW_M * (sure and false(step.state, truths[k], OFF_M))
+        false_m += SLOW_M * (sure and not right(*error(step.state, truths[k]), OFF_M))
         seconds += (step.scan_ms + sum(step.query_ms)) / 1e3
         if (k + 1) % SAMPLE_SCANS == 0:
             yield {

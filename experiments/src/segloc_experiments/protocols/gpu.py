@@ -29,7 +29,7 @@ from segloc.types import Segments
 from ..bench.harness import in_process, interleaved, optional
 from ..paper.gpu import GPU_METHODS, gpu_ms
 from ..results.store import Cell, Result
-from ..script import head, parser, row
+from ..script import parser, show
 
 COMMAND = "python -m segloc_experiments.protocols.gpu --store docs/results"
 VIEWS = 4
@@ -177,9 +177,7 @@ def main() -> None:
         inference(args.segments, args.repeats, args.device),
         training(args.objects, args.seconds, args.device),
     ):
-        print(head(*result.columns))
-        for cells in result.rows:
-            print(row(*cells), flush=True)
+        show(result.columns, result.rows)
         print(f"\n{result.note}\n", flush=True)
         if args.store:
             result.save(args.store)

@@ -31,7 +31,7 @@ from ..intervals import share
 from ..journal import entries, keep
 from ..results.fingerprints import STAGES
 from ..results.store import Cell, Result
-from ..script import head, parser, row
+from ..script import resumed, show
 from .kidnapped import HELD_M, KINDS, NOTICED_M, RECOVERED_M, WAYS, Trial, World
 
 COLUMNS = (
@@ -76,9 +76,7 @@ def _spread(values: list[float]) -> str:
 def report(found: list[Trial], store: Path | None) -> None:
     """Print the table, and keep it where results are."""
     rows = table(found)
-    print(head(*COLUMNS))
-    for each in rows:
-        print(row(*each))
+    show(COLUMNS, rows)
     if store is not None:
         command = "python -m segloc_experiments.protocols.kidnapping --report kidnapping.jsonl"
         kept = {"trials": [asdict(t) for t in found]}
@@ -96,15 +94,12 @@ def read(paths: Iterable[Path]) -> list[Trial]:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = resumed(__doc__, "kidnapping.jsonl")
     options.add_argument("--worlds", type=int, default=48)
     options.add_argument("--trials", type=int, default=5, help="in each world")
     options.add_argument("--first-seed", type=int, default=4104)
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
-    options.add_argument("--out", type=Path, default=Path("kidnapping.jsonl"))
     options.add_argument("--done", type=Path, nargs="+", default=[], help="what others have tried")
-    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs have tried")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     if args.report:
         report(read(args.report), args.store)

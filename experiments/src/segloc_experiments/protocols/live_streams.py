@@ -33,7 +33,7 @@ from segloc.types import Float64
 from ..journal import entries, keep
 from ..results.fingerprints import STAGES
 from ..results.store import Cell, Result
-from ..script import head, parser, row
+from ..script import resumed, show
 from .followed import RATE_HZ, kitti00_stream, memory, stream_record, town_stream
 
 COLUMNS = (
@@ -120,9 +120,7 @@ def _told(
     store: Path | None,
     note: str = "",
 ) -> None:
-    print(head(*columns))
-    for each in rows:
-        print(row(*each))
+    show(columns, rows)
     print(note)
     if store is not None:
         Result.measured(name, command, columns, rows, stages=tuple(STAGES), note=note).save(store)
@@ -134,7 +132,7 @@ def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = resumed(__doc__, "streams.jsonl")
     options.add_argument("--sensor", choices=("hdl64e", "vlp16"), default="vlp16")
     options.add_argument("--seeds", type=int, nargs="*", default=[5200])
     options.add_argument("--length", type=float, default=500.0, help="metres of each")
@@ -142,15 +140,11 @@ def main() -> None:
     options.add_argument("--minutes", type=int, help="memory over so many minutes of stream")
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
-    options.add_argument("--out", type=Path, default=Path("streams.jsonl"))
-    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs have written")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     if args.report:
         report(read(args.report), args.store)
         return
     ends = time.monotonic() + args.seconds
-
     earlier = read([args.out]) if args.out.exists() else []
     done = {(r.get("stream"), r.get("seed")) for r in earlier}
     if args.minutes:

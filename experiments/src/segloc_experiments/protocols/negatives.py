@@ -22,7 +22,7 @@ from segloc.types import LocalCloud
 
 from ..intervals import share
 from ..results.store import Result
-from ..script import head, parser, row
+from ..script import parser, show
 
 SCANS_IN_MEMORY = 48
 COLUMNS = ("in the map of", "false (95 %)", "most inliers")
@@ -61,9 +61,7 @@ def _most(results: list[Localization]) -> int:
 
 def report(answers: Answers) -> None:
     """The table so far."""
-    print(head(*COLUMNS))
-    for cells in rows(answers):
-        print(row(*cells), flush=True)
+    show(COLUMNS, rows(answers))
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..intervals import share, wilson
 from ..results.store import Result
-from ..script import head, row
+from ..script import show
 
 COLUMNS = (
     "queries",
@@ -39,9 +39,7 @@ def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
 
 def report(records: list[dict[str, Any]]) -> None:
     """The table, and what is false."""
-    print(head(*COLUMNS))
-    for cells in rows(records):
-        print(row(*cells))
+    show(COLUMNS, rows(records))
     for r in records:
         if r["outcome"] == "false":
             print(json.dumps(r))

@@ -14,7 +14,7 @@ from segloc.cli.demo import demo
 
 from ..intervals import share
 from ..results.store import Cell, Result
-from ..script import head, parser, row
+from ..script import parser, show
 
 COLUMNS = ("", "second traversal", "another town")
 COMMAND = "python -m segloc_experiments.protocols.second_traversal --store docs/results"
@@ -58,9 +58,7 @@ def main() -> None:
     options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     table = rows(summaries(args.seed))
-    print(head(*COLUMNS))
-    for cells in table:
-        print(row(*cells))
+    show(COLUMNS, table)
     if args.store:
         note = f"`profile`, town {args.seed}; in brackets 95 % by Wilson."
         result = Result.measured("demo", COMMAND, COLUMNS, table, methods=("profile",), note=note)

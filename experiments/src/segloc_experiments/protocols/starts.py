@@ -24,7 +24,7 @@ from segloc.types import Float64, Recording
 from ..intervals import share
 from ..recordings import Files
 from ..results.store import Result
-from ..script import head, parser, row
+from ..script import parser, show
 from ..stems import mirrored
 from .trees import Forest
 
@@ -110,9 +110,7 @@ def main() -> None:
     found = [against_each_other(starts, args.method)]
     found += in_the_forest(starts, Forest.load(args.data / "oxford_forest_trees"), args.every)
     rows = [(name, where, share(false, asked), most) for name, where, false, asked, most in found]
-    print(head(*COLUMNS))
-    for cells in rows:
-        print(row(*cells))
+    show(COLUMNS, rows)
     if args.store:
         command = (
             "python -m segloc_experiments.protocols.starts DATA "

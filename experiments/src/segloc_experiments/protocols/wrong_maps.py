@@ -34,7 +34,7 @@ from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned,
 from ..intervals import wilson
 from ..journal import entries, keep
 from ..results.store import Result
-from ..script import head, parser, row
+from ..script import resumed, show
 
 RIGHT_M = 2.0
 HOME = {-2: "own", -1: "half"}
@@ -140,9 +140,7 @@ def table(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
 def report(records: list[dict[str, Any]], store: Path | None) -> None:
     """The table, and the rate that so many queries bound; kept where results are."""
     rows = table(records)
-    print(head(*COLUMNS))
-    for each in rows:
-        print(row(*each))
+    show(COLUMNS, rows)
     total, false = sum(int(n) for n in rows[-1][1:4]), int(rows[-1][4])
     note = f"{false} false of {total} elsewhere: at most {100 * wilson(false, total)[1]:.3f} %."
     print(note)
@@ -166,15 +164,12 @@ def chosen(first_seed: int, number: int, skip: int = 0) -> Iterator[SimulatedWor
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = resumed(__doc__, "wrong_maps.jsonl")
     options.add_argument("--worlds", type=int, default=42)
     options.add_argument("--first-seed", type=int, default=7000)
     options.add_argument("--skip", type=int, default=0, help="worlds of other kinds to begin after")
     options.add_argument("--every", type=float, default=10.0, metavar="METRES")
     options.add_argument("--maps", type=Path, default=Path("wrong_maps"))
-    options.add_argument("--out", type=Path, default=Path("wrong_maps.jsonl"))
-    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs counted")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     if args.report:
         report([r for path in args.report for r in entries(path)], args.store)
