@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from segloc import geometry
-from segloc.hypotheses import Hypotheses
+from segloc.hypotheses import UNCONFIRMED, Hypotheses
 from segloc.types import Pose
 from segloc.views import Check, HypothesesConfig, Status, View
 
@@ -97,7 +99,7 @@ def test_a_scan_that_does_not_confirm_the_track_degrades_it_whatever_older_scans
     for k, found in enumerate((None, HERE, None)):
         track.take(view(13.0 + 3 * k, found, **undecided))
         assert at(track, HERE) and not track.contradicted
-        assert track.status(19.0) == (Status.DEGRADED, "the newest scan does not confirm the track")
+        assert track.status(19.0) == (Status.DEGRADED, UNCONFIRMED)
     fits = {"check": Check.HOLDS, "T_checked": HERE}
     seen = [(22.0, fits), (24.0, undecided), *((26.0 + 2 * k, fits) for k in range(5))]
     for at_m, scan in seen:  # a few fit by chance
@@ -110,6 +112,25 @@ def test_a_scan_that_does_not_confirm_the_track_degrades_it_whatever_older_scans
     for at_m, scan in ((40.0, undecided), (42.0, fits), (44.0, fits)):  # for as long as not
         track.take(view(at_m, **scan))
     assert track.status(44.0)[0] is Status.LOCALIZED
+
+
+def test_a_scan_that_fits_elsewhere_than_odometry_leads_confirms_nothing() -> None:
+    def fits(at_m: float, shift_m: float) -> View:
+        shifted = geometry.yaw_transform(0.0, (shift_m, 0.0, 0.0)) @ HERE
+        return view(at_m, check=Check.HOLDS, T_checked=shifted)
+
+    track = after(view(0.0, HERE), fits(2.0, 0.2), fits(4.0, 0.05))
+    assert track.status(4.0) == (Status.LOCALIZED, "")  # as odometry drifts, and scans are noisy
+    for k, shift_m in enumerate((0.7, 0.8, 0.8, 0.8, 0.8)):  # 8 m of it: by chance, perhaps
+        track.take(fits(6.0 + 2 * k, shift_m))
+        assert track.status(6.0 + 2 * k) == (Status.DEGRADED, UNCONFIRMED)
+    assert at(track, geometry.yaw_transform(0.0, (0.8, 0.0, 0.0)) @ HERE)
+    track.take(fits(16.0, 0.8))
+    assert track.status(16.0)[0] is Status.DEGRADED
+    track.take(fits(18.0, 0.8))
+    assert track.status(18.0) == (Status.LOCALIZED, "")
+    track.take(replace(fits(20.0, 2.0), T_map_odom=HERE))  # what older scans say does not count
+    assert track.status(20.0) == (Status.DEGRADED, UNCONFIRMED)
 
 
 def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:

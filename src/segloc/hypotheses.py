@@ -167,10 +167,12 @@ class Hypotheses:
 
         What was seen before agrees, too, where a robot was carried to a place that looks alike.
         """
-        doubt = self.doubt
+        doubt, steady = self.doubt, self._is_steady(view)
         self._begin(track)
-        if view.check is Check.UNDECIDED and view.T_checked is not None:
+        if view.T_checked is not None and (view.check is Check.UNDECIDED or not steady):
             self._unconfirm(view, doubt)
+            if view.check is Check.HOLDS:
+                self._unconfirmed_at = -math.inf  # it may never have fitted where it was
             self.doubt = UNCONFIRMED
         elif doubt == UNCONFIRMED and not self._regained(view):
             self.doubt = UNCONFIRMED
@@ -180,6 +182,16 @@ class Hypotheses:
         if doubt != UNCONFIRMED:
             self._unconfirmed_at = view.at
         self._fits_from = None
+
+    def _is_steady(self, view: View) -> bool:
+        """Whether the newest scan fits where odometry leads, and not only somewhere nearby.
+
+        Rooms that look alike have their walls a little elsewhere.
+        """
+        if self.track is None or view.T_checked is None:
+            return True
+        moved_m, _ = _apart(self.track, view, view.T_checked)
+        return moved_m <= self.config.steady_m + self._drifted(self.track, view)
 
     def _regained(self, view: View) -> bool:
         """Whether scans have fitted an unconfirmed track for as long as they had not."""
@@ -237,12 +249,22 @@ class Hypotheses:
         return track is not None and T is not None and self._agree(track, view, T)
 
     def _agree(self, old: Hypothesis, view: View, T_map_odom: Pose) -> bool:
-        config, T = self.config, view.T_odom_sensor
-        apart = geometry.inverse(old.T_map_odom @ T) @ T_map_odom @ T
-        slack = config.tolerance_m + config.drift * max(0.0, view.at - old.since)
-        turned = math.degrees(geometry.rotation_angle(apart))
-        return bool(np.linalg.norm(apart[:3, 3]) <= slack and turned <= config.tolerance_deg)
+        config = self.config
+        moved_m, turned_deg = _apart(old, view, T_map_odom)
+        slack = config.tolerance_m + self._drifted(old, view)
+        return moved_m <= slack and turned_deg <= config.tolerance_deg
+
+    def _drifted(self, old: Hypothesis, view: View) -> float:
+        """Metres that odometry may have erred since a hypothesis was last supported."""
+        return self.config.drift * max(0.0, view.at - old.since)
 
     def _undecided(self) -> str:
         standing = [k for k in self._candidates if k.believed or k.views >= self.config.agreeing]
         return self.doubt or ("contradiction" if standing else "no agreement yet")
+
+
+def _apart(old: Hypothesis, view: View, T_map_odom: Pose) -> tuple[float, float]:
+    """How far a view's pose is from where a hypothesis has its sensor: metres, degrees."""
+    T = view.T_odom_sensor
+    apart = geometry.inverse(old.T_map_odom @ T) @ T_map_odom @ T
+    return float(np.linalg.norm(apart[:3, 3])), math.degrees(geometry.rotation_angle(apart))

@@ -47,6 +47,9 @@ class HypothesesConfig(Section):
         0.02, ge=0, description="odometry errs by this share of the distance travelled"
     )
     drift_deg: float = Field(0.05, ge=0, description="and turns by so many degrees a metre")
+    steady_m: float = Field(
+        0.3, gt=0, description="a scan that fits farther from where odometry leads confirms nothing"
+    )
     apart_m: float = Field(
         4.0, ge=0, description="travel between two views that witness independently, metres"
     )
