@@ -11,14 +11,17 @@ from segloc_experiments.bench import (
     comparing,
     fps,
     geometric,
+    growth,
     harness,
     inputs,
     network,
     query,
+    stored,
     stream,
     suite,
 )
 from segloc_experiments.padding import padded_with_copies
+from segloc_experiments.results.store import Result
 from typer.testing import CliRunner
 
 from segloc import Config, ConfigError, SeglocError, _native, build_map
@@ -153,6 +156,23 @@ def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, m
     if name == "network" and harness.optional("torch") is not None:
         assert any("PyTorch" in rival for rival in row.rivals)
     json.dumps(row.as_json(), allow_nan=False)
+    (kept,) = stored.stored([row], "segloc bench", "a machine")
+    assert kept.name == ("streams" if name in stored.STREAMS else "bench")
+    shown = [cell for cell in kept.rows[0] if isinstance(cell, float)]
+    assert any(cell == pytest.approx(row.ours_ms, rel=1e-2) for cell in shown)
+
+
+def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
+    row = query.query_row("profile 3000", plaza_scene, 1, 1, segments=3000, rivals=False)
+    kept = stored.stored_queries([("profile", row)], "bench.kitti_query", "a machine")
+    assert kept.rows[0][:3] == ("profile", 3000, 1) and kept.rows[0][-1] == "2 of 2"
+    assert kept.rows[0][-2] == round(row.ours_ms, 1)
+
+
+def test_maps_grow_and_the_true_pose_is_found() -> None:
+    small, large = (growth.growth(size, 30, repeats=1) for size in (2_000, 200_000))
+    assert small.found and large.found
+    assert large.neighbours > small.neighbours and large.map_mb > small.map_mb
 
 
 def test_pytorch_runs_in_its_own_forms():
@@ -193,6 +213,7 @@ def test_the_command_line_writes_every_figure(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(geometric, "DATABASE", 2000)
     file = tmp_path / "bench.json"
     options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]
+    options += ["--store", str(tmp_path / "results")]
     result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)
     assert result.exit_code == 0
     rows = json.loads(file.read_text())
@@ -204,6 +225,10 @@ def test_the_command_line_writes_every_figure(tmp_path: Path, monkeypatch):
     assert rows[0]["bound_ms"] is None
     assert rows[1]["bound_ms"] > 0
     assert "SciPy" in result.stdout
+    kept = Result.load(tmp_path / "results" / "bench.json")
+    assert kept.command == "segloc bench --only clustering,knn --threads 1 --repeats 1"
+    assert [cells[0] for cells in kept.rows] == ["`clustering`", "`knn`"]
+    assert "SciPy" in str(kept.rows[0][3])
     options = ["--only", "knn", "--threads", "1", "--repeats", "1", "--compare", str(file)]
     result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)
     assert result.exit_code == 0 and "slower" in result.stdout and "against rivals" in result.stdout

@@ -5,47 +5,59 @@ python -m segloc_experiments.bench.growth
 
 from __future__ import annotations
 
+import itertools
 import statistics
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 
-from segloc import _native, geometry
-from segloc.matching import MatchingConfig
+from segloc import SegmentMap, geometry
+from segloc.matching import Matcher
+from segloc.pose import PoseEstimator
 from segloc.stage_times import StageTimes
 from segloc.system import processor
-from segloc.types import Float32, Float64, Int64, Pose
+from segloc.types import Descriptors, Float32, Float64, Int64, Pose
 
-from ..script import head, parser, row
+from ..memory import held_mb
+from ..results.store import Cell, Result
+from ..script import parser, show
 from ..stages import clock_for
 from . import inputs
-from .geometric import consensus
 from .harness import in_process
 
-MAPS = (1_000, 10_000, 100_000, 1_000_000)
+MAPS = (10_000, 100_000, 1_000_000, 10_000_000)
 QUERIES = (30, 300, 3_000)
-
+POINTS = 160
+COLUMNS = (
+    *("map segments", "query segments", "neighbours", "matching (ms)", "pose (ms)"),
+    *("map and index (MB)", "pose found"),
+)
 SEGMENTS_A_HECTARE = 500
 """Density of a map: all views of an object are kept."""
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Cost of matching and of consensus for one size of map and of query.
+    """Cost of matching and of poses for one size of map and of query.
 
     Attributes
     ----------
     segments, queries : int
         In the map and in the query cloud.
+    neighbours : int
+        Proposed for each segment of the query.
     matching_ms, pose_ms : float
     map_mb : float
-        Memory of the map's segments: descriptors, centroids and the rest.
+        Memory of the map's segments and of the index in which they are searched, without a cloud.
     found : bool
         Whether the true pose came first.
     """
 
     segments: int
     queries: int
+    neighbours: int
     matching_ms: float
     pose_ms: float
     map_mb: float
@@ -54,6 +66,8 @@ class Growth:
 
 def growth(segments: int, queries: int, threads: int = 1, repeats: int = 3) -> Growth:
     """Match and localize synthetic segments of which half are in the map, among their like.
+
+    Matches and poses are found as by a localizer at its first attempt.
 
     Parameters
     ----------
@@ -68,20 +82,33 @@ def growth(segments: int, queries: int, threads: int = 1, repeats: int = 3) -> G
     known = rng.choice(segments, min(queries // 2, segments), replace=False)
     vectors[: len(known)] = database[known] + rng.normal(0, 0.4, (len(known), vectors.shape[1]))
     query, mapped, T = _centroids(rng, segments, queries, known)
-    clock = clock_for(threads)
+    before_mb = held_mb()
+    prior_map = _map_of(database, mapped)
+    matcher = Matcher(prior_map, threads=threads)
+    map_mb = held_mb() - before_mb
+    estimator, described = PoseEstimator(threads=threads), Descriptors(vectors)
     matching, pose, found = [], [], False
     for _ in range(repeats):
-        watch = StageTimes(clock)
+        watch = StageTimes(clock_for(threads))
         with watch("matching"):
-            rows, columns = _matched(vectors, database, threads)
-        problem = inputs.MatchProblem(query, mapped, rows, columns, T)
+            matches = matcher.match(described)
         with watch("pose"):
-            found = problem.found(consensus(problem, threads))
+            poses = estimator.estimate(query, mapped, matches)
+        problem = inputs.MatchProblem(query, mapped, matches.query, matches.map, T)
+        found = problem.found(np.array([each.T_map_local for each in poses]))
         matching.append(watch.ms["matching"])
         pose.append(watch.ms["pose"])
     medians = statistics.median(matching), statistics.median(pose)
-    memory = sum(array.nbytes for array in (database, mapped)) + 16 * segments
-    return Growth(segments, queries, *medians, memory / 1e6, found)
+    return Growth(segments, queries, matcher.schedule[0], *medians, map_mb, found)
+
+
+def _map_of(vectors: Float32, centroids: Float64) -> SegmentMap:
+    sizes = np.full(len(vectors), POINTS, np.int32)
+    prior_map = SegmentMap.empty("synthetic", "none", vectors.shape[1])
+    prior_map.add(
+        Descriptors(vectors), centroids, sizes, session=0, stamp=0.0, cloud=np.empty((0, 3))
+    )
+    return prior_map
 
 
 def _centroids(
@@ -99,23 +126,31 @@ def _centroids(
     return query, mapped, T
 
 
-def _matched(vectors: Float32, database: Float32, threads: int) -> tuple[Int64, Int64]:
-    """Queries and their nearest neighbours, the nearest first."""
-    indices, distances = _native.knn(vectors, database, MatchingConfig().neighbours, threads)
-    rows = np.repeat(np.arange(len(vectors)), indices.shape[1])
-    order = np.argsort(distances, axis=None, kind="stable")
-    return rows[order], indices.reshape(-1)[order]
+def _cells(g: Growth) -> tuple[Cell, ...]:
+    figures = (float(f"{value:.3g}") for value in (g.matching_ms, g.pose_ms, g.map_mb))
+    return (g.segments, g.queries, g.neighbours, *figures, "yes" if g.found else "no")
 
 
 def main() -> None:
-    parser(__doc__).parse_args()
+    options = parser(__doc__)
+    options.add_argument("--store", type=Path, help="a folder of stored results")
+    args = options.parse_args()
+    sizes = itertools.product(MAPS, QUERIES)
+    found = [in_process(1, growth, *each) for each in track(list(sizes), "Measuring")]
+    rows = [_cells(each) for each in found]
     print(f"{processor()}, one thread\n")
-    print(head("map", "query", "matching (ms)", "pose (ms)", "map (MB)", "pose found"))
-    for segments in MAPS:
-        for queries in QUERIES:
-            g = in_process(1, growth, segments, queries)
-            figures = (f"{v:.1f}" for v in (g.matching_ms, g.pose_ms, g.map_mb))
-            print(row(segments, queries, *figures, "yes" if g.found else "no"), flush=True)
+    show(COLUMNS, rows)
+    if args.store is not None:
+        kept = {"rows": [asdict(each) for each in found]}
+        Result.measured(
+            "growth",
+            "python -m segloc_experiments.bench.growth",
+            COLUMNS,
+            rows,
+            stages=("map", "matching", "pose"),
+            note=f"Machine: {processor()}, one thread.",
+            counts=kept,
+        ).save(args.store)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,9 @@ from ..script import parser
 from .harness import Row, in_process
 from .query import Scene, query_row
 from .rows import show
+from .stored import stored_queries
 
+COMMAND = "python -m segloc_experiments.bench.kitti_query DATA"
 NEAR_M = 3.0
 THIN_M = 0.2
 
@@ -79,8 +81,10 @@ def main() -> None:
     parsed.add_argument("--repeats", type=int, default=5)
     parsed.add_argument("--accumulated", action="store_true", help="queries of 40 m of travel")
     parsed.add_argument("--threads", default="1,2")
+    parsed.add_argument("--store", type=Path, help="a folder of stored results")
     options = parsed.parse_args()
     print(processor())
+    found: list[tuple[str, Row]] = []
     for method in options.methods.split(","):
         scene = kitti_scene(options.folder, method, options.queries, options.accumulated)
         with tempfile.TemporaryDirectory() as folder:
@@ -89,7 +93,12 @@ def main() -> None:
             for segments in map(int, options.segments.split(",")):
                 for threads in map(int, options.threads.split(",")):
                     arguments = (str(path), segments, threads, options.repeats)
-                    show([in_process(threads, measure, *arguments)])
+                    measured = in_process(threads, measure, *arguments)
+                    show([measured])
+                    found.append((method, measured))
+    if options.store is not None:
+        command = f"{COMMAND} --methods {options.methods}"
+        stored_queries(found, command, processor()).save(options.store)
 
 
 if __name__ == "__main__":

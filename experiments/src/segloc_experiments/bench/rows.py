@@ -15,11 +15,16 @@ def table_rows(row: Row) -> list[tuple[str, str, str]]:
     """(what, ms, how many times ours) of ours, of every rival and of the bound."""
     threads = f"{row.threads} thread{'s' if row.threads > 1 else ''}"
     rows = [(f"{row.name}, {threads}", _ms(row.ours_ms), "1.0")]
-    for name, ms in sorted(row.rivals.items(), key=lambda item: item[1]):
-        rows.append((f"  {name}", _ms(ms), _ratio(ms, row.ours_ms)))
+    rows += [(f"  {name}", _ms(ms), ratio) for name, ms, ratio in rivals_of(row)]
     if row.bound_ms is not None:
         rows.append((f"  bound: {row.bound}", _ms(row.bound_ms), _ratio(row.bound_ms, row.ours_ms)))
     return rows
+
+
+def rivals_of(row: Row) -> list[tuple[str, float, str]]:
+    """(name, ms, how many times ours) of every rival, the fastest first."""
+    ordered = sorted(row.rivals.items(), key=lambda item: item[1])
+    return [(name, ms, _ratio(ms, row.ours_ms)) for name, ms in ordered]
 
 
 def _ms(value: float) -> str:

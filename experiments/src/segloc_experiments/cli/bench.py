@@ -29,6 +29,10 @@ def bench(
         Path | None,
         typer.Option(metavar="FILE", help="Print what became slower since it was written."),
     ] = None,
+    store: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Keep the tables of the documentation here."),
+    ] = None,
 ) -> None:
     """Time the engine against other software, in turns, and against the processor's own limits.
 
@@ -41,6 +45,7 @@ def bench(
 
     from ..bench.comparing import compared, read_json
     from ..bench.rows import write_json
+    from ..bench.stored import stored
     from ..bench.suite import BENCHMARKS, run
 
     before = None if compare is None else read_json(compare)
@@ -52,12 +57,18 @@ def bench(
         if row is None:
             break
         rows.append(row)
-    _show(rows, f"{processor()}, {os.cpu_count()} cores, {_isa()}")
+    machine = f"{processor()}, {os.cpu_count()} cores, {_isa()}"
+    _show(rows, machine)
     skipped = sorted({name for row in rows for name in row.skipped})
     if skipped:
         note(f"not installed, so not measured: {', '.join(skipped)}")
     if json is not None:
         write_json(json, rows)
+    if store is not None:
+        chosen = "" if only is None else f" --only {only}"
+        command = f"segloc bench{chosen} --threads {threads} --repeats {repeats}"
+        for result in stored(rows, command, machine):
+            result.save(store)
     if before is not None:
         _show_changes(compared(before, rows))
 

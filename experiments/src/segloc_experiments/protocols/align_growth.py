@@ -5,9 +5,9 @@
 Six drifting sessions of a simulated town, as of ``protocols.align_simulation``; the town grows with
 them, so that what a session meets again stays a share of its length. Times are processor time of
 one thread, so that other work on the machine does not count; with ``--workers`` they are by the
-clock on the wall. With ``--every-part`` each submap is
-also localized in every part before it: the square that the growing map avoids. Needs the extra
-``sim``.
+clock on the wall. With ``--every-part`` each submap is also localized in every part before it: the
+square that the growing map avoids. What has been measured is kept, a line a length, and a run goes
+on where the last one ended. Needs the extra ``sim``.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ import resource
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +30,21 @@ from segloc.alignment import AlignConfig, Reposed, align_sessions
 from segloc.processes import executing
 from segloc.simulation import SENSORS, Conditions, SimulatedSequence, simulate_sessions, town
 
-from ..script import head, parser, row
+from ..journal import entries, keep
+from ..results.store import Cell, Result
+from ..script import resumed, show
 from .align_kitti00 import DRIFT
 from .align_simulation import errors, false_loops
 
 EDGE_OF_LENGTH = 0.5
 """Of the town, as a share of the length of a session; at least the smallest."""
 SMALLEST_M = 220.0
+STAGES_OF_ALIGNING = ("Describing", "Looking", "Aligning")
+VOTED = "parts that are voted for"
+COLUMNS = (
+    *("searched", "km in all", "description s", "loops s", "neighbours s", "graph s", "s a km"),
+    *("components", "loops", "false", "median error m", "peak MB"),
+)
 
 
 class Clock:
@@ -77,31 +87,49 @@ def drifted(drives: list[SimulatedSequence], seed: int) -> list[Reposed]:
     return sessions
 
 
-def report(
-    way: str, drives: list[SimulatedSequence], settings: AlignConfig, seed: int, workers: int
-) -> None:
-    """Align the drives, and print a row of what it cost and how good it is."""
+def measured(
+    drives: list[SimulatedSequence], settings: AlignConfig, seed: int, workers: int
+) -> dict[str, float]:
+    """Align the drives: what each stage cost, and how good it is."""
     now = time.process_time if workers == 1 else time.perf_counter
     clock, began, config = Clock(now), now(), Config(threads=1)
     with executing(workers, None) as executor:
         sessions = drifted(drives, seed)
         found = align_sessions(sessions, config, settings, clock.stage, executor=executor)
-    whole = now() - began
-    spent = clock.seconds
-    rest = whole - sum(spent.values())
-    kilometres = sum(float(geometry.travelled(drive.truth)[-1]) for drive in drives) / 1000.0
+    whole, spent = now() - began, clock.seconds
     off = np.concatenate([*errors(drives, found).values(), np.empty((0, 2))])
-    median = f"{np.median(off[:, 0]):.2f}" if len(off) else "-"
-    accepted = sum(loop.accepted for loop in found.loops)
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    times = (f"{spent.get(name, 0.0):.0f}" for name in ("Describing", "Looking", "Aligning"))
-    cells = (f"{kilometres:.2f}", *times, f"{rest:.0f}", f"{whole / kilometres:.0f}")
-    good = (len(found.components), accepted, false_loops(drives, found), median)
-    print(row(way, *cells, *good, f"{peak_mb:.0f}"), flush=True)
+    return {
+        "km": sum(float(geometry.travelled(drive.truth)[-1]) for drive in drives) / 1000.0,
+        **{stage: spent.get(stage, 0.0) for stage in STAGES_OF_ALIGNING},
+        "rest": whole - sum(spent.values()),
+        "whole": whole,
+        "components": len(found.components),
+        "loops": sum(loop.accepted for loop in found.loops),
+        "false": false_loops(drives, found),
+        "error_m": float(np.median(off[:, 0])) if len(off) else float("nan"),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def _cells(found: dict[str, Any]) -> tuple[Cell, ...]:
+    seconds = [round(found[name]) for name in (*STAGES_OF_ALIGNING, "rest")]
+    a_km = round(found["whole"] / found["km"], 1)
+    good = found["components"], found["loops"], found["false"], round(found["error_m"], 2)
+    return (found["searched"], round(found["km"], 2), *seconds, a_km, *good, found["peak_mb"] // 1)
+
+
+def report(found: list[dict[str, Any]], store: Path | None) -> None:
+    """The table, and how times grow; kept where results are."""
+    rows = [_cells(each) for each in found]
+    show(COLUMNS, rows)
+    if store is None:
+        return
+    command = "python -m segloc_experiments.protocols.align_growth --report align_growth.jsonl"
+    Result.measured("align-growth", command, COLUMNS, rows, counts={"runs": found}).save(store)
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = resumed(__doc__, "align_growth.jsonl")
     options.add_argument("--lengths", type=float, nargs="+", default=[500.0, 1000.0, 2000.0])
     options.add_argument("--sessions", type=int, default=6)
     options.add_argument("--every", type=float, default=6.0, help="metres between submaps")
@@ -112,16 +140,21 @@ def main() -> None:
     options.add_argument("--edge", type=float, help="of the town, metres; by default as it grows")
     options.add_argument("--workers", type=int, default=1)
     args = options.parse_args()
-    times = ("description s", "loops s", "neighbours s", "graph s", "s a km")
-    good = ("components", "loops", "false", "median error m")
-    print(head("searched", "km in all", *times, *good, "peak MB"), flush=True)
+    if args.report:
+        report([run for path in args.report for run in entries(path)], args.store)
+        return
+    settings = AlignConfig(every_m=args.every, part_m=args.part)
+    ways = {VOTED: settings}
+    if args.every_part:
+        ways["every part"] = settings.model_copy(update={"searched_parts": 10**6})
+    done = entries(args.out) if args.out.exists() else []
     for length_m in args.lengths:
         drives = drives_of(length_m, args.sessions, args.thin, args.seed, args.edge)
-        settings = AlignConfig(every_m=args.every, part_m=args.part)
-        report("parts that are voted for", drives, settings, args.seed, args.workers)
-        if args.every_part:
-            all_parts = settings.model_copy(update={"searched_parts": 10**6})
-            report("every part", drives, all_parts, args.seed, args.workers)
+        for way, chosen in ways.items():
+            run = {"searched": way, "length_m": length_m, "sessions": args.sessions}
+            if not any(run.items() <= kept.items() for kept in done):
+                keep(args.out, run | measured(drives, chosen, args.seed, args.workers))
+    report(entries(args.out), args.store)
 
 
 if __name__ == "__main__":
