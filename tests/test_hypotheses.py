@@ -40,7 +40,9 @@ def test_a_long_track_ends_with_two_contradictions_and_not_with_one() -> None:
     one = after(*long, view(300.0, check=Check.CONTRADICTS))
     assert at(one, HERE) and one.status(300.0)[0] is Status.DEGRADED and one.contradicted
     one.take(view(304.0, HERE, check=Check.HOLDS, T_checked=HERE))
-    assert one.status(304.0) == (Status.LOCALIZED, "") and not one.contradicted
+    assert one.status(304.0) == (Status.DEGRADED, UNCONFIRMED) and not one.contradicted
+    one.take(view(308.0, HERE, check=Check.HOLDS, T_checked=HERE))  # for as long as not
+    assert one.status(308.0) == (Status.LOCALIZED, "")
     two = after(*long, *(view(300.0 + k, HERE, check=Check.CONTRADICTS) for k in (0, 4)))
     # The clouds of queries still hold what was seen before: what they say does not count.
     assert two.track is None
@@ -53,8 +55,8 @@ def test_another_place_that_is_believed_takes_over_once_two_views_say_so() -> No
     assert at(first, HERE) and first.status(100.0)[0] is Status.DEGRADED
     first.take(view(110.0, THERE))
     assert at(first, THERE) and first.status(110.0)[0] is Status.LOCALIZED
-    back = after(*long, view(100.0, THERE), view(110.0, HERE))
-    assert at(back, HERE) and back.status(110.0)[0] is Status.LOCALIZED
+    back = after(*long, view(100.0, THERE), view(110.0, HERE), view(120.0, HERE))
+    assert at(back, HERE) and back.status(120.0)[0] is Status.LOCALIZED
 
 
 def test_a_place_that_looks_alike_does_not_outweigh_what_holds() -> None:
@@ -76,6 +78,24 @@ def test_likely_views_must_agree_and_two_places_alike_are_a_contradiction() -> N
     both = [view(10.0 * k, (HERE, THERE)[k % 2], believed=False) for k in range(2)]
     both += [view(20.0, HERE, believed=False)]
     assert at(after(*both), HERE)
+
+
+def test_views_with_a_scan_in_common_are_one_witness() -> None:
+    same = [view(5.0 * k, HERE, believed=False, reach_m=5.0 * k) for k in range(4)]
+    assert after(*same).track is None
+    assert at(after(*same, view(20.0, HERE, believed=False, reach_m=15.0)), HERE)
+
+
+def test_where_places_are_alike_views_must_agree_for_some_metres() -> None:
+    alike = view(0.0, None, ambiguous=True)
+    lone = after(alike, view(2.0, HERE))
+    assert lone.track is None and lone.status(2.0)[0] is Status.CANDIDATE
+    agreed = [view(2.0 * k, HERE) for k in range(1, 7)]
+    assert after(alike, *agreed[:-1]).track is None
+    assert at(after(alike, *agreed), HERE)
+    again = view(7.0, None, ambiguous=True)
+    assert after(alike, *agreed[:3], again, *agreed[3:]).track is None
+    assert at(after(*agreed[:1], again), HERE)  # there was a track: nothing speaks against it
 
 
 def test_what_nothing_supports_degrades_and_ends() -> None:

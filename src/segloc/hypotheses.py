@@ -17,16 +17,18 @@ from .views import Check, HypothesesConfig, Hypothesis, Status, View
 
 OFF_THE_MAP = "little of what is seen is in the map"
 UNCONFIRMED = "the newest scan does not confirm the track"
-_REGAINED_M = 10.0
-"""A track that was not confirmed is after so much travel on which all scans fit, or as much as none
-did: a few fit by chance where rooms are alike. Set by hand."""
+_SURE_M = 10.0
+"""Where queries found places alike, one is believed once they have agreed on it for so much travel;
+and a doubted track once all scans have fitted for as much, or as much as none did: a few fit by
+chance. Set by hand."""
 
 
 class Hypotheses:
     """Keeps a track while views support it, and gives it up when they speak against it.
 
-    A view that passes all gates of verification is believed at once. A pose that is only likely is
-    kept as a candidate until views from different positions agree on it. Once there is a track,
+    A view that passes all gates of verification is believed at once, and only after some travel
+    where views before it found places alike. A pose that is only likely is kept as a candidate
+    until views that share no scan agree on it. Once there is a track,
     what counts is what was seen last: a single view that contradicts it makes it doubtful, the next
     one ends it, however many views supported it before.
 
@@ -42,10 +44,11 @@ class Hypotheses:
         self.track: Hypothesis | None = None
         self.doubt = ""
         self._doubts = 0
-        self._unconfirmed_at = 0.0  # travelled distance since which the track is not confirmed
-        self._fits_from: float | None = None  # and since which all scans fit it again
+        self._unconfirmed_at: float | None = None  # travelled distance since which the track is not
+        self._fits_from: float | None = None  # confirmed, and since which all scans fit it again
         self._ends_at = math.inf  # travelled distance at which an unconfirmed track ends
         self._candidates: list[Hypothesis] = []
+        self._alike = False  # whether a query fitted several places since there is no track
 
     @property
     def candidates(self) -> tuple[Hypothesis, ...]:
@@ -90,7 +93,7 @@ class Hypotheses:
         elif view.check is Check.CONTRADICTS:
             self._doubt(view, "the map contradicts the track")
         elif view.check is Check.UNMAPPED and self._agrees(view):  # by what was seen before
-            self.doubt = self.doubt or OFF_THE_MAP
+            self._unconfirm(view, OFF_THE_MAP)
         elif view.T_map_odom is not None and self._agrees(view):
             self._support(view, view.T_map_odom)
         elif view.check is Check.HOLDS and view.T_checked is not None:
@@ -99,10 +102,9 @@ class Hypotheses:
             self._add(view, view.T_map_odom)
             self._doubt(view, "another place fits better")
         elif view.check is Check.UNMAPPED:
-            self.doubt = self.doubt or OFF_THE_MAP
+            self._unconfirm(view, OFF_THE_MAP)
         elif view.T_checked is not None:
-            self._unconfirm(view, self.doubt)
-            self.doubt = self.doubt or UNCONFIRMED
+            self._unconfirm(view, UNCONFIRMED)
 
     def forget(self, travelled: float) -> None:
         """Drop what nothing has supported for long."""
@@ -143,62 +145,79 @@ class Hypotheses:
 
     def _look(self, view: View) -> None:
         """Without a track: a candidate more, and perhaps one to be believed."""
+        if view.ambiguous:
+            self._candidates, self._alike = [], True
         if view.T_map_odom is None:
             return
         self._add(view, view.T_map_odom)
-        standing = [k for k in self._candidates if k.believed or k.views >= self.config.agreeing]
+        standing = self._standing()
         standing.sort(key=lambda k: (-k.views, -k.confidence))
         if standing and (len(standing) == 1 or standing[0].views > standing[1].views):
             self._begin(standing[0])
 
+    def _standing(self) -> list[Hypothesis]:
+        """Candidates that may become the track."""
+        least_m, agreeing = _SURE_M if self._alike else 0.0, self.config.agreeing
+        long = (k for k in self._candidates if k.since - k.begun >= least_m)
+        return [k for k in long if k.believed or k.views >= agreeing]
+
     def _begin(self, found: Hypothesis) -> None:
-        self.track, self.doubt, self._doubts, self._ends_at = found, "", 0, math.inf
+        self._follow(found)
+        self._unconfirmed_at, self._alike = None, False
+
+    def _follow(self, track: Hypothesis) -> None:
+        self.track, self.doubt, self._doubts, self._ends_at = track, "", 0, math.inf
         self._candidates = []
 
     def _end(self, doubt: str) -> None:
         self.track, self.doubt, self._doubts, self._ends_at = None, doubt, 0, math.inf
+        self._unconfirmed_at, self._alike = None, False
 
     def _support(self, view: View, T_map_odom: Pose) -> None:
         assert self.track is not None
-        self._go_on(self.track.joined(view, T_map_odom, self.config.apart_m), view)
+        independent = view.at - self.track.at >= self.config.apart_m
+        self._go_on(self.track.joined(view, T_map_odom, independent), view)
 
     def _go_on(self, track: Hypothesis, view: View) -> None:
         """Follow a track that a view supports; doubted on, unless its newest scan confirms it.
 
         What was seen before agrees, too, where a robot was carried to a place that looks alike.
         """
-        doubt, steady = self.doubt, self._is_steady(view)
-        self._begin(track)
+        steady = self._is_steady(view)
+        self._follow(track)
         if view.T_checked is not None and (view.check is Check.UNDECIDED or not steady):
-            self._unconfirm(view, doubt)
+            self._unconfirm(view, UNCONFIRMED)
             if view.check is Check.HOLDS:
                 self._unconfirmed_at = -math.inf  # it may never have fitted where it was
+        elif self._unconfirmed_at is not None and not self._regained(view, self._unconfirmed_at):
             self.doubt = UNCONFIRMED
-        elif doubt == UNCONFIRMED and not self._regained(view):
-            self.doubt = UNCONFIRMED
+        else:
+            self._unconfirmed_at = None
 
     def _unconfirm(self, view: View, doubt: str) -> None:
-        """Note since when scans do not confirm the track, by how it was doubted before."""
-        if doubt != UNCONFIRMED:
+        """Note since when scans do not confirm the track."""
+        if self._unconfirmed_at is None:
             self._unconfirmed_at = view.at
         self._fits_from = None
+        self.doubt = self.doubt or doubt
 
     def _is_steady(self, view: View) -> bool:
         """Whether the newest scan fits where odometry leads, and not only somewhere nearby.
 
-        Rooms that look alike have their walls a little elsewhere.
+        Rooms that look alike have their walls a little elsewhere. After a jump odometry leads
+        nowhere.
         """
-        if self.track is None or view.T_checked is None:
+        if self.track is None or view.T_checked is None or self._ends_at < math.inf:
             return True
         moved_m, _ = _apart(self.track, view, view.T_checked)
         return moved_m <= self.config.steady_m + self._drifted(self.track, view)
 
-    def _regained(self, view: View) -> bool:
+    def _regained(self, view: View, unconfirmed_at: float) -> bool:
         """Whether scans have fitted an unconfirmed track for as long as they had not."""
         if self._fits_from is None:
             self._fits_from = view.at
-        without = self._fits_from - self._unconfirmed_at
-        return view.at - self._fits_from >= min(without, _REGAINED_M)
+        without = self._fits_from - unconfirmed_at
+        return view.at - self._fits_from >= min(without, _SURE_M)
 
     def _hold(self, view: View, T_map_odom: Pose) -> None:
         """The newest scan fits where the track is; another place that fits, too, is no rival yet.
@@ -226,6 +245,7 @@ class Hypotheses:
     def _doubt(self, view: View, why: str) -> None:
         """Speak against the track; the last doubt ends it, and another place may take over."""
         self._doubts += 1
+        self._unconfirm(view, why)
         self.doubt = why
         if self._doubts < self.config.doubts:
             return
@@ -238,7 +258,10 @@ class Hypotheses:
         """Let a view support the candidate that it agrees with, or be one itself."""
         for i, old in enumerate(self._candidates):
             if self._agree(old, view, T_map_odom):
-                self._candidates[i] = old.joined(view, T_map_odom, self.config.apart_m)
+                # Scans that both have in common fit at the same wrong places.
+                apart = view.at - old.at
+                independent = apart >= self.config.apart_m and apart > view.reach_m
+                self._candidates[i] = old.joined(view, T_map_odom, independent)
                 return self._candidates[i]
         self._candidates.append(Hypothesis.of(view, T_map_odom))
         return self._candidates[-1]
@@ -259,7 +282,7 @@ class Hypotheses:
         return self.config.drift * max(0.0, view.at - old.since)
 
     def _undecided(self) -> str:
-        standing = [k for k in self._candidates if k.believed or k.views >= self.config.agreeing]
+        standing = self._standing()
         return self.doubt or ("contradiction" if standing else "no agreement yet")
 
 

@@ -53,8 +53,9 @@ class TrackerConfig(HypothesesConfig):
 class Tracker:
     """Localizes a robot over successive queries.
 
-    A query that passes all gates is believed at once. Poses that are only likely are kept until
-    views from different positions agree on one. A track survives queries that find nothing, for
+    A query that passes all gates is believed at once, and after some travel where queries before it
+    found places alike. Poses that are only likely are kept until views that share no scan agree on
+    one. A track survives queries that find nothing, for
     ``memory_m`` of travel, and ends once the map contradicts it twice in a row.
 
     Parameters
@@ -144,7 +145,8 @@ class Tracker:
         self._queried = self.travelled if search else self._queried
         expected = None if track is None else track.T_map_odom
         newest = newest_alone(scans, T)
-        return Question(search, cloud, newest, T, expected, self.travelled, self._epoch)
+        reach_m = self._reach(scans)
+        return Question(search, cloud, newest, T, expected, self.travelled, reach_m, self._epoch)
 
     def ask(
         self,
@@ -156,7 +158,7 @@ class Tracker:
     ) -> View:
         """The second third, and nearly all of the work; it changes nothing in the tracker.
 
-        Where places look alike it says nothing: such views agree at wrong places, too.
+        Where places look alike it names none: such views agree at wrong places, too.
 
         Parameters
         ----------
@@ -180,7 +182,7 @@ class Tracker:
             heard(query, found, times.with_total())
         best, believed = verdict.best, verdict.reason is None
         if best is None or verdict.reason is Reason.AMBIGUOUS:
-            return view
+            return replace(view, ambiguous=best is not None)
         if not believed and verdict.confidence < self.config.min_confidence:
             return view
         T_map_sensor = best.T_map_local @ T_local_sensor
@@ -198,7 +200,7 @@ class Tracker:
     def _checked_by(self, question: Question, query: Query | None) -> View:
         """A view that says no more than what the newest scan says of the track."""
         T_odom_sensor, newest = question.T_odom_sensor, question.newest
-        view = View(question.at, T_odom_sensor)
+        view = View(question.at, T_odom_sensor, reach_m=question.reach_m)
         if question.T_map_odom is None or newest is None:
             return view
         if query is not None and query.cloud.num_scans == 1:
@@ -262,6 +264,16 @@ class Tracker:
         if not isinstance(scans, (Scan, np.ndarray)):
             raise InvalidScan("a tracker that accumulates takes one scan at a time")
         self.rolling.add(scans, T_odom_sensor)
+
+    def _reach(self, scans: Scans | LocalCloud) -> float:
+        """How far back the oldest scan of a query is, metres."""
+        if self.rolling is not None:
+            return float(geometry.travelled(self.rolling.poses)[-1])
+        if isinstance(scans, (LocalCloud, Scan, np.ndarray)):
+            return 0.0
+        poses = [scan.T_odom_sensor for scan in scans if isinstance(scan, Scan)]
+        known = [T for T in poses if T is not None]
+        return float(geometry.travelled(np.array(known))[-1]) if known else 0.0
 
     def _is_due(self) -> bool:
         every = self.config.every_m

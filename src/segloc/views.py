@@ -83,6 +83,10 @@ class View:
         Whether it passed all gates of verification.
     covariance : (6, 6) float64 or None
         As :attr:`segloc.Localized.covariance`.
+    reach_m : float
+        How far back the oldest of its scans is.
+    ambiguous : bool
+        Whether the query fits several places.
     check : Check
         What the newest scan says at the pose of the track.
     T_checked, checked_covariance
@@ -95,6 +99,8 @@ class View:
     confidence: float = 0.0
     believed: bool = False
     covariance: Float64 | None = None
+    reach_m: float = 0.0
+    ambiguous: bool = False
     check: Check = Check.UNDECIDED
     T_checked: Pose | None = None
     checked_covariance: Float64 | None = None
@@ -117,6 +123,8 @@ class Hypothesis:
         Independent views that agree.
     believed : bool
         Whether a single one of them passed all gates.
+    begun : float
+        Metres travelled at the first of them.
     at, since : float
         Metres travelled at the last independent view that supported it, and at the last of all.
     """
@@ -127,6 +135,7 @@ class Hypothesis:
     confidence: float
     views: int
     believed: bool
+    begun: float
     at: float
     since: float
 
@@ -141,11 +150,11 @@ class Hypothesis:
             view.believed,
             view.at,
             view.at,
+            view.at,
         )
 
-    def joined(self, view: View, T_map_odom: Pose, apart_m: float) -> Hypothesis:
-        """With one more view that agrees with it, which is independent from ``apart_m`` on."""
-        independent = view.at - self.at >= apart_m
+    def joined(self, view: View, T_map_odom: Pose, independent: bool) -> Hypothesis:
+        """With one more view that agrees with it."""
         both = 1.0 - (1.0 - self.confidence) * (1.0 - view.confidence)
         return Hypothesis(
             T_map_odom,
@@ -154,6 +163,7 @@ class Hypothesis:
             both if independent else max(self.confidence, view.confidence),
             self.views + independent,
             self.believed or view.believed,
+            self.begun,
             view.at if independent else self.at,
             view.at,
         )
@@ -208,6 +218,8 @@ class Question:
         Of the track.
     at : float
         Metres travelled.
+    reach_m : float
+        How far back the oldest of its scans is.
     epoch : int
         Grows where the frame of the odometry changes: older answers are not taken.
     """
@@ -218,4 +230,5 @@ class Question:
     T_odom_sensor: Pose
     T_map_odom: Pose | None
     at: float
+    reach_m: float
     epoch: int
