@@ -49,6 +49,7 @@ class Hypotheses:
         self._ends_at = math.inf  # travelled distance at which an unconfirmed track ends
         self._candidates: list[Hypothesis] = []
         self._alike = False  # whether a query fitted several places since there is no track
+        self._by_scan = False  # whether a single scan has said last where the track is
 
     @property
     def candidates(self) -> tuple[Hypothesis, ...]:
@@ -97,7 +98,7 @@ class Hypotheses:
         elif view.T_map_odom is not None and self._agrees(view):
             self._support(view, view.T_map_odom)
         elif view.check is Check.HOLDS and view.T_checked is not None:
-            self._hold(view, view.T_checked)
+            self._hold(view)
         elif view.believed and view.T_map_odom is not None:
             self._add(view, view.T_map_odom)
             self._doubt(view, "another place fits better")
@@ -163,7 +164,7 @@ class Hypotheses:
 
     def _begin(self, found: Hypothesis) -> None:
         self._follow(found)
-        self._unconfirmed_at, self._alike = None, False
+        self._unconfirmed_at, self._alike, self._by_scan = None, False, False
 
     def _follow(self, track: Hypothesis) -> None:
         self.track, self.doubt, self._doubts, self._ends_at = track, "", 0, math.inf
@@ -174,9 +175,11 @@ class Hypotheses:
         self._unconfirmed_at, self._alike = None, False
 
     def _support(self, view: View, T_map_odom: Pose) -> None:
+        """Another query agrees; where its newest scan fits, that tells best where the robot is."""
         assert self.track is not None
         independent = view.at - self.track.at >= self.config.apart_m
-        self._go_on(self.track.joined(view, T_map_odom, independent), view)
+        joined = self.track.joined(view, T_map_odom, independent)
+        self._go_on(joined.placed(view) if view.check is Check.HOLDS else joined, view)
 
     def _go_on(self, track: Hypothesis, view: View) -> None:
         """Follow a track that a view supports; doubted on, unless its newest scan confirms it.
@@ -185,6 +188,7 @@ class Hypotheses:
         """
         steady = self._is_steady(view)
         self._follow(track)
+        self._by_scan = view.check is Check.HOLDS
         if view.T_checked is not None and (view.check is Check.UNDECIDED or not steady):
             self._unconfirm(view, UNCONFIRMED)
             if view.check is Check.HOLDS:
@@ -205,11 +209,13 @@ class Hypotheses:
         """Whether the newest scan fits where odometry leads, and not only somewhere nearby.
 
         Rooms that look alike have their walls a little elsewhere. After a jump odometry leads
-        nowhere.
+        nowhere, and clouds of many scans fit where their drift puts them.
         """
-        if self.track is None or view.T_checked is None or self._ends_at < math.inf:
+        if self.track is None or view.T_checked is None:
             return True
-        moved_m, _ = _apart(self.track, view, view.T_checked)
+        if self._ends_at < math.inf or not self._by_scan:
+            return True
+        moved_m, _ = self.track.apart(view, view.T_checked)
         return moved_m <= self.config.steady_m + self._drifted(self.track, view)
 
     def _regained(self, view: View, unconfirmed_at: float) -> bool:
@@ -219,7 +225,7 @@ class Hypotheses:
         without = self._fits_from - unconfirmed_at
         return view.at - self._fits_from >= min(without, _SURE_M)
 
-    def _hold(self, view: View, T_map_odom: Pose) -> None:
+    def _hold(self, view: View) -> None:
         """The newest scan fits where the track is; another place that fits, too, is no rival yet.
 
         Before as many views have spoken for the track as for that place it is chance which of the
@@ -231,15 +237,8 @@ class Hypotheses:
             if rival.views >= self.track.views:
                 self._doubt(view, "another place fits as well")
                 return
-        track, candidates = self.track, self._candidates
-        moved = replace(
-            track,
-            T_map_odom=T_map_odom,
-            covariance=view.checked_covariance,
-            T_odom_sensor=view.T_odom_sensor,
-            since=view.at,
-        )
-        self._go_on(moved, view)
+        candidates = self._candidates
+        self._go_on(self.track.placed(view), view)
         self._candidates = candidates
 
     def _doubt(self, view: View, why: str) -> None:
@@ -273,7 +272,7 @@ class Hypotheses:
 
     def _agree(self, old: Hypothesis, view: View, T_map_odom: Pose) -> bool:
         config = self.config
-        moved_m, turned_deg = _apart(old, view, T_map_odom)
+        moved_m, turned_deg = old.apart(view, T_map_odom)
         slack = config.tolerance_m + self._drifted(old, view)
         return moved_m <= slack and turned_deg <= config.tolerance_deg
 
@@ -284,10 +283,3 @@ class Hypotheses:
     def _undecided(self) -> str:
         standing = self._standing()
         return self.doubt or ("contradiction" if standing else "no agreement yet")
-
-
-def _apart(old: Hypothesis, view: View, T_map_odom: Pose) -> tuple[float, float]:
-    """How far a view's pose is from where a hypothesis has its sensor: metres, degrees."""
-    T = view.T_odom_sensor
-    apart = geometry.inverse(old.T_map_odom @ T) @ T_map_odom @ T
-    return float(np.linalg.norm(apart[:3, 3])), math.degrees(geometry.rotation_angle(apart))

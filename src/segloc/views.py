@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from enum import Enum
 
+import numpy as np
 from pydantic import Field
 
+from . import geometry
 from .local_cloud import Scans
 from .section import Section
 from .types import Float64, LocalCloud, Pose, Scan
@@ -48,7 +51,9 @@ class HypothesesConfig(Section):
     )
     drift_deg: float = Field(0.05, ge=0, description="and turns by so many degrees a metre")
     steady_m: float = Field(
-        0.3, gt=0, description="a scan that fits farther from where odometry leads confirms nothing"
+        0.25,
+        gt=0,
+        description="a scan that fits farther from where odometry leads confirms nothing",
     )
     apart_m: float = Field(
         4.0, ge=0, description="travel between two views that witness independently, metres"
@@ -167,6 +172,25 @@ class Hypothesis:
             view.at if independent else self.at,
             view.at,
         )
+
+    def placed(self, view: View) -> Hypothesis:
+        """The same where the view's newest scan alone fits, if that was checked."""
+        if view.T_checked is None:
+            return self
+        return replace(
+            self,
+            T_map_odom=view.T_checked,
+            covariance=view.checked_covariance,
+            T_odom_sensor=view.T_odom_sensor,
+            since=view.at,
+        )
+
+    def apart(self, view: View, T_map_odom: Pose) -> tuple[float, float]:
+        """How far a view's pose is from where this has its sensor: metres, degrees."""
+        T = view.T_odom_sensor
+        moved = geometry.inverse(self.T_map_odom @ T) @ T_map_odom @ T
+        turned_deg = math.degrees(geometry.rotation_angle(moved))
+        return float(np.linalg.norm(moved[:3, 3])), turned_deg
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,13 @@ class Drive(Derived[SimulatedSequence]):
 
 
 class World:
-    """A map, and a drive that robots are carried about in."""
+    """A map, and a drive that robots are carried about in.
+
+    Attributes
+    ----------
+    known : (K,) int64
+        Positions of the drive up to which it has been along the map for some scans.
+    """
 
     def __init__(self, kind: Kind, seed: int) -> None:
         self.kind, self.seed = kind, seed
@@ -153,6 +159,10 @@ class World:
         prior_map = build_map(mapped.select(Selection((tuple(ends),))), config)
         self.localizer, self.drive = Localizer(prior_map, config), Drive(driven)
         self._beside = distances_to_path(self.drive.poses, prior_map.trajectory)
+        inside = self._beside <= COVERAGE_RADIUS_M
+        self.known = np.array(
+            [k for k in np.flatnonzero(inside) if inside[max(0, k - 10) : k].all()], dtype=np.int64
+        )
 
     def trial(self, number: int) -> Trial:
         """One robot; the same for the same number."""
@@ -169,8 +179,7 @@ class World:
         """Where a robot is taken from and put to; where there is no such place, to another."""
         spacing, truths = self.kind.spacing_m, self.drive.poses
         before = int(BEFORE_M / spacing)
-        inside = self._beside <= COVERAGE_RADIUS_M
-        known = np.array([k for k in np.flatnonzero(inside) if inside[max(0, k - 10) : k].all()])
+        inside, known = self._beside <= COVERAGE_RADIUS_M, self.known
         taken = int(rng.choice(known[known >= before] if (known >= before).any() else known))
         if way == "turn":
             return taken, taken, way
