@@ -151,6 +151,8 @@ def test_a_scan_that_fits_elsewhere_than_odometry_leads_confirms_nothing() -> No
     assert track.status(18.0) == (Status.LOCALIZED, "")
     track.take(replace(fits(20.0, 2.0), T_map_odom=HERE))  # what older scans say does not count
     assert track.status(20.0) == (Status.DEGRADED, UNCONFIRMED)
+    # and it is the newest scan that says where the robot is
+    assert at(track, geometry.yaw_transform(0.0, (2.0, 0.0, 0.0)) @ HERE)
 
 
 def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:
