@@ -32,6 +32,7 @@ from segloc.simulation import (
 )
 from segloc.simulation.objects.identity import SESSION_IDS, Objects
 from segloc.simulation.objects.mesh import boxes, glass, quads
+from segloc.simulation.objects.plant import lying_tank
 from segloc.simulation.objects.terrain import Terrain
 from segloc.simulation.worlds.world import World
 
@@ -405,3 +406,8 @@ def test_a_scan_that_is_not_there_is_named(small: World) -> None:
     sequence = simulate_session(small, 0, route_in(small, 20.0), hdl64e(30), seed=5, name="drive")
     with pytest.raises(DatasetError, match="drive: no scan at position 10, there are 10"):
         sequence.scan(10)
+
+
+def test_a_short_thick_tank_is_still_one() -> None:
+    tank = lying_tank(np.random.default_rng(838))
+    assert np.isfinite(tank.mesh.vertices).all() and tank.width > 2.0

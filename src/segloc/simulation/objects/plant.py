@@ -74,6 +74,7 @@ def _bund(size: float, high: float) -> Mesh:
 def lying_tank(rng: np.random.Generator) -> Building:
     """A pressure vessel along x on saddles, with a walkway or valves on top."""
     r, long = rng.uniform([0.6, 3.0], [1.6, 11.0])
+    long = max(long, 2 * r + 0.02)
     z = r + rng.uniform(0.4, 1.6)
     x = long / 2 - r
     paint = float(rng.uniform(0.4, 0.75))
