@@ -80,7 +80,7 @@ def test_likely_views_must_agree_and_two_places_alike_are_a_contradiction() -> N
     assert at(after(*both), HERE)
 
 
-def test_views_with_a_scan_in_common_are_one_witness() -> None:
+def test_views_with_a_scan_in_common_count_as_one() -> None:
     same = [view(5.0 * k, HERE, believed=False, reach_m=5.0 * k) for k in range(4)]
     assert after(*same).track is None
     assert at(after(*same, view(20.0, HERE, believed=False, reach_m=15.0)), HERE)

@@ -28,9 +28,9 @@ class Hypotheses:
 
     A view that passes all gates of verification is believed at once, and only after some travel
     where views before it found places alike. A pose that is only likely is kept as a candidate
-    until views that share no scan agree on it. Once there is a track,
-    what counts is what was seen last: a single view that contradicts it makes it doubtful, the next
-    one ends it, however many views supported it before.
+    until views that share no scan agree on it. Once there is a track, what counts is what was seen
+    last: a single view that contradicts it makes it doubtful, the next one ends it, however many
+    views supported it before.
 
     Attributes
     ----------

@@ -55,8 +55,8 @@ class Tracker:
 
     A query that passes all gates is believed at once, and after some travel where queries before it
     found places alike. Poses that are only likely are kept until views that share no scan agree on
-    one. A track survives queries that find nothing, for
-    ``memory_m`` of travel, and ends once the map contradicts it twice in a row.
+    one. A track survives queries that find nothing, for ``memory_m`` of travel, and ends once the
+    map contradicts it twice in a row.
 
     Parameters
     ----------

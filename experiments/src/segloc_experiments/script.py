@@ -14,12 +14,18 @@ def parser(doc: str | None) -> argparse.ArgumentParser:
     )
 
 
+def storing(doc: str | None) -> argparse.ArgumentParser:
+    """The same of a script whose table can be kept where results are."""
+    options = parser(doc)
+    options.add_argument("--store", type=Path, help="a folder of stored results")
+    return options
+
+
 def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
     """The same of a run that keeps what it has done in a file, and of several can be added up."""
-    options = parser(doc)
+    options = storing(doc)
     options.add_argument("--out", type=Path, default=Path(out))
     options.add_argument("--report", type=Path, nargs="+", help="what earlier runs have kept")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     return options
 
 

@@ -157,7 +157,7 @@ def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, m
         assert any("PyTorch" in rival for rival in row.rivals)
     json.dumps(row.as_json(), allow_nan=False)
     (kept,) = stored.stored([row], "segloc bench", "a machine")
-    assert kept.name == ("streams" if name in stored.STREAMS else "bench")
+    assert kept.name == ("streams" if name in stored.SENSORS else "bench")
     shown = [cell for cell in kept.rows[0] if isinstance(cell, float)]
     assert any(cell == pytest.approx(row.ours_ms, rel=1e-2) for cell in shown)
 

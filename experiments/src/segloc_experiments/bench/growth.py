@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import statistics
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.progress import track
@@ -22,10 +21,11 @@ from segloc.types import Descriptors, Float32, Float64, Int64, Pose
 
 from ..memory import held_mb
 from ..results.store import Cell, Result
-from ..script import parser, show
+from ..script import show, storing
 from ..stages import clock_for
 from . import inputs
 from .harness import in_process
+from .rows import rounded
 
 MAPS = (10_000, 100_000, 1_000_000, 10_000_000)
 QUERIES = (30, 300, 3_000)
@@ -127,13 +127,12 @@ def _centroids(
 
 
 def _cells(g: Growth) -> tuple[Cell, ...]:
-    figures = (float(f"{value:.3g}") for value in (g.matching_ms, g.pose_ms, g.map_mb))
+    figures = map(rounded, (g.matching_ms, g.pose_ms, g.map_mb))
     return (g.segments, g.queries, g.neighbours, *figures, "yes" if g.found else "no")
 
 
 def main() -> None:
-    options = parser(__doc__)
-    options.add_argument("--store", type=Path, help="a folder of stored results")
+    options = storing(__doc__)
     args = options.parse_args()
     sizes = itertools.product(MAPS, QUERIES)
     found = [in_process(1, growth, *each) for each in track(list(sizes), "Measuring")]

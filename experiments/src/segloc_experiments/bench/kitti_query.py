@@ -22,7 +22,7 @@ from segloc.system import processor
 from segloc.types import LocalCloud, stamp_at
 
 from .. import kitti00
-from ..script import parser
+from ..script import storing
 from .harness import Row, in_process
 from .query import Scene, query_row
 from .rows import show
@@ -73,7 +73,7 @@ def measure(path: str, segments: int, threads: int, repeats: int) -> Row:
 
 
 def main() -> None:
-    parsed = parser(__doc__)
+    parsed = storing(__doc__)
     parsed.add_argument("folder", type=Path)
     parsed.add_argument("--methods", default="profile,geo,dsm")
     parsed.add_argument("--segments", default="0,50000,1000000")
@@ -81,7 +81,6 @@ def main() -> None:
     parsed.add_argument("--repeats", type=int, default=5)
     parsed.add_argument("--accumulated", action="store_true", help="queries of 40 m of travel")
     parsed.add_argument("--threads", default="1,2")
-    parsed.add_argument("--store", type=Path, help="a folder of stored results")
     options = parsed.parse_args()
     print(processor())
     found: list[tuple[str, Row]] = []

@@ -27,6 +27,11 @@ def rivals_of(row: Row) -> list[tuple[str, float, str]]:
     return [(name, ms, _ratio(ms, row.ours_ms)) for name, ms in ordered]
 
 
+def rounded(value: float) -> float:
+    """Three digits are as many as two runs share."""
+    return float(f"{value:.3g}")
+
+
 def _ms(value: float) -> str:
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"
 

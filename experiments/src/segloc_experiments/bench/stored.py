@@ -10,10 +10,8 @@ from segloc.config import DEFAULT_METHOD
 from ..results.fingerprints import LOCALIZING
 from ..results.store import Cell, Result
 from .harness import OURS, Row
-from .rows import rivals_of
-from .suite import BENCHMARKS
+from .rows import rivals_of, rounded
 
-STREAMS = tuple(name for name in BENCHMARKS if name.startswith("stream"))
 COLUMNS = ("what", "threads", "ours (ms)", "rivals (times ours)", "bound (ms)")
 STREAM_COLUMNS = (
     *("sensor", "points of a scan", "adding (ms)", "cloud of a query (ms)"),
@@ -21,6 +19,7 @@ STREAM_COLUMNS = (
     "localized",
 )
 SENSORS = {"stream": "HDL-64E", "stream_os1_128": "Ouster OS1-128", "stream_vlp16": "VLP-16"}
+"""Of the streams."""
 QUERY_COLUMNS = (
     *("method", "map segments", "threads", "local cloud", "segmentation", "preparation"),
     *("description", "matching", "pose", "verification", "**total (ms)**", "found"),
@@ -33,8 +32,8 @@ _STAGES = (
 
 def stored(rows: Sequence[Row], command: str, machine: str) -> list[Result]:
     """What ``segloc bench`` measured: kernels and queries, and streams, where there are any."""
-    kernels = [row for row in rows if row.name not in STREAMS]
-    streams = [row for row in rows if row.name in STREAMS and row.threads == 1]
+    kernels = [row for row in rows if row.name not in SENSORS]
+    streams = [row for row in rows if row.name in SENSORS and row.threads == 1]
     found = []
     if kernels:
         cells = [_kernel(row) for row in kernels]
@@ -73,7 +72,7 @@ def _kernel(row: Row) -> tuple[Cell, ...]:
     bound = None
     if row.bound_ms is not None:
         bound = f"{row.bound_ms:.2f} ({100 * row.bound_ms / row.ours_ms:.0f} % of ours)"
-    return f"`{row.name}`", row.threads, _rounded(row.ours_ms), rivals or None, bound
+    return f"`{row.name}`", row.threads, rounded(row.ours_ms), rivals or None, bound
 
 
 def _stream(row: Row) -> tuple[Cell, ...]:
@@ -84,7 +83,7 @@ def _stream(row: Row) -> tuple[Cell, ...]:
     return (
         SENSORS[row.name],
         round(found["points of a scan"]),
-        *map(_rounded, (*parts, row.ours_ms)),
+        *map(rounded, (*parts, row.ours_ms)),
         round(rival / row.ours_ms, 1),
         f"{correct} of {found['queries']:.0f}",
     )
@@ -96,8 +95,3 @@ def _query(method: str, row: Row) -> tuple[Cell, ...]:
     share = f"{found['correct']:.0f} of {found['queries']:.0f}"
     segments = round(found["map segments"])
     return method, segments, row.threads, *stages, round(row.ours_ms, 1), share
-
-
-def _rounded(ms: float) -> float:
-    """Three digits are as many as two runs share."""
-    return float(f"{ms:.3g}")

@@ -27,7 +27,7 @@ from segloc.types import Float64
 
 from ..kitti00 import keyframes, poses_of
 from ..results.store import Cell, Result
-from ..script import parser, show
+from ..script import show, storing
 
 FALSE_M = 5.0
 LOOP_M, LOOP_DEG = 0.5, 0.5
@@ -95,11 +95,10 @@ def false_loops(loops: Edges, truths: Float64) -> int:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--select", default="62:1820")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     truths = poses_of(drive := keyframes(args.data, args.select))
     kept = np.load(args.out / "kiss_slam.npz")

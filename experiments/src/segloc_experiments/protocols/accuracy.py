@@ -26,7 +26,7 @@ from segloc.types import Float64, LocalCloud, Pose
 from ..kitti00 import PROTOCOLS, query_set
 from ..results.stamp import stamped
 from ..results.store import Origin, Result
-from ..script import head, parser, row
+from ..script import head, row, storing
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
 FARTHEST_M, AGREE_M = 2.5, 0.05
@@ -119,12 +119,11 @@ def result(rows: list[Row], out: Path, method: str, step: int) -> Result:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--step", type=int, default=1, help="one of so many queries")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     print(head(*COLUMNS))

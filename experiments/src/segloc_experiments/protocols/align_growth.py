@@ -115,11 +115,18 @@ def _cells(found: dict[str, Any]) -> tuple[Cell, ...]:
     seconds = [round(found[name]) for name in (*STAGES_OF_ALIGNING, "rest")]
     a_km = round(found["whole"] / found["km"], 1)
     good = found["components"], found["loops"], found["false"], round(found["error_m"], 2)
-    return (found["searched"], round(found["km"], 2), *seconds, a_km, *good, found["peak_mb"] // 1)
+    return (
+        found["searched"],
+        round(found["km"], 2),
+        *seconds,
+        a_km,
+        *good,
+        round(found["peak_mb"]),
+    )
 
 
 def report(found: list[dict[str, Any]], store: Path | None) -> None:
-    """The table, and how times grow; kept where results are."""
+    """Print the table, and keep it where results are."""
     rows = [_cells(each) for each in found]
     show(COLUMNS, rows)
     if store is None:
@@ -149,11 +156,14 @@ def main() -> None:
         ways["every part"] = settings.model_copy(update={"searched_parts": 10**6})
     done = entries(args.out) if args.out.exists() else []
     for length_m in args.lengths:
+        runs = [{"searched": w, "length_m": length_m, "sessions": args.sessions} for w in ways]
+        left = [run for run in runs if not any(run.items() <= kept.items() for kept in done)]
+        if not left:
+            continue
         drives = drives_of(length_m, args.sessions, args.thin, args.seed, args.edge)
-        for way, chosen in ways.items():
-            run = {"searched": way, "length_m": length_m, "sessions": args.sessions}
-            if not any(run.items() <= kept.items() for kept in done):
-                keep(args.out, run | measured(drives, chosen, args.seed, args.workers))
+        for run in left:
+            found = measured(drives, ways[run["searched"]], args.seed, args.workers)
+            keep(args.out, run | found)
     report(entries(args.out), args.store)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,7 +23,7 @@ from segloc.types import Float64, Pose
 from ..intervals import share
 from ..recordings import Unposed
 from ..results.store import Result
-from ..script import parser, show
+from ..script import show, storing
 
 WITHIN_M = 0.2
 LENGTH_M, SPACING_M = 40.0, 2.0
@@ -103,11 +102,10 @@ def outcome(answer: Localization, truth: Pose) -> str:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--seeds", type=int, nargs="+", default=[7300, 7301])
     options.add_argument("--differ", type=float, nargs="+", default=[0.0, 0.5, 1.0])
     options.add_argument("--every", type=int, default=2, help="of so many scans, one")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     rows = []
     for differ in args.differ:

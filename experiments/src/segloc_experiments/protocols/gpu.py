@@ -29,7 +29,7 @@ from segloc.types import Segments
 from ..bench.harness import in_process, interleaved, optional
 from ..paper.gpu import GPU_METHODS, gpu_ms
 from ..results.store import Cell, Result
-from ..script import parser, show
+from ..script import show, storing
 
 COMMAND = "python -m segloc_experiments.protocols.gpu --store docs/results"
 VIEWS = 4
@@ -160,13 +160,12 @@ def _versions(device: str) -> str:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--segments", type=int, default=300, help="of a query")
     options.add_argument("--repeats", type=int, default=9)
     options.add_argument("--objects", type=int, default=3000, help="trained on")
     options.add_argument("--seconds", type=float, default=45.0, help="of the longest training")
     options.add_argument("--device", choices=("cuda", "cpu"), default="cuda")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     found = optional("torch")
     if found is None:

@@ -159,7 +159,7 @@ class World:
         prior_map = build_map(mapped.select(Selection((tuple(ends),))), config)
         self.localizer, self.drive = Localizer(prior_map, config), Drive(driven)
         self._beside = distances_to_path(self.drive.poses, prior_map.trajectory)
-        inside = self._beside <= COVERAGE_RADIUS_M
+        self._inside = inside = self._beside <= COVERAGE_RADIUS_M
         self.known = np.array(
             [k for k in np.flatnonzero(inside) if inside[max(0, k - 10) : k].all()], dtype=np.int64
         )
@@ -179,7 +179,7 @@ class World:
         """Where a robot is taken from and put to; where there is no such place, to another."""
         spacing, truths = self.kind.spacing_m, self.drive.poses
         before = int(BEFORE_M / spacing)
-        inside, known = self._beside <= COVERAGE_RADIUS_M, self.known
+        inside, known = self._inside, self.known
         taken = int(rng.choice(known[known >= before] if (known >= before).any() else known))
         if way == "turn":
             return taken, taken, way

@@ -42,7 +42,7 @@ from segloc.tiles import cut_tiles
 from ..city import Piece, done
 from ..intervals import share
 from ..results.store import Result
-from ..script import head, parser, row
+from ..script import head, row, storing
 from . import city_queries
 from .city_queries import WAYS
 
@@ -250,7 +250,7 @@ def _answered(way: str, asked: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("work", type=Path)
     options.add_argument("--towns", type=int, default=80)
     options.add_argument("--first-seed", type=int, default=20_000)
@@ -265,7 +265,6 @@ def main() -> None:
     options.add_argument("--limit", type=float, default=540.0, help="seconds of this run")
     options.add_argument("--piece-s", type=float, default=PIECE_S)
     options.add_argument("--out", type=Path, help="a folder for what was measured")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     city = City(args)
     if args.limit > 0 and city.build() and city.left() > args.piece_s:

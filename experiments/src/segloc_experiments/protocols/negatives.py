@@ -22,7 +22,7 @@ from segloc.types import LocalCloud
 
 from ..intervals import share
 from ..results.store import Result
-from ..script import parser, show
+from ..script import show, storing
 
 SCANS_IN_MEMORY = 48
 COLUMNS = ("in the map of", "false (95 %)", "most inliers")
@@ -65,14 +65,13 @@ def report(answers: Answers) -> None:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("maps", nargs="*", type=Path)
     options.add_argument("--towns", type=int, default=2)
     options.add_argument("--first-seed", type=int, default=4000)
     options.add_argument("--method", default="profile")
     options.add_argument("--real", nargs="*", default=[], metavar="SCANS=POSES")
     options.add_argument("--real-every", type=int, default=8, metavar="SCANS")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     first = Localizer(build_map(demo_sessions(args.first_seed - 1)["map"], config), config)

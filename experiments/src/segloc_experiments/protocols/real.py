@@ -28,7 +28,7 @@ from segloc.types import Float64, Int64, Pose, Recording
 
 from .. import kitti00
 from ..recordings import FewerBeams, Files, Turned
-from ..script import parser
+from ..script import storing
 from .real_results import report, result
 
 OUT, BACK = "0:74", "82:104"
@@ -209,14 +209,13 @@ def outcome(estimate: Pose | None, truth: Pose | None) -> str:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--only", default="", help="queries whose name starts so")
     options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
     options.add_argument("--out", type=Path)
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     judge = Judge(_kept(args.data, args.maps, config), config)

@@ -14,7 +14,7 @@ from segloc.cli.demo import demo
 
 from ..intervals import share
 from ..results.store import Cell, Result
-from ..script import parser, show
+from ..script import show, storing
 
 COLUMNS = ("", "second traversal", "another town")
 COMMAND = "python -m segloc_experiments.protocols.second_traversal --store docs/results"
@@ -53,9 +53,8 @@ def rows(found: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--seed", type=int, default=0, help="another is another town")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     table = rows(summaries(args.seed))
     show(COLUMNS, table)

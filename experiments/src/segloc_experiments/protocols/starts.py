@@ -24,7 +24,7 @@ from segloc.types import Float64, Recording
 from ..intervals import share
 from ..recordings import Files
 from ..results.store import Result
-from ..script import parser, show
+from ..script import show, storing
 from ..stems import mirrored
 from .trees import Forest
 
@@ -100,11 +100,10 @@ def _asked(prior_map: LandmarkMap, queries: Sequence[Landmarks]) -> tuple[int, i
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--every", type=int, default=5, help="frame of the forest")
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     starts = args.data / "kitti_starts"
     found = [against_each_other(starts, args.method)]

@@ -17,7 +17,7 @@ from segloc.batch.methods import METHODS
 from ..intervals import share
 from ..results.stamp import stamped
 from ..results.store import Origin, Result
-from ..script import head, parser, row
+from ..script import head, row, storing
 
 COLUMNS = ("run", "queries", "found within map coverage", "false", "error m, median / 95 %", "deg")
 COMMANDS = """\
@@ -74,9 +74,8 @@ def _place(run: Path) -> tuple[int, int]:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("runs", nargs="+", type=Path)
-    options.add_argument("--store", type=Path, help="a folder of stored results")
     args = options.parse_args()
     print(head(*COLUMNS))
     for folder in args.runs:
