@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -269,7 +269,7 @@ class Tracker:
         """How far back the oldest scan of a query is, metres."""
         if self.rolling is not None:
             return float(geometry.travelled(self.rolling.poses)[-1])
-        if isinstance(scans, (LocalCloud, Scan, np.ndarray)):
+        if not isinstance(scans, Sequence):
             return 0.0
         poses = [scan.T_odom_sensor for scan in scans if isinstance(scan, Scan)]
         known = [T for T in poses if T is not None]

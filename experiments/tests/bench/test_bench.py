@@ -20,6 +20,7 @@ from segloc_experiments.bench import (
     stream,
     suite,
 )
+from segloc_experiments.bench.harness import in_process
 from segloc_experiments.padding import padded_with_copies
 from segloc_experiments.results.store import Result
 from typer.testing import CliRunner
@@ -170,7 +171,7 @@ def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
 
 
 def test_maps_grow_and_the_true_pose_is_found() -> None:
-    small, large = (growth.growth(size, 30, repeats=1) for size in (2_000, 200_000))
+    small, large = (in_process(1, growth.growth, size, 30, 1, 1) for size in (2_000, 200_000))
     assert small.found and large.found
     assert large.neighbours > small.neighbours and large.map_mb > small.map_mb
 
