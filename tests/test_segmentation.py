@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -56,6 +58,29 @@ def test_clusters_are_the_connected_components(seed: int, count: int, radius: fl
     assert partition(*_native.euclidean_clusters(points, radius, 1, count)) == expected
     kept = partition(*_native.euclidean_clusters(points, radius, 2, 5))
     assert kept == {part for part in expected if 2 <= len(part) <= 5}
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 600),
+    st.lists(st.floats(-3, 3), min_size=1, max_size=4),
+    st.floats(0.05, 1.5),
+)
+def test_clusters_above_several_heights_are_those_above_each(
+    seed: int, count: int, cuts: list[float], radius: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-3, 3, (count, 3)).astype(np.float32)
+    heights = (points[:, 2] + rng.uniform(-1, 1, count)).astype(np.float32)
+    members, offsets = _native.clusters_above(points, heights, cuts, radius, 2, 50)
+    expected = []
+    for cut in cuts:
+        above = np.flatnonzero(heights > cut)
+        rows, ends = _native.euclidean_clusters(points[above], radius, 2, 50)
+        expected += [above[rows[a:b]] for a, b in itertools.pairwise(ends)]
+    found = [members[a:b] for a, b in itertools.pairwise(offsets)]
+    assert [f.tolist() for f in found] == [e.tolist() for e in expected]
 
 
 def test_clusters_of_points_on_a_lattice_touch_at_exactly_the_radius() -> None:

@@ -9,6 +9,8 @@
 namespace segloc::bindings {
 namespace {
 
+constexpr std::size_t kMostCuts = 255;  // levels are bytes
+
 Out<float> voxel_grid_(const In2<float>& points, double size) {
   require_points(points);
   require_length(size, "size");
@@ -51,6 +53,26 @@ auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t mi
                          to_numpy(std::move(clusters.offsets)));
 }
 
+auto clusters_above_(const In2<float>& points, const In1<float>& heights,
+                     const std::vector<double>& cuts, double radius, std::size_t min_points,
+                     std::size_t max_points) {
+  require_points(points);
+  require(heights.size() == points.shape(0), "heights must have a value for each point");
+  require(!cuts.empty() && cuts.size() <= kMostCuts, "there must be from 1 to 255 cuts");
+  require_usable(cuts.data(), cuts.size(), "cuts");
+  require_length(radius, "radius");
+  Clusters clusters;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    require_usable(heights.data(), heights.size(), "heights");
+    clusters = clusters_above(points.data(), heights.data(), points.shape(0), cuts, radius,
+                              min_points, max_points);
+  }
+  return std::make_tuple(to_numpy(std::move(clusters.points)),
+                         to_numpy(std::move(clusters.offsets)));
+}
+
 Out<float> plane_normals_(const In2<float>& points, double radius, std::size_t min_points,
                           double thickness, std::size_t most) {
   require_points(points);
@@ -82,6 +104,9 @@ void bind_segmentation(nb::module_& m) {
         nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));
   m.def("euclidean_clusters", &euclidean_clusters_, nb::arg("points").noconvert(),
         nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
+  m.def("clusters_above", &clusters_above_, nb::arg("points").noconvert(),
+        nb::arg("heights").noconvert(), nb::arg("cuts"), nb::arg("radius"), nb::arg("min_points"),
+        nb::arg("max_points"));
   m.def("plane_normals", &plane_normals_, nb::arg("points").noconvert(), nb::arg("radius"),
         nb::arg("min_points"), nb::arg("thickness"), nb::arg("most"));
   m.def("point_spacing", &point_spacing_, nb::arg("points").noconvert(), nb::arg("least"),

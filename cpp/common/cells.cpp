@@ -73,7 +73,7 @@ CellOrder sort_into_cells(const float* points, std::size_t n, double size) {
   for (std::size_t i = 0; i < n; ++i) {
     std::int64_t c[3];
     for (int a = 0; a < 3; ++a) {
-      c[a] = static_cast<std::int64_t>(std::floor(points[3 * i + a] / size)) - first[a];
+      c[a] = floor_of(points[3 * i + a] / size) - first[a];
     }
     cells.keys[i] =
         static_cast<std::uint64_t>(c[0] + cells.stride_y * c[1] + cells.stride_z * c[2]);

@@ -7,6 +7,12 @@
 
 namespace segloc {
 
+// Of what fits 62 bits; std::floor is a call without SSE4.1.
+inline std::int64_t floor_of(double v) {
+  const auto whole = static_cast<std::int64_t>(v);
+  return whole - (v < static_cast<double>(whole));
+}
+
 // Points in the order of their cell keys. Keys run fastest along x and are padded by `kPad` cells
 // on every side, so that the key of a neighbour cell is the cell's own key plus a constant.
 struct CellOrder {

@@ -49,6 +49,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   attempt([&] { require_finite(segloc::voxel_grid(points.data(), n, length)); });
   attempt([&] { segloc::euclidean_clusters(points.data(), n, length, 1, n); });
   attempt([&] {
+    const std::vector<float> heights(points.begin(), points.begin() + std::ptrdiff_t(n));
+    segloc::clusters_above(points.data(), heights.data(), n, {length, 0.0, length}, length, 1, n);
+  });
+  attempt([&] {
     const segloc::PointIndex index(points.data(), n, length);
     const double T[16] = {0, -1, 0, 3, 1, 0, 0, -2, 0, 0, 1, 1e14, 0, 0, 0, 1};
     index.overlap(points.data(), n, T, length);

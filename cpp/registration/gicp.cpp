@@ -269,14 +269,17 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
                  const GicpOptions& options, int threads) {
   GicpResult result;
   result.T = start;
-  const std::size_t stride = source.size() / std::max<std::size_t>(1, options.coarse);
-  if (stride > 1) {
-    Problem few(target, source, stride, threads);
+  const std::size_t rough = source.size() / std::max<std::size_t>(1, options.coarse);
+  if (rough > 1) {
+    Problem few(target, source, rough, threads);
     optimise(few, options.max_iterations, options, result);
     if (options.max_final == 0) return result;
   }
-  Problem all(target, source, 1, threads);
-  optimise(all, stride > 1 ? options.max_final : options.max_iterations, options, result);
+  const std::size_t share = source.size() / std::max<std::size_t>(1, options.fine);
+  const std::size_t stride = std::max<std::size_t>(1, share);
+  Problem most(target, source, stride, threads);
+  optimise(most, rough > 1 ? options.max_final : options.max_iterations, options, result);
+  for (double& h : result.H) h *= static_cast<double>(stride);
   return result;
 }
 

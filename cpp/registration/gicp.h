@@ -11,8 +11,9 @@ namespace segloc {
 
 struct GicpOptions {
   std::size_t coarse = 600;        // about so many points are aligned first, where there are more
+  std::size_t fine = 4000;         // and about so many after those, where there are more
   int max_iterations = 20;         // of all points, or of the first ones
-  int max_final = 6;               // of all points after those; 0: it ends with the first ones
+  int max_final = 6;               // of the others after those; 0: it ends with the first ones
   double translation_step = 2e-3;  // steps smaller than both of these are the last, metres
   double rotation_step = 2e-3;     // radians
 };
@@ -20,9 +21,10 @@ struct GicpOptions {
 struct GicpResult {
   Rigid T;                     // takes the source to the target
   std::array<double, 36> H{};  // curvature of half the squared error in (rotation, translation) of
-                               // the source's frame, (6, 6) row-major
+                               // the source's frame, (6, 6) row-major; after the fine points as
+                               // much as all points would have
   double error = 0.0;          // half the sum of squared errors, each in units of its deviation
-  std::size_t inliers = 0;     // source points that have a correspondence
+  std::size_t inliers = 0;     // points that were aligned and have a correspondence
   int iterations = 0;
 };
 

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "common/cells.h"
 #include "common/portability.h"
 
 namespace segloc {
@@ -67,7 +66,7 @@ void PointGrid::fill(const std::vector<Range>& found) {
   for (const Range& range : found) {
     std::int64_t c[3];
     const Point p = (*this)[range.begin];
-    for (int a = 0; a < 3; ++a) c[a] = static_cast<std::int64_t>(std::floor(p[a] / cell_));
+    for (int a = 0; a < 3; ++a) c[a] = floor_of(p[a] / cell_);
     blocks.push_back(key(c[0] >> kShift, c[1] >> kShift, c[2] >> kShift));
     bits.push_back(bit(c[0], c[1], c[2]));
   }

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/cells.h"
+
 namespace segloc {
 
 class PointGrid {
@@ -111,11 +113,6 @@ class PointGrid {
     unsigned known_ = 0;
   };
 
-  // Of what fits 62 bits; std::floor is a call without SSE4.1.
-  static std::int64_t floor_of(double v) {
-    const auto whole = static_cast<std::int64_t>(v);
-    return whole - (v < static_cast<double>(whole));
-  }
   // The square of the distance along an axis from a place in cell `own` to another cell.
   double gap(std::int64_t cell, std::int64_t own, double at) const {
     if (cell == own) return 0.0;

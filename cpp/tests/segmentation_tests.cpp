@@ -30,6 +30,14 @@ void clouds() {
   }
   const std::vector<float> same(3000, 2.0f), wide = {0, 0, 0, 3e7f, 3e7f, 3e7f};
   CHECK(voxel_grid(same.data(), 1000, 0.1).size() == 3);
+  for (const std::size_t n : kSizes) {
+    const auto points = random_floats(3 * n, -20.0f, 20.0f, 3), heights = random_floats(n, 0, 2, 4);
+    const Clusters above =
+        clusters_above(points.data(), heights.data(), n, {-1.0, 3.0, -1.0}, 1.0, 1, n);
+    const Clusters all = euclidean_clusters(points.data(), n, 1.0, 1, n);
+    CHECK(above.points.size() == 2 * n && above.offsets.size() == 2 * all.offsets.size() - 1);
+    CHECK(std::equal(all.points.begin(), all.points.end(), above.points.begin()));
+  }
   CHECK(euclidean_clusters(same.data(), 1000, 0.1, 1, 1000).offsets.size() == 2);
   CHECK(plane_normals(same.data(), 1000, {}).empty());
   CHECK_THROWS(plane_normals(wide.data(), 2, {0.1}));

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "common/cells.h"
 #include "common/portability.h"
 
 namespace segloc {
@@ -19,15 +20,10 @@ constexpr double kLayer = 1.0;    // metres
 constexpr double kBelow = 3.0;    // of the lowest layer's bottom, under the sensor, metres
 constexpr double kBetween = 0.3;  // so near its edge, a map point fills the next layer as well
 
-// Of what fits an int; std::floor is a call without SSE4.1.
-int floor_of(double v) {
-  const int whole = static_cast<int>(v);
-  return whole - (v < whole);
-}
-
 // -1 for all that is lower, kLayers for all that is higher.
 int layer_of(double above) {
-  return floor_of(std::clamp((above + kBelow) / kLayer, -1.0, double(kLayers)));
+  const double layer = std::clamp((above + kBelow) / kLayer, -1.0, double(kLayers));
+  return static_cast<int>(floor_of(layer));
 }
 
 // Layers of the map's occupancy around a place, each a plane of bytes.
@@ -61,7 +57,7 @@ class Planes {
   std::ptrdiff_t shift(int y, int x) const { return std::ptrdiff_t{y} * side_ + x; }
   // How far from the centre a point may lie that is shifted by so much.
   double reach(double shift) const { return (half_ - 1) / cells_per_metre_ - shift; }
-  int cell(double v) const { return floor_of(v * cells_per_metre_ + 0.5); }
+  int cell(double v) const { return static_cast<int>(floor_of(v * cells_per_metre_ + 0.5)); }
 
  private:
   std::size_t index(int layer, int y, int x) const {

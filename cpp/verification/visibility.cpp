@@ -8,13 +8,38 @@ namespace segloc {
 namespace {
 
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
+constexpr double kRight = 3.14159265358979323846 / 2;
 constexpr float kFar = std::numeric_limits<float>::infinity();
+constexpr double kBeyond = 1.01;     // radii that a point may lie beyond the range and be near
 constexpr double kGroundCell = 3.0;  // metres
 constexpr float kAbove = 0.5f;       // map points lower above the ground are not judged, metres
 constexpr double kSlant = 0.05;      // surfaces met at a slant spread over a pixel by their range
 
 double range_squared(const float* p) {
   return double(p[0]) * p[0] + double(p[1]) * p[1] + double(p[2]) * p[2];
+}
+
+// Hastings' polynomial (Approximations for Digital Computers, 1955), in degrees.
+constexpr double kQuickError = 2e-3;  // degrees, more than it ever is
+double quick_atan2(double y, double x) {
+  const double across = std::abs(x), up = std::abs(y);
+  const double t = std::min(across, up) / std::max(across, up), t2 = t * t;
+  const double odd =
+      -0.33262347 + t2 * (0.19354346 + t2 * (-0.11643287 + t2 * (0.05265332 + t2 * -0.01172120)));
+  double angle = t * (0.99997726 + t2 * odd);
+  if (up > across) angle = kRight - angle;
+  if (x < 0) angle = 2 * kRight - angle;
+  return (y < 0 ? -angle : angle) * kDegrees;
+}
+
+// What a query sees of a map lies so near: points beyond need not be searched.
+std::vector<float> within(const float* points, std::size_t n, double reach) {
+  std::vector<float> near;
+  for (std::size_t i = 0; i < n; ++i) {
+    const float* p = points + 3 * i;
+    if (range_squared(p) <= reach * reach) near.insert(near.end(), p, p + 3);
+  }
+  return near;
 }
 
 RangeImage image_of(const float* structure, std::size_t n, const float* ground, std::size_t g,
@@ -31,6 +56,7 @@ RangeImage::RangeImage(double bin_deg)
     : bin_(bin_deg),
       columns_(static_cast<int>(std::lround(360.0 / bin_deg))),
       rows_(static_cast<int>(std::lround(180.0 / bin_deg)) + 1),
+      doubt_(kQuickError / bin_deg),
       nearest_(static_cast<std::size_t>(columns_) * rows_, kFar) {}
 
 void RangeImage::add(const float* point) {
@@ -57,11 +83,17 @@ RangeImage RangeImage::eroded() const {
 
 std::size_t RangeImage::at(const float* point) const {
   const double x = point[0], y = point[1], z = point[2];
-  const double azimuth = std::atan2(y, x) * kDegrees + 180.0;
-  const double elevation = std::atan2(z, std::sqrt(x * x + y * y)) * kDegrees + 90.0;
-  const int column = static_cast<int>(azimuth / bin_) % columns_;
-  const int row = std::min(static_cast<int>(elevation / bin_), rows_ - 1);
+  const int column = bin_of(y, x, 180.0) % columns_;
+  const int row = std::min(bin_of(z, std::sqrt(x * x + y * y), 90.0), rows_ - 1);
   return static_cast<std::size_t>(column) * rows_ + row;
+}
+
+// Only where a direction is too near the edge of a bin, the exact angle is found.
+int RangeImage::bin_of(double y, double x, double first_deg) const {
+  const double quick = (quick_atan2(y, x) + first_deg) / bin_;
+  const double inside = quick - static_cast<int>(quick);
+  if (inside > doubt_ && inside < 1.0 - doubt_) return static_cast<int>(quick);
+  return static_cast<int>((std::atan2(y, x) * kDegrees + first_deg) / bin_);
 }
 
 GroundCeiling::GroundCeiling(const float* ground, std::size_t count, double range)
@@ -91,8 +123,14 @@ int GroundCeiling::cell(float v) const {
 
 VisibilityCheck::VisibilityCheck(const float* structure, std::size_t n, const float* ground,
                                  std::size_t g, double range, double bin_deg, double radius)
+    : VisibilityCheck(within(structure, n, range + kBeyond * radius), structure, n, ground, g, range,
+                      bin_deg, radius) {}
+
+VisibilityCheck::VisibilityCheck(const std::vector<float>& near, const float* structure,
+                                 std::size_t n, const float* ground, std::size_t g, double range,
+                                 double bin_deg, double radius)
     : range_(range),
-      query_(structure, n, radius),
+      query_(near.data(), near.size() / 3, radius),
       image_(image_of(structure, n, ground, g, bin_deg)),
       nearest_(image_.eroded()),
       floor_(ground, g, range) {}

@@ -21,8 +21,11 @@ class RangeImage {
   float operator[](std::size_t pixel) const { return nearest_[pixel]; }
 
  private:
+  int bin_of(double y, double x, double first_deg) const;
+
   double bin_;
   int columns_, rows_;
+  double doubt_;  // shares of a bin by which a quick angle may be wrong
   std::vector<float> nearest_;
 };
 
@@ -62,8 +65,11 @@ class VisibilityCheck {
   double radius() const { return query_.radius(); }
 
  private:
+  VisibilityCheck(const std::vector<float>& near, const float* structure, std::size_t n,
+                  const float* ground, std::size_t g, double range, double bin_deg, double radius);
+
   double range_;
-  PointGrid query_;
+  PointGrid query_;  // of what is near enough
   RangeImage image_, nearest_;
   GroundCeiling floor_;
 };

@@ -13,6 +13,14 @@ def heights_above_ground(
 def euclidean_clusters(
     points: NDArray[np.float32], radius: float, min_points: int, max_points: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.int64]]: ...
+def clusters_above(
+    points: NDArray[np.float32],
+    heights: NDArray[np.float32],
+    cuts: Sequence[float],
+    radius: float,
+    min_points: int,
+    max_points: int,
+) -> tuple[NDArray[np.uint32], NDArray[np.int64]]: ...
 def plane_normals(
     points: NDArray[np.float32], radius: float, min_points: int, thickness: float, most: int
 ) -> NDArray[np.float32]: ...

@@ -20,7 +20,9 @@ _FAR, _FARTHEST = 1.5, 3.0
 """From the air what is nearest may all be roofs: so many times the median range is used at least,
 up to so many times what is used otherwise."""
 _BLOCK = 64  # directions that are scored at once: the table stays in the cache
-_TOGETHER = 20.0
+_MOST_NORMALS = 2000
+"""Those of more places turn the attitude by less than it is uncertain."""
+_TOGETHER = 13.0
 """So many neighbouring normals err together: one plane, one registration of the sensor."""
 
 
@@ -126,11 +128,13 @@ class AttitudeEstimator:
         """
         config = self.config
         squares = np.einsum("ij,ij->i", points, points)
-        typical = float(np.median(squares)) if len(squares) else 0.0
-        wanted = min(_FAR**2 * typical, (_FARTHEST * config.radius_m) ** 2)
-        near = squares < max(config.radius_m**2, wanted)
-        thinned = _native.voxel_grid(np.ascontiguousarray(points[near]), config.voxel_size)
-        normals = _native.plane_normals(thinned, config.support_m, 10, 0.05, 3000)
+        limit = config.radius_m**2
+        if 2 * np.count_nonzero(squares > limit / _FAR**2) >= len(squares) > 0:
+            typical = float(np.median(squares))
+            limit = max(limit, min(_FAR**2 * typical, _FARTHEST**2 * limit))
+        near = np.flatnonzero(squares < limit)
+        thinned = _native.voxel_grid(points.take(near, axis=0), config.voxel_size)
+        normals = _native.plane_normals(thinned, config.support_m, 10, 0.05, _MOST_NORMALS)
         return normals.astype(np.float64)
 
 

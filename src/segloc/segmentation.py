@@ -10,7 +10,7 @@ from pydantic import Field
 
 from . import _native
 from .section import Section
-from .types import Float32, LocalCloud, Segments
+from .types import Float32, Int64, LocalCloud, Segments
 
 WIDEST_LINK = 1.25
 """Points that lie so much closer together than the tolerance link up, nearly all of an object."""
@@ -135,32 +135,25 @@ class Segmenter:
         if cloud.voxel_size != cluster.voxel_size:
             points = _native.voxel_grid(points, cluster.voxel_size)
         heights = heights_above_ground(points, config)
-        structure = heights > config.structure_height
-        cluster = cluster.widened(points[structure])
-        parts = [self._clusters(points, heights, cut, cluster) for cut in cluster.height_cuts]
-        ground = _native.voxel_grid(points[~structure], config.ground_voxel)
-        return Segmentation(_packed(parts), points[structure], ground)
-
-    @staticmethod
-    def _clusters(
-        points: Float32, heights: Float32, cut: float, config: ClusterConfig
-    ) -> tuple[Float32, Float32, np.ndarray]:
-        above = np.flatnonzero(heights > cut)
-        members, offsets = _native.euclidean_clusters(
-            points[above], config.tolerance, config.min_points, config.max_points
+        above = heights > config.structure_height
+        structure = points.take(np.flatnonzero(above), axis=0)
+        cluster = cluster.widened(structure)
+        members, offsets = _native.clusters_above(
+            points,
+            heights,
+            cluster.height_cuts,
+            cluster.tolerance,
+            cluster.min_points,
+            cluster.max_points,
         )
-        chosen = above[members]
-        return points[chosen], heights[chosen], offsets
+        low = points.take(np.flatnonzero(~above), axis=0)
+        ground = _native.voxel_grid(low, config.ground_voxel)
+        segments = _measured(points.take(members, axis=0), heights.take(members), offsets)
+        return Segmentation(segments, structure, ground)
 
 
-def _packed(parts: list[tuple[Float32, Float32, np.ndarray]]) -> Segments:
-    """One set of segments from the clusters of every cut."""
-    points = np.concatenate([p for p, _, _ in parts])
-    heights = np.concatenate([h for _, h, _ in parts])
-    starts = np.cumsum([0, *(len(p) for p, _, _ in parts)])
-    offsets = np.concatenate(
-        [o[:-1] + start for (_, _, o), start in zip(parts, starts, strict=False)] + [starts[-1:]]
-    ).astype(np.int64)
+def _measured(points: Float32, heights: Float32, offsets: Int64) -> Segments:
+    """Segments with their centroids and mean heights."""
     if len(offsets) == 1:
         return Segments(points, offsets, np.empty((0, 3)), np.empty(0, np.float32))
     counts = np.diff(offsets)[:, None]

@@ -74,6 +74,9 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "heights_above_ground", Call(_native.heights_above_ground, ground)
     clusters = {"points": points, "radius": 0.5, "min_points": 2, "max_points": 500}
     yield "euclidean_clusters", Call(_native.euclidean_clusters, clusters)
+    above = {"points": points, "heights": points[:, 2].copy(), "cuts": [0.6, 1.2]}
+    above |= {"radius": 0.5, "min_points": 2, "max_points": 500}
+    yield "clusters_above", Call(_native.clusters_above, above)
     planes = {"points": points, "radius": 3.0, "min_points": 4, "thickness": 0.5, "most": 300}
     yield "plane_normals", Call(_native.plane_normals, planes)
     spacing = {"points": points, "least": 0.1, "most": 128}
@@ -299,8 +302,8 @@ def _others() -> Iterator[tuple[str, Call]]:
 
 ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
     _segmentation: (
-        *("voxel_grid", "heights_above_ground", "euclidean_clusters", "plane_normals"),
-        "point_spacing",
+        *("voxel_grid", "heights_above_ground", "euclidean_clusters", "clusters_above"),
+        *("plane_normals", "point_spacing"),
     ),
     _local_clouds: (
         "moved_crop",

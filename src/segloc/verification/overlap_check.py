@@ -29,6 +29,8 @@ at most so often."""
 _STOREY_SAMPLE = 200
 """Points of the query that other storeys are looked for with."""
 
+_HERE = np.eye(4)
+
 
 class QueryCloud:
     """A query cloud, made ready to be compared with a map at several poses.
@@ -67,9 +69,9 @@ class QueryCloud:
     def surface(self) -> _native.Surface:
         """What is aligned; made once."""
         if self._surface is None:
-            points = self._scene.surface
-            near = (points[:, :2] ** 2).sum(axis=1) < self._config.icp_radius**2
-            self._surface = self._aligner.surface(points[near])
+            scene, radius = self._scene, self._config.icp_radius
+            near = [_native.moved_crop(p, _HERE, radius) for p in (scene.structure, scene.ground)]
+            self._surface = self._aligner.surface(np.concatenate(near))
         return self._surface
 
 
