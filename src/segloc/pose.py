@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -65,19 +64,10 @@ class Agreement:
     def __init__(
         self, query: Float64, map_centroids: Float64, matches: Matches, config: PoseConfig
     ) -> None:
-        self._query, self._map, self._matches, self._config = query, map_centroids, matches, config
-
-    @cached_property
-    def _from(self) -> Float64:
-        return np.ascontiguousarray(self._query[self._matches.query].T)
-
-    @cached_property
-    def _to(self) -> Float64:
-        return np.ascontiguousarray(self._map[self._matches.map].T)
-
-    @cached_property
-    def _objects(self) -> Int64:
-        return _objects(self._query, self._config.distinct_radius)[self._matches.query]
+        self._from = np.ascontiguousarray(query[matches.query].T)
+        self._to = np.ascontiguousarray(map_centroids[matches.map].T)
+        self._objects = _objects(query, config.distinct_radius)[matches.query]
+        self._config = config
 
     def __call__(self, T_map_local: Pose) -> int:
         """Distinct objects with a match that fits the pose."""
