@@ -50,7 +50,7 @@ struct Block {
   bool grown;                // it has points that are of the level, and of none before it
 };
 
-// Points in cells, of which those of some levels are linked: of the first one, of the first two, ...
+// Points in cells, of which those of ever more levels are linked.
 class Lattice {
  public:
   // A level for each point, below `levels`.

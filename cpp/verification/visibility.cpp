@@ -123,8 +123,8 @@ int GroundCeiling::cell(float v) const {
 
 VisibilityCheck::VisibilityCheck(const float* structure, std::size_t n, const float* ground,
                                  std::size_t g, double range, double bin_deg, double radius)
-    : VisibilityCheck(within(structure, n, range + kBeyond * radius), structure, n, ground, g, range,
-                      bin_deg, radius) {}
+    : VisibilityCheck(within(structure, n, range + kBeyond * radius), structure, n, ground, g,
+                      range, bin_deg, radius) {}
 
 VisibilityCheck::VisibilityCheck(const std::vector<float>& near, const float* structure,
                                  std::size_t n, const float* ground, std::size_t g, double range,
