@@ -10,12 +10,14 @@ from .matching import Matcher
 from .pose import PoseEstimator
 from .prior import Prior, within
 from .segmentation import Segmentation
-from .types import Candidate, Descriptors, Int64
+from .types import Candidate, Descriptors, Int64, Matches
 
 CANDIDATES = 32
 """Poses that a vote proposes."""
 GROWTH, PROBES = 0.3, 16
 """Of matching: a vote need not find all that agrees. Set by queries in half a million segments."""
+NEAR = 8
+"""Neighbours of a segment near a prior: there are few that look alike by chance."""
 
 
 class ThinVote:
@@ -41,8 +43,19 @@ class ThinVote:
         self, scene: Segmentation, descriptors: Descriptors, near: Prior | None = None
     ) -> list[Candidate]:
         """Poses T_map_local of a query, best first; near a prior, if there is one."""
-        matcher = self._matcher if near is None else self._matcher.among(self._rows(near))
-        matches = matcher.prune(descriptors, matcher.match(descriptors))
+        return self.poses(scene, self.matches(descriptors, near), near)
+
+    def matches(self, descriptors: Descriptors, near: Prior | None = None) -> Matches:
+        """What of the thin map a query's segments look like."""
+        if near is None:
+            return self._matcher.prune(descriptors, self._matcher.match(descriptors))
+        matcher = self._matcher.among(self._rows(near))
+        return matcher.prune(descriptors, matcher.match(descriptors, NEAR))
+
+    def poses(
+        self, scene: Segmentation, matches: Matches, near: Prior | None = None
+    ) -> list[Candidate]:
+        """Poses T_map_local on which matches agree, best first."""
         centroids = scene.segments.centroids
         return within(near, self._estimator.estimate(centroids, self._centroids, matches))
 
@@ -50,5 +63,5 @@ class ThinVote:
         """What may be in view near a prior; only what lies in a strip about it is looked at."""
         far, x = near.radius_m + self._reach_m, float(np.asarray(near.position)[0])
         ends = np.searchsorted(self._centroids[:, 0], [x - far, x + far], sorter=self._by_x)
-        strip = np.sort(self._by_x[ends[0] : ends[1]]).astype(np.int64)
-        return strip[near.rows(self._centroids[strip], self._reach_m)]
+        strip = self._by_x[ends[0] : ends[1]].astype(np.int64)
+        return np.sort(strip[near.rows(self._centroids[strip], self._reach_m)])

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
 
-from ..localization import Localization
-from ..localizer import Localizer
+from ..answer import answer
+from ..localization import Localization, Reason
+from ..localizer import Localizer, counted
 from ..map.segment_map import SegmentMap
-from ..prior import Prior
-from ..search import Query
+from ..matching import Matcher
+from ..prior import Prior, within
+from ..search import Query, Search
 from ..stage_times import StageTimes
 from ..thin_vote import ThinVote
+from ..types import Candidate, Matches
+from ..verification import Verdict
+from ..verification.evidence import DECISIVE_INLIERS
 from .index import Tile, TileIndex
 from .recent import Recent
 
 STRONG = 0.5
 """Tiles are searched first in which a pose has such a share of the votes of the best."""
 FEW, MORE = 4, 10
-"""Tiles that are searched where nothing is found in these, and then. Set by hand."""
+"""So many tiles are looked into without a prior, and searched with one. Set by hand."""
+
+
+PAIR = 2
+"""So many segments agree on a pose anywhere: the two that it is computed from."""
 
 
 class Tiles(Protocol):
@@ -29,16 +39,18 @@ class Tiles(Protocol):
     index: TileIndex
     recent: Recent
 
+    def tile(self, tile: Tile) -> SegmentMap: ...
     def together(self, tiles: Sequence[Tile]) -> SegmentMap: ...
 
 
 class TileSearch:
     """Searches the tiles that a query may be in.
 
-    The query is matched to a thin map of all tiles, or of what lies near the prior: the tiles of
-    the poses that have nearly as many votes as the best are searched as one map, so a place that
-    fits as well in another of them makes the query ambiguous. Where it is not found there, more
-    tiles are searched.
+    The query is matched to a thin map of all tiles, or of what lies near the prior. Where one
+    tile has far more votes than chance gives, it is searched. Otherwise the query is matched to all
+    segments of those with the most votes, and where these agree on poses in several of them, they
+    are searched as one map, so that a place that fits as well in another makes the query ambiguous.
+    Clouds are compared in no others, but where all tiles that the sensor may be in are few.
 
     Parameters
     ----------
@@ -62,55 +74,77 @@ class TileSearch:
         MapFormatError
             If a tile that is needed cannot be had; names its file.
         """
+        index = self._tiles.index
+        tiles = index.tiles if near is None else index.near(near)
+        matches, found = self._proposed(query, near, times) if len(tiles) > 1 else (_NONE, [])
+        only = None if near is None else Prior(near.position, near.radius_m)
         result: Localization | None = None
-        for tiles in self._named(query, near, times):
-            localizer = self._searching(tiles, times)
-            only = None if near is None else Prior(near.position, near.radius_m)
-            result = localizer.locate(query, times, deadline_ms, only)
+        for chosen in self._named(query, tiles, found, near, times):
+            result = self._searching(chosen, times).locate(query, times, deadline_ms, only)
             if result.localized or times.beyond(deadline_ms):
                 return result
         if near is not None and near.anywhere:
             return self.locate(query, times, deadline_ms, None)
-        return result or self._nowhere(query, times, deadline_ms, near)
+        return result or _nowhere(query, matches, found, times, near)
 
-    def _nowhere(
-        self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
-    ) -> Localization:
-        """What a map of nothing answers: no tile has a better right to be asked."""
-        coarse = self._coarse
-
-        def made() -> Localizer:
-            return Localizer(coarse.prior_map, coarse.config, clock=coarse.clock)
-
-        key = (self._settings, self._tiles.index.coarse.file)
-        thin = self._tiles.recent.get(key, Localizer, made, _bytes)
-        return thin.locate(query, times, deadline_ms, near)
+    def _proposed(
+        self, query: Query, near: Prior | None, times: StageTimes
+    ) -> tuple[Matches, list[Candidate]]:
+        """Poses by the thin map, best first, and the matches that they are of."""
+        with times("tiles"):
+            matches = self._vote.matches(query.descriptors, near)
+            return matches, self._vote.poses(query.scene, matches, near)
 
     def _named(
-        self, query: Query, near: Prior | None, times: StageTimes
+        self,
+        query: Query,
+        tiles: tuple[Tile, ...],
+        found: list[Candidate],
+        near: Prior | None,
+        times: StageTimes,
     ) -> Iterator[tuple[Tile, ...]]:
         """Sets of tiles to search, one after another until the query is localized."""
-        index = self._tiles.index
-        tiles = index.tiles if near is None else index.near(near)
-        if len(tiles) <= 1:
-            yield from (tiles,) * len(tiles)
-            return
-        with times("tiles"):
-            voted = self._voted(query, near)
-        best = max(voted.values(), default=0)
-        strong = [tile for tile, votes in voted.items() if votes >= STRONG * best]
-        everywhere = len(tiles) <= (FEW if near is None else MORE)
-        more = [list(tiles)] if everywhere else [list(voted)[:FEW], list(voted)[:MORE]]
-        searched: list[set[str]] = []
-        for chosen in (strong[:FEW], *more):
-            files = {tile.file for tile in chosen}
-            if files and files not in searched:
-                searched.append(files)
-                yield tuple(chosen)
+        searched: list[set[Tile]] = []
+        for chosen in self._promising(query, found, near, times):
+            if chosen and set(chosen) not in searched:
+                searched.append(set(chosen))
+                yield chosen
+        few = len(tiles) <= (FEW if near is None else MORE)
+        if tiles and few and set(tiles) not in searched:
+            yield tiles
 
-    def _voted(self, query: Query, near: Prior | None) -> dict[Tile, int]:
+    def _promising(
+        self, query: Query, found: list[Candidate], near: Prior | None, times: StageTimes
+    ) -> Iterator[tuple[Tile, ...]]:
+        """The tiles in which segments agree on poses: by their votes, then by all segments."""
+        voted = self._voted(found)
+        best = max(voted.values(), default=0)
+        strong = [tile for tile, votes in voted.items() if votes >= STRONG * best][:FEW]
+        if len(strong) == 1 and _stands_out(best, [c.inliers for c in found]):
+            yield tuple(strong)
+        looked_into: list[Tile] = []
+        for some in (strong, list(voted)[:FEW]):
+            if some != looked_into:
+                looked_into = some
+                with times("tiles"):
+                    agreeing = self._agreeing(query, some, near)
+                yield agreeing
+
+    def _agreeing(self, query: Query, tiles: list[Tile], near: Prior | None) -> tuple[Tile, ...]:
+        """Those in which nearly as many segments agree as in the best; none where it is chance.
+
+        Chance is what the confidence takes for it: on a wrong pose fewer agree. In 100 km of
+        simulated towns at least 15 agreed in the right tile of each query that was found, and at
+        most 7 in the tiles of 48 queries from elsewhere.
+        """
+        agree = {tile: self._agree(query, tile, near) for tile in tiles}
+        best = max(agree.values(), default=0)
+        if best < self._coarse.verifier.model.chance.most_inliers:
+            return ()
+        return tuple(tile for tile in tiles if agree[tile] >= STRONG * best)
+
+    def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
         """The tiles of the poses on which most matches with the thin map agree, best first."""
-        found = self._vote.candidates(query.scene, query.descriptors, near)
         if not found:
             return {}
         index = self._tiles.index
@@ -123,6 +157,16 @@ class TileSearch:
             if tile is not None:
                 voted[tile] = max(voted.get(tile, 0), candidate.inliers)
         return voted
+
+    def _agree(self, query: Query, tile: Tile, near: Prior | None) -> int:
+        """How many segments of a query agree on a pose in a tile, by all that the tile holds."""
+        part, coarse = self._tiles.tile(tile), self._coarse
+        config, pruner = coarse.config, coarse.descriptor.pruner
+        matcher = Matcher(part, config.matching, pruner=pruner, threads=config.threads)
+        matches = matcher.prune(query.descriptors, matcher.match(query.descriptors))
+        centroids = query.scene.segments.centroids
+        found = within(near, coarse.estimator.estimate(centroids, part.centroids, matches))
+        return max((candidate.inliers for candidate in found), default=0)
 
     def _searching(self, tiles: tuple[Tile, ...], times: StageTimes) -> Localizer:
         """A localizer in some tiles, kept among what the tiles were last used for."""
@@ -137,6 +181,31 @@ class TileSearch:
         return self._tiles.recent.get(key, Localizer, made, _bytes)
 
 
+_NONE = Matches(
+    np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.float32)
+)
+
+
 def _bytes(localizer: Localizer) -> int:
     """About what a localizer takes: its map, and three times as much for looking up."""
     return 4 * localizer.prior_map.memory_bytes
+
+
+def _stands_out(most: int, votes: list[int]) -> bool:
+    """Whether the best of some poses has more votes than chance gives, which is what most have."""
+    chance = max(float(np.median(votes)), PAIR)
+    return most * math.log(max(most, 1) / chance) >= DECISIVE_INLIERS
+
+
+def _nowhere(
+    query: Query,
+    matches: Matches,
+    found: list[Candidate],
+    times: StageTimes,
+    near: Prior | None,
+) -> Localization:
+    """The answer where no tile has a right to be searched."""
+    reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
+    verdict = Verdict(reason, f"{reason} (of the segments {most} agree on a place, as by chance)")
+    counts = counted(query, Search(len(matches), matches, found, verdict))
+    return answer(query.cloud, verdict, counts, times.with_total(), near)
