@@ -36,6 +36,7 @@ class ThinVote:
         self._centroids, self._matcher = thin.centroids, matcher.once(GROWTH, PROBES)
         self._reach_m = config.local_cloud.radius_m
         self._by_x = np.argsort(self._centroids[:, 0], kind="stable").astype(np.int32)
+        self._x, self._y = self._centroids[self._by_x, :2].T.copy()
         pose = config.pose.model_copy(update={"max_candidates": CANDIDATES})
         self._estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
 
@@ -60,8 +61,10 @@ class ThinVote:
         return within(near, self._estimator.estimate(centroids, self._centroids, matches))
 
     def _rows(self, near: Prior) -> Int64:
-        """What may be in view near a prior; only what lies in a strip about it is looked at."""
-        far, x = near.radius_m + self._reach_m, float(np.asarray(near.position)[0])
-        ends = np.searchsorted(self._centroids[:, 0], [x - far, x + far], sorter=self._by_x)
-        strip = self._by_x[ends[0] : ends[1]].astype(np.int64)
-        return np.sort(strip[near.rows(self._centroids[strip], self._reach_m)])
+        """What may be in view near a prior; only what lies in a square about it is looked at."""
+        far = near.radius_m + self._reach_m
+        x, y = np.asarray(near.position)[:2]
+        first, last = np.searchsorted(self._x, [x - far, x + far])
+        square = np.abs(self._y[first:last] - y) <= far
+        rows = np.sort(self._by_x[first:last][square]).astype(np.int64)
+        return rows[near.rows(self._centroids[rows], self._reach_m)]

@@ -107,8 +107,11 @@ class TileIndex(Section):
 
     def near(self, prior: Prior) -> tuple[Tile, ...]:
         """The tiles whose squares a sensor near a prior may be in."""
-        x, y = np.asarray(prior.position)[:2]
-        return tuple(t for t in self.tiles if self.distance(t, x, y) <= prior.radius_m)
+        low = np.array([tile.cell for tile in self.tiles]).reshape(-1, 2) * self.size_m
+        at = np.asarray(prior.position)[:2]
+        beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
+        inside = np.hypot(*beyond.T) <= prior.radius_m
+        return tuple(self.tiles[k] for k in np.flatnonzero(inside).tolist())
 
     def owners(self, positions: Float64) -> list[Tile | None]:
         """The tile that owns each of (N, 2 or 3) positions.
