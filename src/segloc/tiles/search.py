@@ -26,9 +26,8 @@ from .recent import Recent
 STRONG = 0.5
 """Tiles are searched first in which a pose has such a share of the votes of the best."""
 FEW, MORE = 4, 10
-"""So many tiles are looked into without a prior, and searched with one. Set by hand."""
-
-
+"""So many tiles are looked into. All that a query may be in are searched where they are no more,
+or with a prior no more than the second. Set by hand."""
 PAIR = 2
 """So many segments agree on a pose anywhere: the two that it is computed from."""
 
@@ -134,8 +133,8 @@ class TileSearch:
         """Those in which nearly as many segments agree as in the best; none where it is chance.
 
         Chance is what the confidence takes for it: on a wrong pose fewer agree. In 100 km of
-        simulated towns at least 15 agreed in the right tile of each query that was found, and at
-        most 7 in the tiles of 48 queries from elsewhere.
+        simulated towns at least 15 agreed where a query was found, and at most 7 in any tile that
+        was looked into for 48 queries from elsewhere, by which it was chosen.
         """
         agree = {tile: self._agree(query, tile, near) for tile in tiles}
         best = max(agree.values(), default=0)
