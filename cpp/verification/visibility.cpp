@@ -88,11 +88,13 @@ std::size_t RangeImage::at(const float* point) const {
   return static_cast<std::size_t>(column) * rows_ + row;
 }
 
-// Only where a direction is too near the edge of a bin, the exact angle is found.
+// Only where a direction is too near the edge of a bin, or there is none, the exact angle is found.
 int RangeImage::bin_of(double y, double x, double first_deg) const {
-  const double quick = (quick_atan2(y, x) + first_deg) / bin_;
-  const double inside = quick - static_cast<int>(quick);
-  if (inside > doubt_ && inside < 1.0 - doubt_) return static_cast<int>(quick);
+  if (x != 0 || y != 0) {
+    const double quick = (quick_atan2(y, x) + first_deg) / bin_;
+    const double inside = quick - static_cast<int>(quick);
+    if (inside > doubt_ && inside < 1.0 - doubt_) return static_cast<int>(quick);
+  }
   return static_cast<int>((std::atan2(y, x) * kDegrees + first_deg) / bin_);
 }
 
