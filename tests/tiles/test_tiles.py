@@ -500,7 +500,7 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
 ) -> None:
     """No clouds are compared, and of all tiles only few are opened; but these must be there."""
     index = cut_tiles(repeated(site, *AWAY), tmp_path, size_m=100.0)
-    stranger = Plaza(seed=4242).scan(TRUE, seed=77)
+    elsewhere = Plaza(seed=4242).scan(TRUE, seed=77)
     localizer, opened = Localizer(TiledMap(tmp_path)), list[str]()
     plain = TiledMap.tile
 
@@ -511,12 +511,12 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
     with monkeypatch.context() as patched:
         patched.setattr(TiledMap, "tile", tile)
         patched.setattr(TiledMap, "together", lambda *_: pytest.fail("clouds are compared"))
-        answer = localizer.localize(stranger)
+        answer = localizer.localize(elsewhere)
     assert answer.reason is Reason.NO_CONSISTENT_MATCHES and answer.counts["matches"] > 0
     assert 0 < len(set(opened)) <= 4 < len(index.tiles)
     (tmp_path / opened[0]).unlink()
     with pytest.raises(MapFormatError, match=opened[0]):
-        Localizer(TiledMap(tmp_path)).localize(stranger)
+        Localizer(TiledMap(tmp_path)).localize(elsewhere)
 
 
 @pytest.mark.slow
