@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 from segloc_experiments.calibration import landmarks as calibration
 from segloc_experiments.intervals import wilson
 from segloc_experiments.protocols import trees
 from segloc_experiments.stems import Detector, planted, pose_at, surveyed, wild
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_wilsons_interval_is_the_published_one() -> None:
@@ -44,9 +39,9 @@ def test_the_way_back_is_found_and_a_mirror_image_is_not(forest: trees.Forest) -
     assert figures["false"] == 0 and figures["metres_median"] < 0.3
     mirrored = trees.summary(list(trees.outcomes(forest, trees.Thinning(), 3, mirrored=True)))
     assert mirrored["found"] == mirrored["false"] == 0
-    page = trees.written(f"a\n{trees.BEGIN}\nold\n{trees.END}\nb\n", {"all": figures})
-    assert page.startswith("a\n") and page.endswith("\nb\n") and "old" not in page
-    assert f"{figures['found']} of {figures['revisits']}" in page
+    told = trees.cells("all", figures)
+    assert str(told[1]).startswith(f"{figures['found']} of {figures['revisits']}")
+    assert trees.cells("mirrored", mirrored)[-1] is None
 
 
 def test_thinning_is_the_same_every_time(forest: trees.Forest) -> None:
@@ -58,11 +53,6 @@ def test_thinning_is_the_same_every_time(forest: trees.Forest) -> None:
     assert len(thinning.query(whole, 5).positions) and len(trees.Thinning().query(whole, 4)) == len(
         whole
     )
-
-
-def test_the_page_has_the_stored_figures() -> None:
-    page = (DOCS / "landmarks.md").read_text("utf-8")
-    assert trees.written(page, json.loads((DOCS / "trees.json").read_text("utf-8"))) == page
 
 
 def test_a_regression_tells_right_from_wrong() -> None:

@@ -54,10 +54,16 @@ class MappedPlace:
     cloud: Float64
 
 
-def shared_config(method: str, threads: int) -> Config:
-    """A method's preset, with the segmentation that all methods share: the default one."""
+def shared_config(method: str, threads: int, segments_alone: bool = False) -> Config:
+    """A method's preset, with the segmentation that all methods share: the default one.
+
+    With ``segments_alone`` nothing else makes candidates: neither stems nor what stands where.
+    """
     preset, default = Config.preset(method), Config()
     shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}
+    if segments_alone:
+        for name in ("occupancy", "stems"):
+            shared[name] = getattr(preset, name).model_copy(update={"enabled": False})
     return preset.model_copy(update={**shared, "threads": threads})
 
 
@@ -113,10 +119,13 @@ def build_place(
     return place_of(build_maps(recording, descriptors, threads), threads)
 
 
-def place_of(maps: Mapping[str, SegmentMap], threads: int = 1) -> MappedPlace:
+def place_of(
+    maps: Mapping[str, SegmentMap], threads: int = 1, segments_alone: bool = False
+) -> MappedPlace:
     """Maps of one place by several methods, the first with the cloud of all, ready for queries."""
     bases = {
-        name: Localizer(prior_map, shared_config(name, threads)) for name, prior_map in maps.items()
+        name: Localizer(prior_map, shared_config(name, threads, segments_alone))
+        for name, prior_map in maps.items()
     }
     first = next(iter(bases.values()))
     localizers = {name: _localizers(base, first) for name, base in bases.items()}

@@ -21,7 +21,7 @@ from segloc.types import Descriptors, Float32, Float64, Int64, Pose
 
 from ..memory import held_mb
 from ..results.store import Cell, Result
-from ..script import show, storing
+from ..script import storing
 from ..stages import clock_for
 from . import inputs
 from .harness import in_process
@@ -137,19 +137,15 @@ def main() -> None:
     sizes = itertools.product(MAPS, QUERIES)
     found = [in_process(1, growth, *each) for each in track(list(sizes), "Measuring")]
     rows = [_cells(each) for each in found]
-    print(f"{processor()}, one thread\n")
-    show(COLUMNS, rows)
-    if args.store is not None:
-        kept = {"rows": [asdict(each) for each in found]}
-        Result.measured(
-            "growth",
-            "python -m segloc_experiments.bench.growth",
-            COLUMNS,
-            rows,
-            stages=("map", "matching", "pose"),
-            note=f"Machine: {processor()}, one thread.",
-            counts=kept,
-        ).save(args.store)
+    Result.measured(
+        "growth",
+        "python -m segloc_experiments.bench.growth",
+        COLUMNS,
+        rows,
+        stages=("map", "matching", "pose"),
+        note=f"Machine: {processor()}, one thread.",
+        counts={"rows": [asdict(each) for each in found]},
+    ).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from segloc.types import Float64
 
 from ..kitti00 import keyframes, poses_of
 from ..results.store import Cell, Result
-from ..script import show, storing
+from ..script import storing
 
 FALSE_M = 5.0
 LOOP_M, LOOP_DEG = 0.5, 0.5
@@ -116,11 +116,9 @@ def main() -> None:
             f"{float(kept['seconds']):.0f}, odometry included",
         ),
     ]
-    show(COLUMNS, rows)
-    if args.store is not None:
-        command = "python -m segloc_experiments.peers.loops DATA OUT"
-        note = f"{len(drive)} keyframes, {geometry.travelled(truths)[-1]:.0f} m."
-        Result.measured("loops", command, COLUMNS, rows, note=note).save(args.store)
+    command = "python -m segloc_experiments.peers.loops DATA OUT"
+    note = f"{len(drive)} keyframes, {geometry.travelled(truths)[-1]:.0f} m."
+    Result.measured("loops", command, COLUMNS, rows, note=note).tell(args.store)
 
 
 def _row(

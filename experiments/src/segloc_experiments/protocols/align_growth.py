@@ -32,7 +32,7 @@ from segloc.simulation import SENSORS, Conditions, SimulatedSequence, simulate_s
 
 from ..journal import entries, keep
 from ..results.store import Cell, Result
-from ..script import resumed, show
+from ..script import resumed
 from .align_kitti00 import DRIFT
 from .align_simulation import errors, false_loops
 
@@ -128,11 +128,8 @@ def _cells(found: dict[str, Any]) -> tuple[Cell, ...]:
 def report(found: list[dict[str, Any]], store: Path | None) -> None:
     """Print the table, and keep it where results are."""
     rows = [_cells(each) for each in found]
-    show(COLUMNS, rows)
-    if store is None:
-        return
     command = "python -m segloc_experiments.protocols.align_growth --report align_growth.jsonl"
-    Result.measured("align-growth", command, COLUMNS, rows, counts={"runs": found}).save(store)
+    Result.measured("align-growth", command, COLUMNS, rows, counts={"runs": found}).tell(store)
 
 
 def main() -> None:

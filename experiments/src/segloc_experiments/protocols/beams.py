@@ -20,15 +20,17 @@ from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation
 from segloc.datasets import open_sequence
 
+from ..intervals import share
 from ..kitti00 import poses_of
 from ..recordings import BEAMS, FewerBeams
-from ..script import head, parser, row
+from ..results.store import Result
+from ..script import storing
 
 KEPT_EVERY = (1, 2, 4, 8)
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("scans", type=Path)
     options.add_argument("prior_map", type=Path)
     options.add_argument("--truth", type=Path, default=Path("scans.tum"))
@@ -40,7 +42,7 @@ def main() -> None:
     recording = open_sequence(args.scans)
     positions = np.arange(0, len(recording), args.step)
     truths = poses_of(open_sequence(args.scans, args.truth))[positions]
-    print(head("beams", "found", "false", "segments", "lost"), flush=True)
+    rows = []
     for every in KEPT_EVERY:
         thinned = FewerBeams(recording, every)
         results = localize_sequence(localizer, thinned, positions)
@@ -49,9 +51,19 @@ def main() -> None:
         failed = inside & ~e.correct
         lost = funnel(localizer, QuerySet(thinned, positions[failed], truths[failed])).counts()
         stages = ", ".join(f"{n} {stage}" for stage, n in lost.items() if n)
-        found = f"{(inside & e.correct).sum()} of {inside.sum()}"
+        found = share(int((inside & e.correct).sum()), int(inside.sum()))
         segments = int(np.median([r.counts["segments"] for r in results]))
-        print(row(BEAMS // every, found, e.false.sum(), segments, stages or "-"), flush=True)
+        rows.append((BEAMS // every, found, int(e.false.sum()), segments, stages or None))
+    columns = (
+        "beams",
+        "found within map coverage",
+        "false",
+        "segments, median",
+        "lost by segments",
+    )
+    command = f"python -m segloc_experiments.protocols.beams SCANS MAP --step {args.step}"
+    methods = (prior_map.descriptor,)
+    Result.measured("beams", command, columns, rows, methods=methods).tell(args.store)
 
 
 if __name__ == "__main__":

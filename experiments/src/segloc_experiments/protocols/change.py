@@ -5,7 +5,8 @@ are parked, other people about, and a share of the things that can be moved is r
 mapped path is driven again, in another lane, and then back in the opposite direction; all scans are
 queries, each by itself, and so are clouds accumulated by odometry that drifts. It is made harder by
 fewer beams, another sensor, and maps padded with other worlds of the same kind (as in ``city``).
-All methods see the same clouds, cut into the same segments, each with its own preset.
+All methods see the same clouds, cut into the same segments, each with its own preset; each is asked
+with all that a localizer has, and by its segments alone. What is done is kept, a line a set.
 
     python -m segloc_experiments.protocols.change                       # our method
     python -m segloc_experiments.protocols.change --methods profile geo dsm --worlds town
@@ -16,15 +17,16 @@ All methods see the same clouds, cut into the same segments, each with its own p
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from segloc import Localization, Localizer, SegmentMap
+from segloc import Localization, SegmentMap
 from segloc.batch.comparison import MappedPlace, build_maps, localized, place_of
-from segloc.batch.failures import funnel
 from segloc.batch.run import query_positions
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, Tolerance
@@ -44,15 +46,26 @@ from segloc.simulation.drives import lane, mapped_way
 from segloc.simulation.motion.traversal import simulate_session
 
 from .. import script
+from ..intervals import mcnemar, share
+from ..journal import entries, keep
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept
+from ..results.store import Cell, Result
 
 SIZES_M = {"town": 200.0, "park": 200.0, "industrial": 220.0, "meadow": 240.0, "forest": 200.0}
 LENGTH_M = 200.0
 COLUMNS = 900
 CLOUDS = ("single", "accumulated")
 ESTIMATOR = "consensus"
+ALONE = "segments alone"
+WAYS = ("all there is", ALONE)
+"""With stems and what stands where, and without both."""
 SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
+
+
+def ways_of(maps: Mapping[str, SegmentMap]) -> dict[str, MappedPlace]:
+    """The maps of one place by several methods, in each of the ways."""
+    return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
 
 
 def mapped_path(world: World, seed: int) -> tuple[int, ...]:
@@ -86,63 +99,82 @@ def query_sets(
     accumulated = query_positions(drive.truth, accumulated_every_m, np.inf)
     odometry = drive.with_odometry()
     return {
-        f"{drive.name}, single": QuerySet(Unposed(drive), single, drive.truth[single]),
-        f"{drive.name}, accumulated": QuerySet(odometry, accumulated, drive.truth[accumulated]),
+        "single": QuerySet(Unposed(drive), single, drive.truth[single]),
+        "accumulated": QuerySet(odometry, accumulated, drive.truth[accumulated]),
     }
 
 
 def evaluations(
-    mapped: MappedPlace,
     query_set: QuerySet,
     descriptors: Mapping[str, Descriptor],
+    places: Mapping[str, MappedPlace],
     tolerance: Tolerance | None = None,
-) -> dict[str, Evaluation]:
-    """What every method finds; clouds are gathered and segmented once for all."""
-    found: dict[str, list[Localization]] = {name: [] for name in descriptors}
-    for answers in localized(query_set, descriptors, {"map": mapped}, (ESTIMATOR,)):
-        for (method, *_), answer in answers.items():
-            found[method].append(answer)
-    positions, truths = query_set.positions, query_set.truths
-    limits = tolerance or Tolerance()
+) -> dict[tuple[str, str], Evaluation]:
+    """By (method, place); clouds are gathered and segmented once for all."""
+    found: dict[tuple[str, str], list[Localization]] = {}
+    for answers in localized(query_set, descriptors, places, (ESTIMATOR,)):
+        for (method, place, _), answer in answers.items():
+            found.setdefault((method, place), []).append(answer)
+    positions, truths, limits = query_set.positions, query_set.truths, tolerance or Tolerance()
     return {
-        name: Evaluation(positions, results, mapped.trajectory, truths, limits)
-        for name, results in found.items()
+        key: Evaluation(positions, results, places[key[1]].trajectory, truths, limits)
+        for key, results in found.items()
     }
 
 
-def losses(localizer: Localizer, query_set: QuerySet, e: Evaluation) -> str:
-    """The stages at which queries within map coverage were lost."""
-    failed = e.within_coverage & ~e.correct
-    assert query_set.truths is not None
-    rest = QuerySet(query_set.recording, query_set.positions[failed], query_set.truths[failed])
-    lost = funnel(localizer, rest)
-    stages = [f"{n} {stage}" for stage, n in lost.counts().items() if n]
-    gates = [f"{n} {gate}" for gate, n in lost.details().items()]
-    return ", ".join(stages) + (f" ({', '.join(gates)})" if gates else "") or "-"
+def asked(
+    ways: Mapping[str, MappedPlace], query_set: QuerySet, descriptors: Mapping[str, Descriptor]
+) -> list[dict[str, Any]]:
+    """What each method finds in each way, in values that JSON can hold."""
+    return [
+        {
+            "method": method,
+            "way": way,
+            "right": e.correct[e.within_coverage].tolist(),
+            "false": int(e.false.sum()),
+        }
+        for (method, way), e in evaluations(query_set, descriptors, ways).items()
+    ]
 
 
-def row(
-    label: str,
-    name: str,
-    mapped: MappedPlace,
-    query_set: QuerySet,
-    descriptors: Mapping[str, Descriptor],
-) -> str:
-    """Found within coverage by each method, all false ones, and where the first lost some."""
-    scored = evaluations(mapped, query_set, descriptors)
-    first = next(iter(scored))
-    inside = int(scored[first].within_coverage.sum())
-    found = [int((e.within_coverage & e.correct).sum()) for e in scored.values()]
-    false = " ".join(str(int(e.false.sum())) for e in scored.values())
-    lost = losses(mapped.localizers[first][ESTIMATOR], query_set, scored[first])
-    return script.row(label, name, inside, *found, false, lost)
+def table(entries: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
+    """Columns and rows: a row for each set and way, both directions together."""
+    rows: dict[tuple[str, ...], dict[str, list[bool]]] = {}
+    false: Counter[tuple[str, ...]] = Counter()
+    for entry in entries:
+        key = tuple(str(entry[name]) for name in ("world", "clouds", "sensor", "map", "way"))
+        rows.setdefault(key, {}).setdefault(entry["method"], []).extend(entry["right"])
+        false[key] += entry["false"]
+    methods = tuple(dict.fromkeys(method for found in rows.values() for method in found))
+    columns = ("world", "clouds", "sensor", "map segments", "by", "queries", *methods)
+    if len(methods) > 1:
+        columns += (f"p, {methods[0]} and the best other",)
+    cells = [(*key, *_counted(found, methods), false[key]) for key, found in rows.items()]
+    return (*columns, "false"), cells
 
 
-def head(methods: list[str]) -> str:
-    """The head of a table of such rows."""
-    return script.head(
-        "world", "queries", "within coverage", *methods, "false", f"lost by {methods[0]}"
+def _counted(found: Mapping[str, Sequence[bool]], methods: Sequence[str]) -> tuple[Cell, ...]:
+    first, others = found[methods[0]], [found.get(name, ()) for name in methods[1:]]
+    counts = tuple(sum(found[name]) if name in found else None for name in methods)
+    if not others:
+        return len(first), share(sum(first), len(first))
+    best = max((right for right in others if len(right) == len(first)), key=sum, default=None)
+    p = None if best is None else round(mcnemar(first, best), 3)
+    return (len(first), *counts, p)
+
+
+def report(entries: list[dict[str, Any]], store: Path | None) -> None:
+    """Print the table, and keep it where results are."""
+    columns, rows = table(entries)
+    methods = tuple(dict.fromkeys(entry["method"] for entry in entries))
+    command = "python -m segloc_experiments.protocols.change --report change.jsonl"
+    note = (
+        "Found of the queries, all of them within map coverage. p: McNemar's exact test, against "
+        "the other method that finds most; no correction for several tests."
     )
+    Result.measured(
+        "change", command, columns, rows, methods=methods, note=note, counts={"sets": entries}
+    ).tell(store)
 
 
 def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> SpinningLidar:
@@ -167,24 +199,24 @@ class Places:
         drive = kept(mapped_drive(world, seed, self.sensor), self.scans)
         return build_maps(drive, self.descriptors)
 
-    def mapped(self, name: str, world: World, seed: int, pad: int, others: int) -> MappedPlace:
-        """A world, padded with so many ``others`` of its kind up to ``pad`` segments."""
+    def mapped(
+        self, name: str, world: World, seed: int, pad: int, others: int
+    ) -> dict[str, MappedPlace]:
+        """A world, padded with ``others`` of its kind up to ``pad`` segments, by ways of asking."""
         maps = self.maps(world, seed)
-        if len(maps[next(iter(maps))]) >= pad:
-            return place_of(maps)
-        seeds = range(seed + 1, seed + 1 + others)
-        around = [self.maps(SCENES[name](k, size_m=SIZES_M[name]), k) for k in seeds]
-        return place_of(
-            {
+        if len(maps[next(iter(maps))]) < pad:
+            seeds = range(seed + 1, seed + 1 + others)
+            around = [self.maps(SCENES[name](k, size_m=SIZES_M[name]), k) for k in seeds]
+            maps = {
                 m: padded(prior_map, [each[m] for each in around], pad)
                 for m, prior_map in maps.items()
             }
-        )
+        return ways_of(maps)
 
 
 def arguments() -> argparse.Namespace:
     """What the command line says."""
-    options = script.parser(__doc__)
+    options = script.resumed(__doc__, "change.jsonl")
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
     options.add_argument("--seed", type=int, default=9000)
@@ -203,21 +235,43 @@ def arguments() -> argparse.Namespace:
     return options.parse_args()
 
 
-def main() -> None:
-    args = arguments()
+def measure(args: argparse.Namespace) -> None:
+    """Ask in all worlds, and keep what each has given."""
+    done = {_set_of(entry) for entry in (entries(args.out) if args.out.exists() else [])}
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}
     places = Places(descriptors, sensor_of(args.map_sensor), args.kept)
     sensor = sensor_of(args.sensor, args.columns, args.beams)
-    print(head(args.methods), flush=True)
+    told = f"{args.sensor}, {args.beams or len(sensor.elevations_deg)} x {args.columns}"
     for label in args.worlds:
         world = SCENES[label](args.seed, size_m=SIZES_M[label])
-        mapped = places.mapped(label, world, args.seed, args.pad, args.others)
+        sets = [
+            {"world": label, "clouds": clouds, "sensor": told, "map": args.pad or "its own"}
+            for clouds in args.clouds
+        ]
+        left = [each for each in sets if _set_of(each) not in done]
+        if not left:
+            continue
+        ways = places.mapped(label, world, args.seed, args.pad, args.others)
+        found: dict[str, list[dict[str, Any]]] = {each["clouds"]: [] for each in left}
         for drive in drives(world, args.seed, sensor, conditions).values():
             queries = query_sets(kept(drive, args.kept), args.every, args.accumulated_every)
-            for name, query_set in queries.items():
-                if name.endswith(tuple(args.clouds)):
-                    print(row(label, name, mapped, query_set, descriptors), flush=True)
+            for clouds in found:
+                found[clouds] += asked(ways, queries[clouds], descriptors)
+        for each in left:
+            for entry in found[each["clouds"]]:
+                keep(args.out, each | entry)
+
+
+def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(str(entry[name]) for name in ("world", "clouds", "sensor", "map"))
+
+
+def main() -> None:
+    args = arguments()
+    if not args.report:
+        measure(args)
+    report([entry for path in args.report or [args.out] for entry in entries(path)], args.store)
 
 
 if __name__ == "__main__":

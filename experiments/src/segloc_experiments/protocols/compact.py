@@ -9,8 +9,8 @@ whole map answers.
 
 from __future__ import annotations
 
-import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,14 @@ from segloc.map.config import MappingConfig
 from segloc.search import Query
 from segloc.types import Float64
 
-from ..script import head, parser, row
+from ..intervals import share
+from ..results.store import Cell, Result
+from ..script import storing
 from .real import maps, outcome, queries
 
 REPEATS = 5
+SIZES = ("way", "map", "km", "segments", "MB a km", "ms to load a km")
+COLUMNS = ("way", "queries", "found within map coverage", "false", "shift m, median", "95 %")
 _WHOLE = MappingConfig(compact=CompactConfig(enabled=False))
 
 
@@ -111,21 +115,20 @@ class Comparison:
         return records
 
 
-def report(way: str, records: list[dict[str, Any]]) -> None:
+def counted(way: str, records: list[dict[str, Any]]) -> Iterator[tuple[Cell, ...]]:
     """A row for each set of queries."""
     for name in dict.fromkeys(r["queries"] for r in records):
         here = [r for r in records if r["queries"] == name]
         near = [r for r in here if r["near"]]
         shifts = [r["shift_m"] for r in here if r["shift_m"] is not None]
-        spread = [f"{np.quantile(shifts, q):.3f}" for q in (0.5, 0.95)] if shifts else ["-", "-"]
-        outcomes = [r["outcome"] for r in here]
-        found = sum(r["outcome"] == "found" for r in near)
-        counts = len(near), found, outcomes.count("found"), outcomes.count("false")
-        print(row(way, name, *counts, *spread), flush=True)
+        spread = [round(float(np.quantile(shifts, q)), 2) for q in (0.5, 0.95)] if shifts else []
+        false = sum(r["outcome"] == "false" for r in here)
+        found = share(sum(r["outcome"] == "found" for r in near), len(near))
+        yield way, name, found, false, *(spread or (None, None))
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
@@ -136,21 +139,23 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     comparison = Comparison(args.data, config, args.only, args.step)
-    records: dict[str, Any] = {}
-    sizes = [head("way", "map", "km", "segments", "MB a km", "ms to load a km")]
-    print(head("way", "queries", "covered", "found", "all found", "false", "shift", "95 %"))
+    sizes: list[tuple[Cell, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     for way in dict.fromkeys(["whole", *args.ways]):
         places = {name: made(place, WAYS[way]) for name, place in comparison.whole.items()}
         for name, place in places.items():
             path, km = args.out / f"{name}, {way}.segmap", kilometres(place)
             place.save(path)
-            megabytes = path.stat().st_size / 1e6 / km
-            load = f"{load_ms(path) / km:.0f}"
-            sizes.append(row(way, name, f"{km:.2f}", len(place), f"{megabytes:.3f}", load))
-        records[way] = comparison.answers(places)
-        report(way, records[way])
-    print("\n" + "\n".join(sizes))
-    (args.out / "compact.json").write_text(json.dumps(records, indent=0))
+            megabytes = round(path.stat().st_size / 1e6 / km, 2)
+            size = len(place), megabytes, round(load_ms(path) / km)
+            sizes.append((way, name, round(km, 2), *size))
+        rows += counted(way, comparison.answers(places))
+    command = (
+        f"python -m segloc_experiments.protocols.compact DATA OUT --ways {' '.join(args.ways)} "
+        f"--step {args.step}"
+    )
+    for kept, columns, cells in (("compact-sizes", SIZES, sizes), ("compact", COLUMNS, rows)):
+        Result.measured(kept, command, columns, cells, methods=(args.method,)).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from segloc.types import Float64, Pose
 from ..intervals import share
 from ..recordings import Unposed
 from ..results.store import Result
-from ..script import show, storing
+from ..script import storing
 
 WITHIN_M = 0.2
 LENGTH_M, SPACING_M = 40.0, 2.0
@@ -118,17 +118,13 @@ def main() -> None:
         total = sum(found.values())
         rest = (found[name] for name in ("wrong", "ambiguous", "refused"))
         rows.append((differ, own, other, share(found["right"], total), *rest))
-    show(COLUMNS, rows)
-    if args.store:
-        command = "python -m segloc_experiments.protocols.equal_storeys --store docs/results"
-        note = (
-            f"Share of a scan's points within {WITHIN_M:g} m of anything, median; answers of "
-            "`profile` in the map of both storeys, 95 % by Wilson."
-        )
-        stored = Result.measured(
-            "equal-storeys", command, COLUMNS, rows, methods=("profile",), note=note
-        )
-        stored.save(args.store)
+    command = "python -m segloc_experiments.protocols.equal_storeys --store docs/results"
+    note = (
+        f"Share of a scan's points within {WITHIN_M:g} m of anything, median; answers of "
+        "`profile` in the map of both storeys, 95 % by Wilson."
+    )
+    made = Result.measured("equal-storeys", command, COLUMNS, rows, methods=("profile",), note=note)
+    made.tell(args.store)
 
 
 if __name__ == "__main__":

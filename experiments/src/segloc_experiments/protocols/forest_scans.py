@@ -28,9 +28,10 @@ from segloc.local_cloud import Accumulator
 from segloc.simulation import SCENES, Conditions, World
 from segloc.types import Pose
 
-from ..intervals import wilson
+from ..intervals import share, wilson
 from ..recordings import beside, has_room, kept
-from ..script import head, parser, row
+from ..results.store import Result
+from ..script import storing
 from .change import SIZES_M, SPINNING, drives, mapped_drive, query_sets, sensor_of
 
 OFFSETS_M = (0.0, 10.0, 20.0)
@@ -70,9 +71,8 @@ class Tally:
 
     def cells(self) -> tuple[str, ...]:
         """Its part of a row."""
-        low, high = wilson(self.found, self.queries)
         return (
-            f"{self.found} of {self.queries} ({100 * low:.1f} to {100 * high:.1f} %)",
+            share(self.found, self.queries),
             str(self.near - self.found),
             f"{self.false} (below {100 * wilson(self.false, self.queries)[1]:.1f} %)",
             f"{1000 * self.seconds / max(self.queries, 1):.0f}",
@@ -143,7 +143,7 @@ class Forests:
         world, config = self.world(seed), Config()
         sensor = sensor_of(self.sensor, self.columns, self.beams)
         for drive in drives(world, seed, sensor, LATER).values():
-            queries = query_sets(kept(drive, self.scans), 1, every_m)[f"{drive.name}, accumulated"]
+            queries = query_sets(kept(drive, self.scans), 1, every_m)["accumulated"]
             clouds = query_clouds(queries.recording, queries.positions, config)
             assert queries.truths is not None
             for (cloud, _), truth in zip(clouds, queries.truths, strict=True):
@@ -151,7 +151,7 @@ class Forests:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--seeds", type=int, nargs="+", default=[9100, 9101, 9102])
     options.add_argument("--other", type=int, default=9199, help="seed of the forest elsewhere")
     options.add_argument("--sensor", default="vlp16", choices=SPINNING, help="of the queries")
@@ -185,9 +185,12 @@ def main() -> None:
                         seconds = time.process_time() - begin
                         tally = tallies.setdefault((clouds, place, name), Tally())
                         tally.add(answer, truth if place == "own" else None, seconds)
-    print(head("clouds", "map", "method", "found", "near", "false", "ms"))
-    for key, tally in tallies.items():
-        print(row(*key, *tally.cells()))
+    columns = ("clouds", "map", "by", "found", "near", "false", "ms")
+    rows = [(*key, *tally.cells()) for key, tally in tallies.items()]
+    command = "python -m segloc_experiments.protocols.forest_scans --clouds "
+    command += f"{' '.join(args.clouds)} --columns {args.columns} --every {args.every}"
+    methods = ("profile",)
+    Result.measured("forest-scans", command, columns, rows, methods=methods).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from ..intervals import share
 from ..journal import entries, keep
 from ..results.fingerprints import STAGES
 from ..results.store import Cell, Result
-from ..script import resumed, show
+from ..script import resumed
 from .kidnapped import HELD_M, KINDS, NOTICED_M, RECOVERED_M, WAYS, Trial, World
 
 COLUMNS = (
@@ -76,14 +76,12 @@ def _spread(values: list[float]) -> str:
 def report(found: list[Trial], store: Path | None) -> None:
     """Print the table, and keep it where results are."""
     rows = table(found)
-    show(COLUMNS, rows)
-    if store is not None:
-        command = "python -m segloc_experiments.protocols.kidnapping --report kidnapping.jsonl"
-        kept = {"trials": [asdict(t) for t in found]}
-        note = "Recovered: of those known before and put where the map has the place."
-        Result.measured(
-            "kidnapping", command, COLUMNS, rows, stages=tuple(STAGES), note=note, counts=kept
-        ).save(store)
+    command = "python -m segloc_experiments.protocols.kidnapping --report kidnapping.jsonl"
+    kept = {"trials": [asdict(t) for t in found]}
+    note = "Recovered: of those known before and put where the map has the place."
+    Result.measured(
+        "kidnapping", command, COLUMNS, rows, stages=tuple(STAGES), note=note, counts=kept
+    ).tell(store)
 
 
 def read(paths: Iterable[Path]) -> list[Trial]:

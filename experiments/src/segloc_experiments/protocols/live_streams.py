@@ -33,7 +33,7 @@ from segloc.types import Float64
 from ..journal import entries, keep
 from ..results.fingerprints import STAGES
 from ..results.store import Cell, Result
-from ..script import resumed, show
+from ..script import resumed
 from .followed import RATE_HZ, kitti00_stream, memory, stream_record, town_stream
 
 COLUMNS = (
@@ -120,10 +120,7 @@ def _told(
     store: Path | None,
     note: str = "",
 ) -> None:
-    show(columns, rows)
-    print(note)
-    if store is not None:
-        Result.measured(name, command, columns, rows, stages=tuple(STAGES), note=note).save(store)
+    Result.measured(name, command, columns, rows, stages=tuple(STAGES), note=note).tell(store)
 
 
 def read(paths: Iterable[Path]) -> list[dict[str, Any]]:

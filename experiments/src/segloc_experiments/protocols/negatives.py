@@ -22,7 +22,7 @@ from segloc.types import LocalCloud
 
 from ..intervals import share
 from ..results.store import Result
-from ..script import show, storing
+from ..script import storing
 
 SCANS_IN_MEMORY = 48
 COLUMNS = ("in the map of", "false (95 %)", "most inliers")
@@ -59,11 +59,6 @@ def _most(results: list[Localization]) -> int:
     return max((r.inliers for r in results), default=0)
 
 
-def report(answers: Answers) -> None:
-    """The table so far."""
-    show(COLUMNS, rows(answers))
-
-
 def main() -> None:
     options = storing(__doc__)
     options.add_argument("maps", nargs="*", type=Path)
@@ -89,17 +84,14 @@ def main() -> None:
         if real:
             town = Localizer(build_map(drives["map"], config), config)
             answers[f"real scans in town {seed}"] = [town.localize(cloud) for cloud in real]
-        report(answers)
-    if args.store:
-        note = (
-            f"Queries: scans of {args.towns} simulated towns, single and accumulated, in the maps "
-            f"of other places; every {args.real_every}. real scan, single and accumulated, in the "
-            "maps of these towns. Maps of recordings are taken as they were given."
-        )
-        result = Result.measured(
-            "negatives", COMMAND, COLUMNS, rows(answers), methods=(args.method,), note=note
-        )
-        print(result.save(args.store))
+    note = (
+        f"Queries: scans of {args.towns} simulated towns, single and accumulated, in the maps "
+        f"of other places; every {args.real_every}. real scan, single and accumulated, in the "
+        "maps of these towns. Maps of recordings are taken as they were given."
+    )
+    Result.measured(
+        "negatives", COMMAND, COLUMNS, rows(answers), methods=(args.method,), note=note
+    ).tell(args.store)
 
 
 if __name__ == "__main__":

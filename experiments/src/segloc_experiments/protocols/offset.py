@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, build_map
-from segloc.batch.comparison import place_of
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import distances_to_path, pose_errors
 from segloc.descriptors import create
@@ -33,14 +32,17 @@ from segloc.types import Float64
 
 from ..kitti00 import SECOND_HALF, keyframes, poses_of
 from ..recordings import beside, has_room
-from ..script import head, parser, row
-from .change import SIZES_M, evaluations, mapped_drive
+from ..results.store import Cell, Result
+from ..script import storing
+from .change import SIZES_M, evaluations, mapped_drive, ways_of
 
 OFFSETS_M = (0.0, 3.0, 5.0, 7.5, 10.0, 12.5, 15.0)
 WORLDS = {"town": 4, "industrial": 2, "park": 1}
 """How many of each kind."""
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
 REAL_M = (3.0, 5.0, 10.0, 20.0)
+NAME = "segloc_experiments.protocols.offset"
+Row = tuple[Cell, ...]
 
 
 def simulated(name: str, seed: int, config: Config, every: int) -> Iterator[tuple[float, str]]:
@@ -66,10 +68,9 @@ def _judged(T: Float64, truth: Float64) -> str:
     return "found" if metres[0] < RIGHT_M and degrees[0] < RIGHT_DEG else "false"
 
 
-def simulation(method: str, worlds: list[str], first_seed: int, every: int) -> None:
+def simulation(method: str, worlds: list[str], first_seed: int, every: int) -> Iterator[Row]:
     """A row for each kind of world: found of all queries at each offset."""
     config = Config.preset(method).model_copy(update={"threads": 1})
-    print(head("scene", *(f"{o:g} m" for o in OFFSETS_M), "false"), flush=True)
     for name in worlds:
         count = WORLDS[name]
         seen: Counter[tuple[float, str]] = Counter()
@@ -78,42 +79,53 @@ def simulation(method: str, worlds: list[str], first_seed: int, every: int) -> N
         totals = Counter(offset for offset, _ in seen.elements())
         cells = [f"{seen[o, 'found']} of {totals[o]}" for o in OFFSETS_M]
         false = sum(n for (_, what), n in seen.items() if what == "false")
-        print(row(f"{count} x {name}", *cells, false), flush=True)
+        yield f"{count} x {name}", *cells, false
 
 
-def real(data: Path, out: Path, methods: list[str]) -> None:
-    """A row for each method: found of all keyframes that lie so far from the mapped path."""
+def real(data: Path, out: Path, methods: list[str]) -> Iterator[Row]:
+    """A row for each method and way: found of all keyframes that lie so far from the path."""
     drive = keyframes(data, SECOND_HALF)
     alone = keyframes(data, SECOND_HALF, posed=False)
     truths = poses_of(drive)
-    mapped = place_of({name: SegmentMap.load(out / f"first-{name}.segmap") for name in methods})
-    distance = distances_to_path(truths, mapped.trajectory)
+    ways = ways_of({name: SegmentMap.load(out / f"first-{name}.segmap") for name in methods})
+    distance = distances_to_path(truths, next(iter(ways.values())).trajectory)
     positions = np.flatnonzero((distance > REAL_M[0]) & (distance <= REAL_M[-1]))
     spans = [(distance[positions] > a) & (distance[positions] <= b) for a, b in pairwise(REAL_M)]
-    columns = (f"{a:g} to {b:g} m" for a, b in pairwise(REAL_M))
-    print(head("method", "clouds", *columns, "false"), flush=True)
     descriptors = {method: create(method, 1) for method in methods}
     for name, recording in {"alone": alone, "accumulated": drive}.items():
         query_set = QuerySet(recording, positions, truths[positions])
-        for method, e in evaluations(mapped, query_set, descriptors).items():
+        for (method, way), e in evaluations(query_set, descriptors, ways).items():
             cells = [f"{(e.correct & span).sum()} of {span.sum()}" for span in spans]
-            print(row(method, name, *cells, e.false.sum()), flush=True)
+            yield method, way, name, *cells, int(e.false.sum())
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=list(WORLDS))
     options.add_argument("--real", nargs=2, type=Path, metavar=("DATA", "OUT"))
     options.add_argument("--seed", type=int, default=8000)
     options.add_argument("--every", type=int, default=6, help="scans, 2 m apart, between queries")
     args = options.parse_args()
+    command = f"python -m {NAME}"
     if args.real:
         data, out = args.real
-        real(data, out, args.methods)
-        return
-    for method in args.methods:
-        simulation(method, args.worlds, args.seed, args.every)
+        columns = ("method", "by", "clouds", *(f"{a:g} to {b:g} m" for a, b in pairwise(REAL_M)))
+        rows = list(real(data, out, args.methods))
+        name, command = (
+            "beside-real",
+            f"{command} --real DATA OUT --methods {' '.join(args.methods)}",
+        )
+    else:
+        columns = ("method", "scenes", *(f"{o:g} m" for o in OFFSETS_M))
+        rows = [
+            (method, *cells)
+            for method in args.methods
+            for cells in simulation(method, args.worlds, args.seed, args.every)
+        ]
+        name = "beside-simulated"
+    columns = (*columns, "false")
+    Result.measured(name, command, columns, rows, methods=args.methods).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,8 @@ from segloc.descriptors import create
 from segloc.types import Int64
 
 from ..kitti00 import keyframes, poses_of
-from ..script import head, parser, row
+from ..results.store import Cell, Result
+from ..script import storing
 from .change import evaluations
 
 BOUNDS = (100, 240, 380, 520, 660)
@@ -33,14 +34,14 @@ WINDOW_SCANS = 30
 """They span more than a query gathers."""
 
 
-def report(part: str, name: str, recording: Sequence, e: Evaluation) -> None:
-    """Print what was found within coverage, near it and beyond it, and which answers are false."""
+def counted(part: str, name: str, recording: Sequence, e: Evaluation) -> tuple[Cell, ...]:
+    """What was found within coverage, near it and beyond it, and which answers are false."""
     beyond = e.distance_to_map > BEYOND_M
     inside, near = e.within_coverage, ~e.within_coverage & ~beyond
     found = (f"{(e.correct & where).sum()} of {where.sum()}" for where in (inside, near))
-    false = ((e.false & ~beyond).sum(), (e.false & beyond).sum())
-    which = " ".join(str(recording.indices[i]) for i in e.indices[e.false]) or "-"
-    print(row(part, name, len(e), *found, *false, which), flush=True)
+    false = (int((e.false & ~beyond).sum()), int((e.false & beyond).sum()))
+    which = " ".join(str(recording.indices[i]) for i in e.indices[e.false]) or None
+    return part, name, len(e), *found, *false, which
 
 
 def outside(drive: Sequence, first: int, last: int, every_m: float) -> Int64:
@@ -51,7 +52,7 @@ def outside(drive: Sequence, first: int, last: int, every_m: float) -> Int64:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--bounds", nargs="+", type=int, default=list(BOUNDS))
@@ -64,7 +65,8 @@ def main() -> None:
     descriptors = {args.method: create(args.method, 1)}
     within = ("within coverage", f"to {BEYOND_M:g} m")
     false_of = ("false", f"false beyond {BEYOND_M:g} m")
-    print(head("map", "clouds", "queries", *within, *false_of, "which"), flush=True)
+    columns = ("map", "clouds", "queries", *within, *false_of, "which")
+    rows = []
     queries = false = 0
     for first, last in pairwise(args.bounds):
         part = f"{first}:{last - 1}"
@@ -72,10 +74,15 @@ def main() -> None:
         positions = outside(posed, first, last - 1, args.every)
         for name, recording in {"alone": alone, "accumulated": posed}.items():
             query_set = QuerySet(recording, positions, truths[positions])
-            e = evaluations(mapped, query_set, descriptors, TOLERANCE)[args.method]
-            report(part, name, recording, e)
+            (e,) = evaluations(query_set, descriptors, {part: mapped}, TOLERANCE).values()
+            rows.append(counted(part, name, recording, e))
             queries, false = queries + len(e), false + int(e.false.sum())
-    print(f"{false} of {queries} are false")
+    bounds = " ".join(map(str, args.bounds))
+    command = f"python -m segloc_experiments.protocols.parts DATA --bounds {bounds}"
+    command += f" --select {args.select} --every {args.every:g}"
+    note = f"{false} of {queries} are false."
+    methods = (args.method,)
+    Result.measured("parts", command, columns, rows, methods=methods, note=note).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from segloc.cli.demo import demo
 
 from ..intervals import share
 from ..results.store import Cell, Result
-from ..script import show, storing
+from ..script import storing
 
 COLUMNS = ("", "second traversal", "another town")
 COMMAND = "python -m segloc_experiments.protocols.second_traversal --store docs/results"
@@ -57,11 +57,10 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0, help="another is another town")
     args = options.parse_args()
     table = rows(summaries(args.seed))
-    show(COLUMNS, table)
-    if args.store:
-        note = f"`profile`, town {args.seed}; in brackets 95 % by Wilson."
-        result = Result.measured("demo", COMMAND, COLUMNS, table, methods=("profile",), note=note)
-        print(result.save(args.store))
+    note = f"`profile`, town {args.seed}; in brackets 95 % by Wilson."
+    Result.measured("demo", COMMAND, COLUMNS, table, methods=("profile",), note=note).tell(
+        args.store
+    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ trust. Times are processor time of one thread.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,10 @@ from segloc.simulation import SimulatedSequence
 from segloc.stage_times import StageTimes
 from segloc.types import Candidate, Pose
 
-from ..intervals import wilson
+from ..intervals import share
 from ..recordings import kept
-from ..script import head, parser, row
+from ..results.store import Cell, Result
+from ..script import row, storing
 from ..stages import processor_clock
 from .simulation_scenarios import Scenario, scenarios, tilt_deg, within_a_second
 
@@ -140,38 +141,65 @@ def piece(scenario: Scenario, seed: int, work: Path, count: int) -> Iterator[Row
         yield {"index": int(drive.indices[-1]) // 100, "where": where} | answer
 
 
-def summary(name: str, rows: list[Row]) -> str:
+COLUMNS = (
+    *("scenario", "expected", "found", "false", "on wrong floors", "ambiguous", "ms"),
+    "what those not found lack",
+)
+
+
+def cells(name: str, expected: str, rows: list[Row]) -> tuple[Cell, ...]:
     """A line of the table."""
     right = sum(r["right"] for r in rows)
-    false = sum(r["localized"] and not r["right"] for r in rows)
-    floors = sum(
-        r["localized"] and not r["right"] and abs(r.get("errors", (0, 0, 0))[2]) > HEIGHT_M
-        for r in rows
-    )
+    false = [r for r in rows if r["localized"] and not r["right"]]
+    floors = sum(abs(r.get("errors", (0, 0, 0))[2]) > HEIGHT_M for r in false)
     ambiguous = sum(r["reason"] == "AMBIGUOUS" for r in rows)
-    low, high = wilson(right, len(rows))
     causes = [r["cause"] for r in rows if "cause" in r]
     told = ", ".join(f"{causes.count(c)} {c}" for c in sorted(set(causes)))
-    ms = np.median([r["ms"] for r in rows])
-    share = f"{100 * low:.0f} to {100 * high:.0f} %"
-    return row(name, f"{right} of {len(rows)}", share, false, floors, ambiguous, f"{ms:.0f}", told)
+    ms = round(float(np.median([r["ms"] for r in rows])))
+    asked = len(rows) if expected == "refused" else share(right, len(rows))
+    return name, expected, asked, len(false), floors, ambiguous, ms, told or None
 
 
-def tables(results: dict[str, list[Row]]) -> None:
+def table(results: Mapping[str, list[Row]]) -> list[tuple[Cell, ...]]:
     """One line a scenario, in mines one a kind of place."""
-    columns = ("found", "interval", "false", "on wrong floors", "ambiguous", "ms", "missing")
-    print(head("scenario", *columns))
-    lines: dict[str, list[Row]] = {}
+    lines: dict[tuple[str, str], list[Row]] = {}
     for key, rows in results.items():
+        scenario = key.rsplit("/", 1)[0]
         for each in rows:
-            name = " ".join(filter(None, [key.rsplit("/", 1)[0], each["where"]]))
-            lines.setdefault(name, []).append(each)
-    for name, rows in lines.items():
-        print(summary(name, rows))
+            name = " ".join(filter(None, [scenario, each["where"]]))
+            lines.setdefault((name, scenarios()[scenario].expected), []).append(each)
+    return [cells(*named, rows) for named, rows in lines.items()]
+
+
+def report(results: Mapping[str, list[Row]], store: Path | None) -> None:
+    """Print the table, and keep it where results are."""
+    rows = table(results)
+    command = (
+        "python -m segloc_experiments.protocols.simulation_queries --work WORK --out queries.json"
+    )
+    note = (
+        "`profile`; in brackets 95 % by Wilson; where all should be refused, how many were asked. "
+        "Right: within 3 m and 5 degrees, and 1.5 m in height. Milliseconds of processor time of "
+        "one thread, on a machine with other work."
+    )
+    Result.measured(
+        "simulated-places",
+        command,
+        COLUMNS,
+        rows,
+        methods=("profile",),
+        note=note,
+        counts={"answers": {key: [_kept(r) for r in found] for key, found in results.items()}},
+    ).tell(store)
+
+
+def _kept(answer: Row) -> list[Any]:
+    errors_m = answer["errors"][0] if "errors" in answer else None
+    return [answer["right"], answer["reason"], round(answer["confidence"], 4), errors_m]
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--work", type=Path, required=True, help="where maps and scans are kept")
     options.add_argument("--out", type=Path, required=True, help="results, JSON")
     options.add_argument("--only", nargs="*", default=[""], help="words in names of scenarios")
@@ -187,8 +215,8 @@ def main() -> None:
                 results[key] = list(piece(scenario, seed, args.work, args.count))
                 with replacing(args.out) as stream:
                     stream.write(json.dumps(results, indent=1).encode())
-                print(summary(key, results[key]), flush=True)
-    tables(results)
+                print(row(*cells(key, scenario.expected, results[key])), flush=True)
+    report(results, args.store)
 
 
 if __name__ == "__main__":

@@ -172,7 +172,7 @@ _ALL = tuple(range(STOREYS))
 
 
 def _outdoors(asked: Side, length_m: float = 200.0) -> dict[str, Scenario]:
-    scenes = {"town": (41, 44), "park": (42,), "industrial": (43,)}
+    scenes = {"town": (41, 44), "park": (42,), "industrial": (43,), "forest": (45,)}
     return {
         scene: Scenario(scene, SCENES[scene], _CAR, asked, seeds=seeds, length_m=length_m)
         for scene, seeds in scenes.items()
@@ -219,8 +219,12 @@ def scenarios() -> dict[str, Scenario]:
             "halls", halls, _OS0, _HANDHELD, "refused", query_world=rooms
         ),
     }
-    air = {"Mid-360, 1 s": Side("mid360", "wheeled", 10), "Avia, 1 s": Side("avia", "wheeled", 10)}
-    air["drone at 20 m, OS0-128"] = Side("os0-128", "drone at 20 m")
-    for name, side in air.items():
+    others = {
+        "Mid-360, 1 s": Side("mid360", "wheeled", 10),
+        "Avia, 1 s": Side("avia", "wheeled", 10),
+    }
+    others |= {"VLP-16": Side("vlp16", "wheeled"), "OS1-64": Side("os1-64", "wheeled")}
+    others["drone at 20 m, OS0-128"] = Side("os0-128", "drone at 20 m")
+    for name, side in others.items():
         found |= {f"{name}: {scene}": each for scene, each in _outdoors(side).items()}
     return found

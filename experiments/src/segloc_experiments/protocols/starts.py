@@ -24,7 +24,7 @@ from segloc.types import Float64, Recording
 from ..intervals import share
 from ..recordings import Files
 from ..results.store import Result
-from ..script import show, storing
+from ..script import storing
 from ..stems import mirrored
 from .trees import Forest
 
@@ -109,13 +109,11 @@ def main() -> None:
     found = [against_each_other(starts, args.method)]
     found += in_the_forest(starts, Forest.load(args.data / "oxford_forest_trees"), args.every)
     rows = [(name, where, share(false, asked), most) for name, where, false, asked, most in found]
-    show(COLUMNS, rows)
-    if args.store:
-        command = (
-            "python -m segloc_experiments.protocols.starts DATA "
-            f"--every {args.every} --store docs/results"
-        )
-        Result.measured("starts", command, COLUMNS, rows, methods=(args.method,)).save(args.store)
+    command = (
+        "python -m segloc_experiments.protocols.starts DATA "
+        f"--every {args.every} --store docs/results"
+    )
+    Result.measured("starts", command, COLUMNS, rows, methods=(args.method,)).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,9 @@ from segloc.tracker import Tracker
 from segloc.types import Float64
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
-from ..script import head, parser, row
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Result
+from ..script import storing
 
 DRIVES = (
     (FIRST_HALF, SECOND_HALF),
@@ -44,13 +46,13 @@ def held(localizer: Localizer, drive: Sequence, step: int) -> Float64:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--every", type=int, default=3, help="scans between queries")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    print(head("map", "drive", "queries", "within coverage", "held", "of them false"))
+    rows = []
     for mapped, driven in DRIVES:
         prior_map = build_map(keyframes(args.data, mapped), config)
         drive = keyframes(args.data, driven)
@@ -59,7 +61,13 @@ def main() -> None:
         inside, right = beside <= COVERAGE_RADIUS_M, errors <= FALSE_M
         found = f"{(inside & right).sum()} of {inside.sum()}"
         known, false = np.isfinite(errors).sum(), (errors > FALSE_M).sum()
-        print(row(mapped, driven, len(errors), found, known, false), flush=True)
+        rows.append((mapped, driven, len(errors), found, int(known), int(false)))
+    columns = ("map", "drive", "queries", "found within map coverage", "held", "of them false")
+    command, methods = "python -m segloc_experiments.protocols.tracking DATA", (args.method,)
+    stages = (*LOCALIZING, "following")
+    Result.measured("tracking", command, columns, rows, stages=stages, methods=methods).tell(
+        args.store
+    )
 
 
 if __name__ == "__main__":

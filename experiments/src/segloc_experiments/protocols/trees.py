@@ -1,19 +1,18 @@
 """Tree stems as landmarks: a real forest, each frame against the map of the frames before it.
 
-    python -m segloc_experiments.protocols.trees DATA --out trees.json
+    python -m segloc_experiments.protocols.trees DATA --out trees.jsonl
 
 DATA is a folder with ``trees.npz`` (rows of base, axis, diameter; offsets of the frames) and
 ``poses.tum``. A query is one frame. Its map is made of all frames that lie more than 50 m of path
-behind it. It is a revisit where one of them was taken within 3 m. With ``--keep 0.5 --noise 0.1``
-half of the map's landmarks and half of the query's are taken away, independently, and what is left
-is moved at random by so many metres along each axis.
+behind it. It is a revisit where one of them was taken within 3 m. All is asked once as it is; once
+with half of the map's landmarks and half of the query's taken away, independently, and what is left
+moved at random by 0.1 m along each axis; and once, every eighth, in the mirror image of the map.
 """
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,16 +22,16 @@ from numpy.typing import NDArray
 
 from segloc import geometry
 from segloc.batch.score import pose_errors
-from segloc.files import write_text
 from segloc.io import read_trajectory
 from segloc.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
-from ..intervals import wilson
-from ..script import head, parser, row
+from ..intervals import share, wilson
+from ..journal import entries, keep
+from ..results.store import Cell, Result
+from ..script import resumed
 from ..stems import mirrored as mirror_image
 
-BEGIN, END = "<!-- begin trees -->", "<!-- end trees -->"
 BEHIND_M = 50.0
 REVISIT_M = 3.0
 RIGHT_M, RIGHT_DEG = 2.0, 5.0
@@ -199,62 +198,55 @@ def _quantile(values: Float64, percent: float) -> float | None:
     return round(float(np.percentile(values, percent)), 3) if len(values) else None
 
 
-def table(runs: dict[str, dict[str, Any]]) -> str:
-    """The stored runs as a table of Markdown."""
-    lines = [
-        head("stems", "revisits found", "of others", "false of all", "ms, median (95 %)", "error")
-    ]
-    for name, run in runs.items():
-        low, high = run["found_95"]
-        error = run["metres_median"]
-        cells = (
-            f"{run['found']} of {run['revisits']} ({100 * low:.1f} to {100 * high:.1f} %)",
-            f"{run['others_found']} of {run['others']}",
-            f"{run['false']} of {run['queries']} (below {100 * run['false_95'][1]:.2f} %)",
-            f"{run['ms_median']:.1f} ({run['ms_95']:.1f})",
-            "-" if error is None else f"{error:.2f} m",
-        )
-        lines.append(row(name, *cells))
-    return "\n".join(lines)
+WAYS: dict[str, tuple[Thinning, int, bool]] = {
+    "all": (Thinning(), 1, False),
+    "50 %, moved by 0.1 m": (Thinning(0.5, 0.1), 1, False),
+    "all, mirrored maps": (Thinning(), 8, True),
+}
+"""What is left of the stems, one of how many queries, and whether the map is mirrored."""
+COLUMNS = ("stems", "revisits found", "of others", "false of all", "ms, median / 95 %", "error m")
 
 
-def written(page: str, runs: dict[str, dict[str, Any]]) -> str:
-    """The page with the table of these runs between its marks."""
-    before, rest = page.split(BEGIN)
-    return f"{before}{BEGIN}\n{table(runs)}\n{END}{rest.split(END)[1]}"
+def cells(name: str, run: Mapping[str, Any]) -> tuple[Cell, ...]:
+    """A row of the table."""
+    return (
+        name,
+        share(run["found"], run["revisits"]),
+        f"{run['others_found']} of {run['others']}",
+        f"{run['false']} of {run['queries']} (below {100 * run['false_95'][1]:.2f} %)",
+        f"{run['ms_median']:.1f} / {run['ms_95']:.1f}",
+        run["metres_median"] and round(run["metres_median"], 2),
+    )
+
+
+def report(runs: list[dict[str, Any]], store: Path | None) -> None:
+    """Print the table, and keep it where results are."""
+    rows = [cells(run["stems"], run) for run in runs]
+    command = "python -m segloc_experiments.protocols.trees DATA/oxford_forest_trees"
+    note = "In brackets 95 % by Wilson. Milliseconds of processor time of one thread."
+    stages, kept = ("stems", "pose"), {"runs": runs}
+    Result.measured(
+        "forest-walk", command, COLUMNS, rows, stages=stages, note=note, counts=kept
+    ).tell(store)
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = resumed(__doc__, "trees.jsonl")
     options.add_argument("data", type=Path)
-    options.add_argument("--out", type=Path, help="a JSON file to which the run is added")
-    options.add_argument("--keep", type=float, default=1.0, help="share of the stems that is left")
-    options.add_argument("--noise", type=float, default=0.0, help="metres")
-    options.add_argument("--seed", type=int, default=0)
     options.add_argument("--every", type=int, default=1, help="of so many queries, one")
-    options.add_argument("--mirrored", action="store_true", help="maps in which nothing is")
-    options.add_argument("--page", type=Path, help="a page whose table is that of OUT; no run")
     args = options.parse_args()
-    if args.page:
-        stored = json.loads(args.out.read_text("utf-8"))
-        write_text(args.page, written(args.page.read_text("utf-8"), stored))
-        return
-    thinning = Thinning(args.keep, args.noise, args.seed)
-    found = list(outcomes(Forest.load(args.data), thinning, args.every, args.mirrored))
-    name = "all" if args.keep == 1 else f"{100 * args.keep:.0f} %, moved by {args.noise:g} m"
-    name += f", seed {args.seed}" if args.seed else ""
-    name += ", mirrored maps" if args.mirrored else ""
-    runs: dict[str, dict[str, Any]] = {}
-    if args.out and args.out.exists():
-        runs = json.loads(args.out.read_text("utf-8"))
-    runs[name] = summary(found)
-    if args.out:
-        write_text(args.out, json.dumps(runs, indent=1) + "\n")
-    print(table(runs))
-    for outcome in found:
-        missed = outcome.reason and outcome.gap_m <= REVISIT_M and not args.mirrored
-        if outcome.false or missed:
-            print(outcome)
+    done = entries(args.out) if args.out.exists() else []
+    forest = Forest.load(args.data)
+    for name, (thinning, every, mirrored) in WAYS.items():
+        if any(run["stems"] == name for run in done):
+            continue
+        found = list(outcomes(forest, thinning, every * args.every, mirrored))
+        keep(args.out, {"stems": name, **summary(found)})
+        for outcome in found:
+            missed = outcome.reason and outcome.gap_m <= REVISIT_M and not mirrored
+            if outcome.false or missed:
+                print(outcome)
+    report(entries(args.out), args.store)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned,
 from ..intervals import wilson
 from ..journal import entries, keep
 from ..results.store import Result
-from ..script import resumed, show
+from ..script import resumed
 
 RIGHT_M = 2.0
 HOME = {-2: "own", -1: "half"}
@@ -140,16 +140,13 @@ def table(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
 def report(records: list[dict[str, Any]], store: Path | None) -> None:
     """The table, and the rate that so many queries bound; kept where results are."""
     rows = table(records)
-    show(COLUMNS, rows)
     total, false = sum(int(n) for n in rows[-1][1:4]), int(rows[-1][4])
     note = f"{false} false of {total} elsewhere: at most {100 * wilson(false, total)[1]:.3f} %."
-    print(note)
-    if store is not None:
-        command = "python -m segloc_experiments.protocols.wrong_maps --report wrong_maps.jsonl"
-        kept = {"records": records}
-        Result.measured(
-            "wrong-maps", command, COLUMNS, rows, note=note, methods=("profile",), counts=kept
-        ).save(store)
+    command = "python -m segloc_experiments.protocols.wrong_maps --report wrong_maps.jsonl"
+    kept = {"records": records}
+    Result.measured(
+        "wrong-maps", command, COLUMNS, rows, note=note, methods=("profile",), counts=kept
+    ).tell(store)
 
 
 def _home(counts: Counter[str], place: str) -> tuple[str, int]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from segloc.errors import DatasetError
 
+from ..script import show
 from .fingerprints import PROJECT, changed, fingerprints
 
 FOLDER = PROJECT / "docs" / "results"
@@ -145,6 +146,14 @@ class Result:
         path = folder / f"{self.name}.json"
         path.write_text(f'{text[:-2]},\n "rows": [\n  {joined}\n ]\n}}\n', "utf-8")
         return path
+
+    def tell(self, folder: Path | None) -> None:
+        """Print the table and the note, and keep both where a folder is given."""
+        show(self.columns, self.rows)
+        if self.note:
+            print(f"\n{self.note}")
+        if folder is not None:
+            print(self.save(folder))
 
     @classmethod
     def load(cls, path: Path) -> Result:
