@@ -94,9 +94,10 @@ sanitize: $(VENV)/.dev
 
 # The Python module likewise, in tests of what it is given: shapes, values and types of all kinds.
 # Python itself is not built so: the sanitizer is loaded before it, and its own leaks are not ours.
+# pytest-xdist may wait for ever for a worker that the sanitizer has ended: hence the time limit.
 sanitize-python: sanitize $(VENV)/.$(TESTED)
 	$(BIN)/cmake --build $(SANITIZED) --parallel 2 --target _native
-	SEGLOC_NATIVE="$$(ls $(abspath $(SANITIZED))/_native*.so)" PYTHONPATH=$(abspath tests/sanitized):src \
+	timeout 30m env SEGLOC_NATIVE="$$(ls $(abspath $(SANITIZED))/_native*.so)" PYTHONPATH=$(abspath tests/sanitized):src \
 	  ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=1 PYTHONMALLOC=malloc \
 	  LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so.6)" \
 	  $(PYTEST) -m "not slow and not data and not torch" -k "not localizes and not test_own" \

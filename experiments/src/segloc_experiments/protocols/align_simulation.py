@@ -18,41 +18,41 @@ import numpy as np
 
 from segloc import Config, geometry
 from segloc.alignment import AlignConfig, Alignment, Reposed, align_sessions
-from segloc.simulation import SCENES, SENSORS, Conditions, SimulatedSequence, simulate_sessions
+from segloc.simulation import SCENES, SENSORS, Conditions, simulate_sessions
 from segloc.types import Float64
 
 from ..script import parser
 from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, print_table, timed
 
 
-def errors(drives: list[SimulatedSequence], found: Alignment) -> dict[tuple[int, int], Float64]:
+def errors(truths: list[Float64], found: Alignment) -> dict[tuple[int, int], Float64]:
     """Metres and degrees that pairs of poses are off, (n, 2), by pair of connected sessions."""
     result = {}
     for members in found.components:
         for b in members:
             for a in (k for k in members if k < b):
-                result[a, b] = _errors(drives[a], drives[b], found.poses[a], found.poses[b])
+                result[a, b] = _errors(truths[a], truths[b], found.poses[a], found.poses[b])
     return result
 
 
-def _errors(a: SimulatedSequence, b: SimulatedSequence, A: Float64, B: Float64) -> Float64:
-    apart = np.linalg.norm(a.truth[:, None, :2, 3] - b.truth[None, :, :2, 3], axis=2)
+def _errors(a: Float64, b: Float64, A: Float64, B: Float64) -> Float64:
+    apart = np.linalg.norm(a[:, None, :2, 3] - b[None, :, :2, 3], axis=2)
     rows = []
     for j in np.flatnonzero(apart.min(axis=0) < PLACE_M):
         i = int(apart[:, j].argmin())
-        truth = geometry.inverse(a.truth[i]) @ b.truth[j]
+        truth = geometry.inverse(a[i]) @ b[j]
         delta = geometry.inverse(truth) @ geometry.inverse(A[i]) @ B[j]
         turn = np.degrees(geometry.rotation_angle(delta))
         rows.append((float(np.linalg.norm(delta[:3, 3])), turn))
     return np.array(rows).reshape(-1, 2)
 
 
-def false_loops(drives: list[SimulatedSequence], found: Alignment) -> int:
+def false_loops(truths: list[Float64], found: Alignment) -> int:
     """Accepted loops that are off the truth."""
     count = 0
     rows = zip(found.loops, found.loop_sessions, found.loop_scans, strict=True)
     for loop, sessions, scans in rows:
-        a, b = (geometry.levelled(drives[s].truth[n]) for s, n in zip(sessions, scans, strict=True))
+        a, b = (geometry.levelled(truths[s][n]) for s, n in zip(sessions, scans, strict=True))
         delta = geometry.inverse(geometry.inverse(a) @ b) @ loop.T_target_source
         count += bool(loop.accepted and np.linalg.norm(delta[:3, 3]) > FALSE_M)
     return count
@@ -85,11 +85,12 @@ def main() -> None:
         sessions.append(Reposed(drive, frame @ DRIFT.odometry(drive.truth, rng)))
     began = time.perf_counter()
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
+    truths = [drive.truth for drive in drives]
     accepted = sum(loop.accepted for loop in found.loops)
     print(f"\n{args.scene}: {time.perf_counter() - began:.0f} s. Components: {found.components}")
-    print(f"Loops: {accepted} accepted, {false_loops(drives, found)} of them false,")
+    print(f"Loops: {accepted} accepted, {false_loops(truths, found)} of them false,")
     print(f"{len(found.loops) - accepted} rejected.\n")
-    print_table(errors(drives, found))
+    print_table(errors(truths, found))
 
 
 if __name__ == "__main__":
