@@ -25,7 +25,7 @@ from segloc_experiments.padding import padded_with_copies
 from segloc_experiments.results.store import Result
 from typer.testing import CliRunner
 
-from segloc import Config, ConfigError, SeglocError, _native, build_map
+from segloc import Config, ConfigError, SeglocError, _native, build_map, geometry
 from segloc.cli import app
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS
 
@@ -171,9 +171,22 @@ def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
 
 
 def test_maps_grow_and_the_true_pose_is_found() -> None:
-    small, large = (in_process(1, growth.growth, size, 30, 1, 1) for size in (2_000, 200_000))
+    small, large = (in_process(1, growth.measured, size, 30, (), 1) for size in (2_000, 200_000))
     assert small.found and large.found
     assert large.neighbours > small.neighbours and large.map_mb > small.map_mb
+
+
+def test_growth_asks_for_what_it_takes_out_of_maps(plaza_scene, tmp_path: Path) -> None:
+    maps = (tmp_path / "a.segmap", tmp_path / "b.segmap")
+    for path in maps:
+        padded_with_copies(plaza_scene.prior_map, 1500).save(path)
+    found = growth.measured(2_000, 30, maps, 1)
+    assert found.source == "towns" and found.segments == 2_000
+    problem = growth.of_towns(maps, 2_000, 30)
+    assert problem is not None and len(problem.centroids) == 2_000
+    asked = geometry.transform(problem.T_map_local, problem.query_centroids)
+    assert np.linalg.norm(asked[:, None] - problem.centroids, axis=2).min() > 0
+    assert growth.of_towns(maps, 10**6, 30) is None
 
 
 def test_pytorch_runs_in_its_own_forms():

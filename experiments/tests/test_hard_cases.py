@@ -1,0 +1,51 @@
+"""Tables of the protocols of hard cases, from what their runs keep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from segloc_experiments.journal import keep
+from segloc_experiments.protocols import change, simulation_queries
+from segloc_experiments.protocols.simulation_scenarios import scenarios
+from segloc_experiments.results.store import Result
+
+
+def _set(method: str, right: list[bool], **values: object) -> dict[str, object]:
+    told = {"world": "forest", "clouds": "single", "sensor": "vlp16", "map": "its own"}
+    return {**told, "method": method, "way": change.ALONE, "right": right, "false": 0, **values}
+
+
+def test_methods_stand_side_by_side_with_the_best_of_the_others() -> None:
+    there, back = [True] * 8, [True, True, False, False]
+    entries = [_set("profile", there), _set("geo", [False] * 8), _set("nsm", [True] + [False] * 7)]
+    entries += [_set("profile", back, false=1), _set("geo", back), _set("nsm", [False] * 4)]
+    columns, (row,) = change.table(entries)
+    assert columns[5:] == (
+        "queries",
+        "profile",
+        "geo",
+        "nsm",
+        "p, profile and the best other",
+        "false",
+    )
+    # Eight queries that only the first method answers, none that only `geo` does: 2 / 2^8.
+    assert row[5:] == (12, 10, 2, 1, 0.008, 1)
+
+
+def test_one_method_has_an_interval(tmp_path: Path) -> None:
+    keep(tmp_path / "a.jsonl", _set("profile", [True] * 19 + [False]))
+    columns, (row,) = change.table(change.entries(tmp_path / "a.jsonl"))
+    assert columns[-2:] == ("profile", "false") and row[-2:] == ("19 of 20 (76 to 99 %)", 0)
+    change.report(change.entries(tmp_path / "a.jsonl"), tmp_path)
+    assert Result.load(tmp_path / "change.json").rows == (row,)
+
+
+@pytest.mark.parametrize(("right", "cause"), [(True, None), (False, "1 candidate")])
+def test_what_simulated_queries_lack_is_told(right: bool, cause: str | None) -> None:
+    name = next(iter(scenarios()))
+    answer = {"right": right, "localized": right, "reason": "", "where": "", "ms": 40.0}
+    missing = {} if right else {"cause": "candidate"}
+    (row,) = simulation_queries.table({f"{name}/11": [answer | missing]})
+    assert row[:2] == (name, scenarios()[name].expected) and row[-1] == cause
+    assert str(row[2]).startswith("1 of 1" if right else "0 of 1") and row[3] == 0
