@@ -16,6 +16,8 @@ from segloc.errors import ConfigError, MissingDependency
 from .kitti_paper import kitti_paper
 
 if TYPE_CHECKING:
+    from segloc.batch.report.study import Study
+
     from ..paper.workspace import Workspace
 
 _EXPLAINED = {
@@ -32,6 +34,10 @@ Suite = Annotated[str, typer.Option(metavar="NAME", help="The simulated test set
 Scale = Annotated[str, typer.Option(help="small, full or paper.")]
 Kitti = Annotated[
     Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
+]
+Store = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Keep the tables there, with fingerprints of the code."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
 
@@ -60,10 +66,11 @@ def _add(group: typer.Typer, name: str) -> None:
         threads: own.Threads = 1,
         workers: own.Workers = 2,
         cluster: own.Cluster = None,
+        store: Store = None,
     ) -> None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
         with _workspace(*given, cluster) as workspace:
-            _run(name, workspace)
+            _run(name, workspace, store)
 
     command.__doc__ = _EXPLAINED[name]
     group.command(name)(command)
@@ -92,6 +99,7 @@ def localization(
     select: own.QuerySelect = None,
     topic: own.Topic = None,
     every: own.Every = 10.0,
+    store: Store = None,
 ) -> None:
     """How many queries does each method localize, and how many of them falsely? (Table II)
 
@@ -100,7 +108,7 @@ def localization(
     if mapped is None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
         with _workspace(*given, cluster) as workspace:
-            _run("localization", workspace)
+            _run("localization", workspace, store)
         return
     if query is None:
         raise ConfigError("give two recordings, one to map and one to localize in it")
@@ -132,23 +140,34 @@ def _workspace(
         yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
 
 
-def _run(study: str, workspace: Workspace) -> None:
+def _run(study: str, workspace: Workspace, store: Path | None) -> None:
     from ..paper import studies
 
     if study == "all":
-        _run_all(workspace)
+        _run_all(workspace, store)
     else:
-        own.show(studies.run(study, workspace))
+        own.show(_stored(study, workspace, store))
     own.write_report(workspace.out, requested=False, order=studies.STUDIES)
 
 
-def _run_all(workspace: Workspace) -> None:
+def _run_all(workspace: Workspace, store: Path | None) -> None:
     """Run every study; one whose packages are missing is left out with a remark."""
     from ..paper import studies
 
     for name in studies.STUDIES:
         say(f"segloc evaluate {name}")
         try:
-            studies.run(name, workspace)
+            _stored(name, workspace, store)
         except MissingDependency as error:
             note(f"{name} is left out: {error}")
+
+
+def _stored(name: str, workspace: Workspace, store: Path | None) -> Study:
+    from ..paper import studies
+    from ..results.studies import kept
+
+    study = studies.run(name, workspace)
+    if store is not None:
+        for result in kept(study):
+            say(f"stored in {result.save(store)}")
+    return study

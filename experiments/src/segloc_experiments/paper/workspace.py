@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from segloc.batch import workspace
 from segloc.errors import ConfigError
 from segloc.simulation.suites import PAPER, SUITES, TestSet
 
+from ..results.fingerprints import LOCALIZING, fingerprints
+
+T = TypeVar("T")
 SCALES = ("small", "full", PAPER)
 
 
@@ -47,8 +51,24 @@ class Workspace(workspace.Workspace):
         """The test sets of the suite."""
         return SUITES[self.suite]
 
+    def cached(
+        self,
+        name: str,
+        settings: Mapping[str, object],
+        compute: Callable[[], T],
+        save: Callable[[T, Path], object],
+        load: Callable[[Path], T],
+    ) -> T:
+        """The same as ever, but nothing that other code has made is taken for today's."""
+        return super().cached(name, {**settings, "code": _code()}, compute, save, load)
+
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
         """What a study says of itself: enough to repeat it."""
         data = None if self.data is None else self.data.name
         own = {"suite": self.suite, "scale": self.scale, "data": data}
         return {**super().facts(seconds, fingerprints), **own}
+
+
+@cache
+def _code() -> dict[str, str]:
+    return fingerprints((*LOCALIZING, "training"))

@@ -1,0 +1,55 @@
+"""Studies of the paper, kept as results with the code that made them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from segloc_experiments.paper.workspace import Workspace
+from segloc_experiments.results.pages import status, table
+from segloc_experiments.results.store import Result
+from segloc_experiments.results.studies import kept
+
+from segloc.batch.report.study import Study, Table
+
+
+def _study(name: str, **facts: Any) -> Study:
+    own = Table("roc_judges", "Ours", ("set", "dsm"), (("KITTI", 0.95), ("RobotCar", None)), "How.")
+    theirs = Table("roc-paper", "Theirs", ("method",), (("DSM",),), source="paper")
+    told = {"suite": "six", "scale": "full", "data": None, "fingerprints": {"dsm, kitti": "0"}}
+    return Study(name, "A study", (own, theirs), facts=told | facts)
+
+
+def test_own_tables_are_kept_and_published_ones_are_not(tmp_path: Path) -> None:
+    (result,) = kept(_study("roc"))
+    assert result.name == "paper-roc-judges"
+    assert set(result.produced_by) >= {"descriptors", "training", "weights of dsm"}
+    assert "verification" not in result.produced_by
+    again = Result.load(result.save(tmp_path))
+    assert again == result and "| RobotCar | - |" in table(again)
+    assert "--suite six --scale full" in table(again) and "nothing" in status(again)
+
+
+def test_other_sets_have_names_of_their_own() -> None:
+    (result,) = kept(_study("localization", scale="small", data="kitti00"))
+    assert result.name == "paper-roc-judges-six-small-kitti00"
+    assert "--kitti DATA" in result.command and "verification" in result.produced_by
+
+
+def test_what_other_code_has_made_is_made_again(tmp_path: Path, monkeypatch: Any) -> None:
+    made: list[str] = []
+
+    def ask() -> str:
+        def compute() -> str:
+            made.append("x")
+            return "x"
+
+        def save(value: str, path: Path) -> None:
+            path.write_text(value)
+
+        return Workspace(tmp_path).cached("part", {}, compute, save, Path.read_text)
+
+    assert ask() == ask() == "x" and len(made) == 1
+    code = "segloc_experiments.paper.workspace._code"
+    monkeypatch.setattr(code, lambda: {"pose": "other"})
+    assert ask() == "x" and len(made) == 2
