@@ -28,7 +28,11 @@ from ..memory import held_mb, highest_mb
 from ..script import parser
 from ..stages import processor_clock
 
-WAYS = ("no prior", "prior", "elsewhere", "elsewhere, prior")
+WIDE = "ten times as wide"
+WAYS = (
+    *("no prior", "prior", "elsewhere", "elsewhere, prior"),
+    *(f"no prior, {WIDE}", f"elsewhere, {WIDE}"),
+)
 RADIUS_M, METRES, DEGREES = 200.0, 3.0, 5.0
 MEMORY_BYTES = 48_000_000
 """For tiles that were used last."""
@@ -37,7 +41,7 @@ MEMORY_BYTES = 48_000_000
 def asked(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
     """Answers to the queries of some towns, with what each cost; memory is of this process."""
     place, has_prior = way.split(", ")[0], way in ("prior", "elsewhere, prior")
-    tiles = TiledMap(work / "tiles", memory_bytes=MEMORY_BYTES)
+    tiles = TiledMap(work / ("wide" if WIDE in way else "tiles"), memory_bytes=MEMORY_BYTES)
     localizer = Localizer(tiles, Config(threads=1), clock=processor_clock)
     path, rng = localizer.prior_map.trajectory[:, :2, 3], np.random.default_rng(0)
     ready_mb, answers = held_mb(), []

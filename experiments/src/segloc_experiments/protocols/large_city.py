@@ -6,7 +6,8 @@ Each town is another (``--towns`` seeds from ``--first-seed``), lies at a place 
 frame, and is driven once for the map: every eighth firing of an HDL-64E, a scan every 2 m. Every
 n-th is driven once more, with other parked cars, in another lane and partly the other way, and is
 queried there; towns that the map does not hold are queried, too, and whatever is found of these is
-false. A query is the cloud of the last 40 m, by noisy odometry.
+false. A query is the cloud of the last 40 m, by noisy odometry. For time and memory queries are
+also asked in a thin map ten times as large, of copies of this one (``wide_city``).
 
 Whatever is finished is kept in WORK, so a run goes on where the last one ended, and ends before the
 limit by itself. Queries are asked by a fresh process that does nothing else: its processor time and
@@ -44,7 +45,8 @@ from ..intervals import share
 from ..results.store import Result
 from ..script import head, row, storing
 from . import city_queries
-from .city_queries import WAYS
+from .city_queries import WAYS, WIDE
+from .wide_city import widened
 
 NAME = "large-city"
 ELSEWHERE = 10_000
@@ -118,6 +120,11 @@ class City:
         found |= {"tiles": len(index.tiles), "thin": index.coarse.segments}
         self.keep(cut=found)
 
+    def widen(self) -> None:
+        """The same tiles in a thin map ten times as large."""
+        if "wide" not in self.known():
+            self.keep(wide=widened(self.work / "tiles", self.work / "wide", 10))
+
     def ask(self) -> None:
         """All queries, in a fresh process for each way of asking: side by side where cores are."""
         ways = [way for way in WAYS if way not in self.known()]
@@ -172,6 +179,8 @@ class City:
         if cut := known.get("cut"):
             lines += _cut(cut, sum(r["km"] for r in records))
         lines += _scaled(known, self.options.workers)
+        if "wide" in known:
+            lines.append((f"segments of the thin map {WIDE}, by copies", str(known["wide"])))
         for way in WAYS:
             if way in known and known[way]["answers"]:
                 lines += _answered(way, known[way])
@@ -269,6 +278,7 @@ def main() -> None:
     city = City(args)
     if args.limit > 0 and city.build() and city.left() > args.piece_s:
         city.cut()
+        city.widen()
         city.ask()
         city.scale()
     lines = city.report()
