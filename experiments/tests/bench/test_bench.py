@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from segloc_experiments.padding import padded_with_copies
 from segloc_experiments.results.store import Result
 from typer.testing import CliRunner
 
-from segloc import Config, ConfigError, SeglocError, _native, build_map, geometry
+from segloc import Config, ConfigError, Scan, SeglocError, _native, build_map, geometry
 from segloc.cli import app
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS
 
@@ -164,10 +165,16 @@ def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, m
 
 
 def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
-    row = query.query_row("profile 3000", plaza_scene, 1, 1, segments=3000, rivals=False)
+    other = inputs.PlazaWalk(inputs.Plaza(seed=7), steps=2).scan(0)
+    scene = replace(plaza_scene, elsewhere=[Scan(other.points)])
+    row = query.query_row("profile 3000", scene, 1, 1, segments=3000, rivals=False)
     kept = stored.stored_queries([("profile", row)], "bench.kitti_query", "a machine")
-    assert kept.rows[0][:3] == ("profile", 3000, 1) and kept.rows[0][-1] == "2 of 2"
-    assert kept.rows[0][-2] == round(row.ours_ms, 1)
+    assert kept.rows[0][:3] == ("profile", 3000, 1) and kept.rows[0][-2] == "2 of 2"
+    assert kept.rows[0][-3] == round(row.ours_ms, 1)
+    assert row.details["elsewhere, ms"] > 0 and str(kept.rows[0][-1]).endswith("x)")
+    with pytest.raises(SeglocError, match="another place"):
+        known = replace(plaza_scene, elsewhere=[plaza_scene.queries[0][0]])
+        query.query_row("profile 3000", known, 1, 1, segments=3000, rivals=False)
 
 
 def test_maps_grow_and_the_true_pose_is_found() -> None:

@@ -3,7 +3,7 @@
     python -m segloc_experiments.bench.kitti_query DATA [--methods profile,geo] [--threads 1,2]
 
 The map is built of keyframes and padded with mirror images of itself; ``--segments 0`` is the map
-as it is.
+as it is. As many scans of other places are asked in it, and must be refused.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from .rows import show
 from .stored import stored_queries
 
 COMMAND = "python -m segloc_experiments.bench.kitti_query DATA"
-NEAR_M = 3.0
+NEAR_M, FAR_M = 3.0, 60.0
+"""Within map coverage, and farther off than a query sees."""
 THIN_M = 0.2
 
 
@@ -46,7 +47,13 @@ def kitti_scene(folder: Path, method: str, queries: int, accumulated: bool = Fal
         gathered(scans, k) if accumulated else alone(scans, k) for k in chosen
     ]
     mapped = recording.scan(int(nearest[chosen[0]]))
-    return Scene(prior_map, list(zip(clouds, poses[chosen], strict=True)), mapped)
+    away = np.flatnonzero(gaps.min(axis=1) > FAR_M)
+    others = away[np.linspace(0, len(away) - 1, queries).astype(int)]
+    elsewhere: list[Scan | LocalCloud] = [
+        gathered(scans, k) if accumulated else alone(scans, k) for k in others
+    ]
+    queried = list(zip(clouds, poses[chosen], strict=True))
+    return Scene(prior_map, queried, mapped, elsewhere)
 
 
 def alone(scans: Sequence, k: int) -> Scan:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 MAP_SEGMENTS = 50_000
 KISS_VOXEL_M = 1.0
+ELSEWHERE = "elsewhere"
 _STREET_M = 100.0
 _TOWN_M = 200.0
 
@@ -44,11 +45,14 @@ class Scene:
         Without a pose in the map, and their true T_map_sensor.
     mapped : Scan
         What a scan-to-scan method is given in place of the map.
+    elsewhere : list of Scan or LocalCloud
+        Of places that the map does not hold.
     """
 
     prior_map: SegmentMap
     queries: list[tuple[Scan | LocalCloud, Pose]]
     mapped: Scan
+    elsewhere: list[Scan | LocalCloud] = field(default_factory=list)
 
 
 def query(threads: int, repeats: int) -> Row:
@@ -71,27 +75,39 @@ def query_row(
     Raises
     ------
     SeglocError
-        If a pose is found that is wrong, or none at all.
+        If a pose is found that is wrong or of another place, or none at all.
     """
     prior_map = padded_with_copies(scene.prior_map, segments)
     localizer = Localizer(
         prior_map, Config.preset(prior_map.descriptor).model_copy(update={"threads": threads})
     )
     answers: list[Localization] = []
+    refused: list[Localization] = []
 
     def localize() -> None:
         answers[:] = [localizer.localize(scan) for scan, _ in scene.queries]
 
+    def refuse() -> None:
+        refused[:] = map(localizer.localize, scene.elsewhere)
+
     runs: dict[str, Callable[[], object]] = {OURS: localize}
+    if scene.elsewhere:
+        runs[ELSEWHERE] = refuse
     kiss = optional("kiss_matcher") if rivals else None
     if kiss is not None:
         runs["kiss-matcher, scan to scan"] = lambda: kiss_pose(kiss[0], scene)
     count = len(scene.queries)
     result = row(name, threads, repeats, runs)
     correct = _correct(answers, scene, tolerance_m)
+    if any(answer.localized for answer in refused):
+        raise SeglocError("a query of another place was localized")
+    others = dict(result.rivals)
+    details = {}
+    if scene.elsewhere:
+        details["elsewhere, ms"] = others.pop(ELSEWHERE) / len(scene.elsewhere)
     clock = clock_for(threads)
     stages = [stage_ms(localizer, scan, clock) for scan, _ in scene.queries for _ in range(repeats)]
-    details = {
+    details |= {
         "map segments": float(len(prior_map)),
         "query segments": statistics.median(a.counts["segments"] for a in answers),
         "queries": float(count),
@@ -101,7 +117,7 @@ def query_row(
     }
     skipped = ("kiss-matcher",) if rivals and kiss is None else ()
     ours = result.ours_ms / count
-    return Row(name, threads, ours, result.rivals, details=details, skipped=skipped)
+    return Row(name, threads, ours, others, details=details, skipped=skipped)
 
 
 def stage_ms(localizer: Localizer, query: Scan | LocalCloud, clock: Clock) -> dict[str, float]:

@@ -23,6 +23,7 @@ SENSORS = {"stream": "HDL-64E", "stream_os1_128": "Ouster OS1-128", "stream_vlp1
 QUERY_COLUMNS = (
     *("method", "map segments", "threads", "local cloud", "segmentation", "preparation"),
     *("description", "matching", "pose", "verification", "**total (ms)**", "found"),
+    "elsewhere (ms)",
 )
 _STAGES = (
     *("local cloud", "segmentation", "preprocessing", "descriptor", "matching", "pose"),
@@ -94,4 +95,6 @@ def _query(method: str, row: Row) -> tuple[Cell, ...]:
     stages = (round(found[f"{name}, ms"], 1) for name in _STAGES)
     share = f"{found['correct']:.0f} of {found['queries']:.0f}"
     segments = round(found["map segments"])
-    return method, segments, row.threads, *stages, round(row.ours_ms, 1), share
+    elsewhere = found.get("elsewhere, ms")
+    times = None if elsewhere is None else f"{elsewhere:.1f} ({elsewhere / row.ours_ms:.1f}x)"
+    return method, segments, row.threads, *stages, round(row.ours_ms, 1), share, times
