@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from segloc.config import DEFAULT_METHOD
 
-from ..results.fingerprints import LOCALIZING
+from ..results.fingerprints import FOLLOWING, LOCALIZING
 from ..results.store import Cell, Result
 from .harness import OURS, Row
 from .rows import rivals_of, rounded
@@ -60,7 +60,7 @@ def _result(
     rows: Sequence[Row],
     machine: str,
 ) -> Result:
-    stages = (*LOCALIZING, "following") if name == "streams" else LOCALIZING
+    stages = FOLLOWING if name == "streams" else LOCALIZING
     kept = {"machine": machine, "rows": [asdict(row) for row in rows]}
     methods, note = (DEFAULT_METHOD,), f"Machine: {machine}."
     return Result.measured(

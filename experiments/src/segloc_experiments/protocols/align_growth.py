@@ -34,6 +34,7 @@ from segloc.simulation import SENSORS, Conditions, record, simulate_sessions, to
 from ..bench.harness import in_process
 from ..journal import entries, keep
 from ..kitti00 import poses_of
+from ..results.fingerprints import LOCALIZING
 from ..results.store import Cell, Result
 from ..script import resumed
 from .align_kitti00 import DRIFT
@@ -139,7 +140,8 @@ def report(found: list[dict[str, Any]], store: Path | None) -> None:
     """Print the table, and keep it where results are."""
     rows = [_cells(each) for each in found]
     command = "python -m segloc_experiments.protocols.align_growth --report align_growth.jsonl"
-    Result.measured("align-growth", command, COLUMNS, rows, counts={"runs": found}).tell(store)
+    stages, kept = (*LOCALIZING, "alignment"), {"runs": found}
+    Result.measured("align-growth", command, COLUMNS, rows, stages=stages, counts=kept).tell(store)
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ import numpy as np
 
 from ..intervals import share
 from ..journal import entries, keep
-from ..results.fingerprints import STAGES
+from ..results.fingerprints import FOLLOWING
 from ..results.store import Cell, Result
 from ..script import resumed
 from .kidnapped import HELD_M, KINDS, NOTICED_M, RECOVERED_M, WAYS, Trial, World
@@ -80,7 +80,7 @@ def report(found: list[Trial], store: Path | None) -> None:
     kept = {"trials": [asdict(t) for t in found]}
     note = "Recovered: of those known before and put where the map has the place."
     Result.measured(
-        "kidnapping", command, COLUMNS, rows, stages=tuple(STAGES), note=note, counts=kept
+        "kidnapping", command, COLUMNS, rows, stages=FOLLOWING, note=note, counts=kept
     ).tell(store)
 
 

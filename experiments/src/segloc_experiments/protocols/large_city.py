@@ -41,11 +41,12 @@ from segloc.processes import all_of, executing, single_threaded_pool
 from segloc.tiles import cut_tiles
 
 from ..city import Piece, done
-from ..intervals import share
+from ..results.fingerprints import LOCALIZING
 from ..results.store import Result
-from ..script import head, row, storing
+from ..script import storing
 from . import city_queries
-from .city_queries import WAYS, WIDE
+from .city_queries import WAYS
+from .city_report import lines
 from .wide_city import widened
 
 NAME = "large-city"
@@ -175,87 +176,14 @@ class City:
         known = self.known()
         files = [piece.record for piece in self.pieces if piece.record.exists()]
         records = [json.loads(file.read_text()) for file in files] or known.get("records", [])
-        lines = _built(records)
-        if cut := known.get("cut"):
-            lines += _cut(cut, sum(r["km"] for r in records))
-        lines += _scaled(known, self.options.workers)
-        if "wide" in known:
-            lines.append((f"segments of the thin map {WIDE}, by copies", str(known["wide"])))
-        for way in WAYS:
-            if way in known and known[way]["answers"]:
-                lines += _answered(way, known[way])
         self.keep(records=records)
-        return lines
+        return lines(known, records, self.options.workers)
 
 
 def _cpu_s() -> float:
     """Processor time of this process and of those that it waited for."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
-
-
-def _built(records: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    km, streets = (sum(r[name] for r in records) for name in ("km", "streets_km"))
-    described, segments = (sum(r[name] for r in records) for name in ("described", "segments"))
-    world, mapped = (sum(r[name] for r in records) for name in ("world_s", "map_s"))
-    megabytes = sum(r["bytes"] for r in records) / 1e6
-    seeds = [r["seed"] for r in records]
-    return [
-        ("towns, and their seeds", f"{len(records)}, {min(seeds)} to {max(seeds)}"),
-        ("km driven, of them streets driven for the first time", f"{km:.1f}, {streets:.1f}"),
-        ("segments described, and kept in their maps", f"{described}, {segments}"),
-        ("MB a km", f"{megabytes / km:.2f}"),
-        ("processor s a km: making the towns", f"{world / km:.1f}"),
-        ("processor s a km: scans cast, and mapped", f"{mapped / km:.1f}"),
-        ("km mapped an hour and core, scans cast included", f"{3600 * km / mapped:.0f}"),
-        ("km an hour and core, making the towns included", f"{3600 * km / (world + mapped):.0f}"),
-    ]
-
-
-def _cut(cut: dict[str, Any], km: float) -> list[tuple[str, str]]:
-    wall_s, cpu_s = cut["all_s"]
-    tiles_mb, thin_mb = (size / 1e6 for size in cut["bytes"])
-    return [
-        ("tiles", f"{cut['tiles']} of {tiles_mb:.1f} MB together"),
-        ("segments in them, each once, and in the thin map", f"{cut['segments']}, {cut['thin']}"),
-        ("MB of the thin map", f"{thin_mb:.1f}"),
-        ("processor s a km, s in all: joined and cut", f"{cpu_s / km:.1f}, {wall_s:.0f}"),
-    ]
-
-
-def _scaled(known: dict[str, Any], most: int) -> list[tuple[str, str]]:
-    """How much of one worker's pace each of several has, where each does the same."""
-    if "workers 1" not in known:
-        return []
-    alone = known["workers 1"]["wall_s"]
-    found = {n: known[f"workers {n}"]["wall_s"] for n in (2, most) if f"workers {n}" in known}
-    return [
-        (f"efficiency of {n} workers", f"{100 * alone / wall:.0f} %") for n, wall in found.items()
-    ]
-
-
-def _answered(way: str, asked: dict[str, Any]) -> list[tuple[str, str]]:
-    answers = asked["answers"]
-    outcomes = [answer["outcome"] for answer in answers]
-    total, found, false = len(answers), outcomes.count("found"), outcomes.count("false")
-
-    def spread(values: list[float]) -> str:
-        return f"{np.median(values):.0f} / {np.quantile(values, 0.95):.0f} / {np.mean(values):.0f}"
-
-    columns = ("search_ms", "again_ms", "describe_ms")
-    search, again, described = ([answer[name] for answer in answers] for name in columns)
-    right = [] if way.startswith("elsewhere") else [(f"{way}: found", share(found, total))]
-    return [
-        *right,
-        (f"{way}: false", share(false, total)),
-        (f"{way}: description, processor ms, median / 95 % / mean", spread(described)),
-        (f"{way}: search, tiles opened anew", spread(search)),
-        (f"{way}: search, tiles in memory", spread(again)),
-        (
-            f"{way}: most MB resident, and before the first query",
-            f"{asked['peak_mb']:.0f}, {asked['ready_mb']:.0f}",
-        ),
-    ]
 
 
 def main() -> None:
@@ -281,19 +209,16 @@ def main() -> None:
         city.widen()
         city.ask()
         city.scale()
-    lines = city.report()
-    print(head("", "measured"))
-    for line in lines:
-        print(row(*line))
+    rows = city.report()
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
         shutil.copy(city.kept, args.out / "city.json")
-    if args.store is not None:
-        command = f"python -m segloc_experiments.protocols.large_city WORK --towns {args.towns}"
-        made = Result.measured(
-            NAME, command, ("", "measured"), lines, methods=("profile",), counts=city.known()
-        )
-        made.save(args.store)
+    command = f"python -m segloc_experiments.protocols.large_city WORK --towns {args.towns}"
+    command += f" --first-seed {args.first_seed} --elsewhere {args.elsewhere}"
+    stages, kept = (*LOCALIZING, "tiles"), city.known()
+    Result.measured(
+        NAME, command, ("", "measured"), rows, stages=stages, methods=("profile",), counts=kept
+    ).tell(args.store)
 
 
 if __name__ == "__main__":

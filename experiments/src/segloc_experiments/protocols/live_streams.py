@@ -31,7 +31,7 @@ import numpy as np
 from segloc.types import Float64
 
 from ..journal import entries, keep
-from ..results.fingerprints import STAGES
+from ..results.fingerprints import FOLLOWING
 from ..results.store import Cell, Result
 from ..script import resumed
 from .followed import RATE_HZ, kitti00_stream, memory, stream_record, town_stream
@@ -120,7 +120,7 @@ def _told(
     store: Path | None,
     note: str = "",
 ) -> None:
-    Result.measured(name, command, columns, rows, stages=tuple(STAGES), note=note).tell(store)
+    Result.measured(name, command, columns, rows, stages=FOLLOWING, note=note).tell(store)
 
 
 def read(paths: Iterable[Path]) -> list[dict[str, Any]]:

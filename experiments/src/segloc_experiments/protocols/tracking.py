@@ -20,7 +20,7 @@ from segloc.tracker import Tracker
 from segloc.types import Float64
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
-from ..results.fingerprints import LOCALIZING
+from ..results.fingerprints import FOLLOWING
 from ..results.store import Result
 from ..script import storing
 
@@ -64,8 +64,7 @@ def main() -> None:
         rows.append((mapped, driven, len(errors), found, int(known), int(false)))
     columns = ("map", "drive", "queries", "found within map coverage", "held", "of them false")
     command, methods = "python -m segloc_experiments.protocols.tracking DATA", (args.method,)
-    stages = (*LOCALIZING, "following")
-    Result.measured("tracking", command, columns, rows, stages=stages, methods=methods).tell(
+    Result.measured("tracking", command, columns, rows, stages=FOLLOWING, methods=methods).tell(
         args.store
     )
 

@@ -44,11 +44,18 @@ STAGES: dict[str, tuple[str, ...]] = {
         "src/segloc/rolling_cloud.py",
         "src/segloc/live",
     ),
+    "tiles": ("src/segloc/tiles", "src/segloc/thin_vote.py"),
+    "alignment": ("src/segloc/alignment", "src/segloc/thin_vote.py"),
 }
-"""Folders and files of each stage, of what trains and of what follows a robot."""
+"""Folders and files of each stage of a query, and of what trains, follows, tiles and aligns."""
 
-LOCALIZING = tuple(name for name in STAGES if name not in ("training", "following"))
+LOCALIZING = tuple(
+    name for name in STAGES if name not in ("training", "following", "tiles", "alignment")
+)
 """The stages of a single query."""
+
+FOLLOWING = (*LOCALIZING, "following")
+"""And of a robot that is followed."""
 
 DESCRIBING = ("local cloud", "segmentation", "descriptors")
 """The stages that figures of descriptors alone depend on."""
