@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from segloc_experiments.journal import keep
-from segloc_experiments.protocols import change, simulation_queries
+from segloc_experiments.protocols import change, reliability, simulation_queries
 from segloc_experiments.protocols.simulation_scenarios import scenarios
 from segloc_experiments.results.store import Result
 
@@ -49,3 +49,12 @@ def test_what_simulated_queries_lack_is_told(right: bool, cause: str | None) -> 
     (row,) = simulation_queries.table({f"{name}/11": [answer | missing]})
     assert row[:2] == (name, scenarios()[name].expected) and row[-1] == cause
     assert str(row[2]).startswith("1 of 1" if right else "0 of 1") and row[3] == 0
+
+
+def test_reliability_counts_poses_by_their_confidence() -> None:
+    answers = [{"confidence": p, "best": best} for p, best in ((0.99, "found"), (0.97, "false"))]
+    answers += [{"confidence": 0.01, "best": "false"}, {"confidence": 0.0, "best": None}]
+    rows = reliability.table({"a": reliability.judged(answers), "b": []})
+    assert rows[0][:2] == ("0.00 to 0.05", "0 of 1 (0 to 79 %)")
+    assert rows[-2] == ("0.95 to 1.00", "1 of 2 (9 to 91 %)", "0 of 0")
+    assert rows[-1] == ("Brier score", round((0.01**2 + 0.97**2 + 0.01**2) / 3, 4), None)

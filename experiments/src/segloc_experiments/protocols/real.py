@@ -20,10 +20,12 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc.answer import answer
 from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
 from segloc.datasets import NO_POSES, open_sequence
+from segloc.localizer import counted
 from segloc.types import Float64, Int64, Pose, Recording
 
 from .. import kitti00
@@ -161,10 +163,13 @@ class Judge:
             query = self._first.describe(cloud, times)
             common = times.with_total()["total"]
             truth = None if chosen.truths is None else chosen.truths[k]
+            T = query.cloud.T_local_sensor
             for name, localizer in self._places(chosen):
                 start = time.process_time()
-                answer = localizer.locate(query)
+                search = localizer.search(query)
+                found = answer(query.cloud, search.verdict, counted(query, search), {})
                 spent = common + 1e3 * (time.process_time() - start)
+                best = search.verdict.best
                 own = name in chosen.maps
                 near = own and truth is not None and self._covered(localizer, truth)
                 self.records.append(
@@ -173,12 +178,13 @@ class Judge:
                         "index": int(chosen.recording.indices[chosen.positions[k]]),
                         "map": name,
                         "within_coverage": bool(near),
-                        "outcome": outcome(answer.T_map_sensor, truth if own else None),
-                        "reason": None if answer.reason is None else answer.reason.value,
-                        "confidence": round(answer.confidence, 4),
-                        "inliers": answer.inliers,
-                        "overlap": answer.overlap,
-                        "seen": answer.seen,
+                        "outcome": outcome(found.T_map_sensor, truth if own else None),
+                        "reason": None if found.reason is None else found.reason.value,
+                        "confidence": round(found.confidence, 4),
+                        "inliers": found.inliers,
+                        "overlap": found.overlap,
+                        "seen": found.seen,
+                        "best": best and outcome(best.T_map_local @ T, truth if own else None),
                         "ms": round(spent, 1),
                     }
                 )

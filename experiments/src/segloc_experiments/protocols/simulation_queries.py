@@ -94,6 +94,8 @@ def measured(localizer: Localizer, scans: list[Scan], truth: Pose, within: bool)
         found["errors"] = errors(result.T_map_sensor, truth)
     if not found["right"] and within:
         found |= missing(localizer, scans, truth)
+    right = found["right"] or found.get("best_is_right")
+    found["best"] = None if not result.confidence else "found" if right else "false"
     return found
 
 
