@@ -60,7 +60,8 @@ def _scaled(known: dict[str, Any], most: int) -> list[Line]:
     if "workers 1" not in known:
         return []
     alone = known["workers 1"]["wall_s"]
-    found = {n: known[f"workers {n}"]["wall_s"] for n in (2, most) if f"workers {n}" in known}
+    several = (n for n in sorted({2, most} - {1}) if f"workers {n}" in known)
+    found = {n: known[f"workers {n}"]["wall_s"] for n in several}
     return [
         (f"efficiency of {n} workers", f"{100 * alone / wall:.0f} %") for n, wall in found.items()
     ]
