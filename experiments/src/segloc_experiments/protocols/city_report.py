@@ -26,6 +26,18 @@ def lines(known: dict[str, Any], records: list[dict[str, Any]], workers: int) ->
     return found
 
 
+def concise(known: dict[str, Any]) -> dict[str, Any]:
+    """The same with a line an answer: the query, its outcome, and milliseconds, anew and again."""
+    found = {name: value for name, value in known.items() if name != "records"}
+    for way in WAYS:
+        if way in found:
+            found[way] = [
+                f"{a['query']} {a['outcome']} {a['search_ms']:.0f} {a['again_ms']:.0f}"
+                for a in found[way]["answers"]
+            ]
+    return found
+
+
 def _built(records: list[dict[str, Any]]) -> list[Line]:
     km, streets = (sum(r[name] for r in records) for name in ("km", "streets_km"))
     described, segments = (sum(r[name] for r in records) for name in ("described", "segments"))

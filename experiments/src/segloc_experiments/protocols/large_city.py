@@ -46,7 +46,7 @@ from ..results.store import Result
 from ..script import storing
 from . import city_queries
 from .city_queries import WAYS
-from .city_report import lines
+from .city_report import concise, lines
 from .wide_city import widened
 
 NAME = "large-city"
@@ -215,7 +215,7 @@ def main() -> None:
         shutil.copy(city.kept, args.out / "city.json")
     command = f"python -m segloc_experiments.protocols.large_city WORK --towns {args.towns}"
     command += f" --first-seed {args.first_seed} --elsewhere {args.elsewhere}"
-    stages, kept = (*LOCALIZING, "tiles"), city.known()
+    stages, kept = (*LOCALIZING, "tiles"), concise(city.known())
     Result.measured(
         NAME, command, ("", "measured"), rows, stages=stages, methods=("profile",), counts=kept
     ).tell(args.store)
