@@ -40,6 +40,7 @@ COLUMNS = (
     *("map segments", "of", "query segments", "neighbours", "matching (ms)", "pose (ms)"),
     *("map and index (MB)", "pose found"),
 )
+_MEMORY = "Memory of towns has in it what loading their maps left behind."
 DIMENSIONS = 32
 """Of ``profile``."""
 SEGMENTS_A_HECTARE = 500
@@ -188,7 +189,7 @@ def main() -> None:
         COLUMNS,
         rows,
         stages=("map", "matching", "pose"),
-        note=f"Machine: {processor()}, one thread.",
+        note=f"Machine: {processor()}, one thread. {_MEMORY}",
         counts={"rows": [asdict(each) for each in found]},
     ).tell(args.store)
 
