@@ -50,6 +50,8 @@ def test_what_other_code_has_made_is_made_again(tmp_path: Path, monkeypatch: Any
         return Workspace(tmp_path).cached("part", {}, compute, save, Path.read_text)
 
     assert ask() == ask() == "x" and len(made) == 1
+    assert Workspace(tmp_path).find("part", {}, Path.read_text) == "x"
     code = "segloc_experiments.paper.workspace._code"
     monkeypatch.setattr(code, lambda: {"pose": "other"})
+    assert Workspace(tmp_path).find("part", {}, Path.read_text) is None
     assert ask() == "x" and len(made) == 2

@@ -83,6 +83,11 @@ class Workspace:
             "seconds": round(seconds, 1),
         }
 
+    @property
+    def code(self) -> Mapping[str, str]:
+        """Fingerprints of the code whose finished parts are taken for one's own; empty: of any."""
+        return {}
+
     def cached(
         self,
         name: str,
@@ -147,11 +152,14 @@ class Workspace:
         SeglocError
             If the folder cannot be written.
         """
-        entry: dict[str, object] = {"name": name, "settings": settings}
+        entry: dict[str, object] = {"name": name, "settings": self._of_code(settings)}
         cache.store(self._folder(name, settings), entry, lambda path: save(value, path))
 
     def _folder(self, name: str, settings: Mapping[str, object]) -> Path:
-        return self.out / "cache" / f"{name}-{cache.digest(settings)[:16]}"
+        return self.out / "cache" / f"{name}-{cache.digest(self._of_code(settings))[:16]}"
+
+    def _of_code(self, settings: Mapping[str, object]) -> Mapping[str, object]:
+        return {**settings, "code": dict(self.code)} if self.code else settings
 
     def cached_json(
         self, name: str, settings: Mapping[str, object], compute: Callable[[], Any]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from segloc.batch import workspace
 from segloc.errors import ConfigError
@@ -14,7 +14,6 @@ from segloc.simulation.suites import PAPER, SUITES, TestSet
 
 from ..results.fingerprints import LOCALIZING, fingerprints
 
-T = TypeVar("T")
 SCALES = ("small", "full", PAPER)
 
 
@@ -51,16 +50,10 @@ class Workspace(workspace.Workspace):
         """The test sets of the suite."""
         return SUITES[self.suite]
 
-    def cached(
-        self,
-        name: str,
-        settings: Mapping[str, object],
-        compute: Callable[[], T],
-        save: Callable[[T, Path], object],
-        load: Callable[[Path], T],
-    ) -> T:
-        """The same as ever, but nothing that other code has made is taken for today's."""
-        return super().cached(name, {**settings, "code": _code()}, compute, save, load)
+    @property
+    def code(self) -> Mapping[str, str]:
+        """That of queries and of training."""
+        return _code()
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
         """What a study says of itself: enough to repeat it."""

@@ -137,11 +137,11 @@ def asked(
     ]
 
 
-def table(entries: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
+def table(answers: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
     """Columns and rows: a row for each set and way, both directions together."""
     rows: dict[tuple[str, ...], dict[str, list[bool]]] = {}
     false: Counter[tuple[str, ...]] = Counter()
-    for entry in entries:
+    for entry in answers:
         key = tuple(str(entry[name]) for name in ("world", "clouds", "sensor", "map", "way"))
         rows.setdefault(key, {}).setdefault(entry["method"], []).extend(entry["right"])
         false[key] += entry["false"]
@@ -163,17 +163,17 @@ def _counted(found: Mapping[str, Sequence[bool]], methods: Sequence[str]) -> tup
     return (len(first), *counts, p)
 
 
-def report(entries: list[dict[str, Any]], store: Path | None) -> None:
+def report(answers: list[dict[str, Any]], store: Path | None) -> None:
     """Print the table, and keep it where results are."""
-    columns, rows = table(entries)
-    methods = tuple(dict.fromkeys(entry["method"] for entry in entries))
+    columns, rows = table(answers)
+    methods = tuple(dict.fromkeys(entry["method"] for entry in answers))
     command = "python -m segloc_experiments.protocols.change --report change.jsonl"
     note = (
         "Found of the queries, all of them within map coverage. p: McNemar's exact test, against "
         "the other method that finds most; no correction for several tests."
     )
     Result.measured(
-        "change", command, columns, rows, methods=methods, note=note, counts={"sets": entries}
+        "change", command, columns, rows, methods=methods, note=note, counts={"sets": answers}
     ).tell(store)
 
 
