@@ -172,8 +172,9 @@ def report(answers: list[dict[str, Any]], store: Path | None) -> None:
         "Found of the queries, all of them within map coverage. p: McNemar's exact test, against "
         "the other method that finds most; no correction for several tests."
     )
+    sets = [{**each, "right": "".join("01"[right] for right in each["right"])} for each in answers]
     Result.measured(
-        "change", command, columns, rows, methods=methods, note=note, counts={"sets": answers}
+        "change", command, columns, rows, methods=methods, note=note, counts={"sets": sets}
     ).tell(store)
 
 

@@ -195,9 +195,11 @@ def report(results: Mapping[str, list[Row]], store: Path | None) -> None:
     ).tell(store)
 
 
-def _kept(answer: Row) -> list[Any]:
-    errors_m = answer["errors"][0] if "errors" in answer else None
-    return [answer["right"], answer["reason"], round(answer["confidence"], 4), errors_m]
+def _kept(answer: Row) -> str:
+    """An answer in a line: what became of it, the confidence, and how far off it is."""
+    became = "right" if answer["right"] else answer["reason"] or "false"
+    off = f" {answer['errors'][0]:.2f} m" if "errors" in answer else ""
+    return f"{became} {answer['confidence']:.4f}{off}"
 
 
 def main() -> None:
