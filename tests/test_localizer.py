@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,10 +25,15 @@ from segloc import (
 )
 from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
+from segloc.landmarks.config import StemConfig
 from segloc.localization import Localization, Reason
-from segloc.verification import Evidence, Score, Verdict
+from segloc.occupancy import OccupancyConfig
+from segloc.search import Search
+from segloc.types import Candidate, Matches
+from segloc.verification import Evidence, QueryCloud, Score, Verdict
 
 GEO = Config.preset("geo")
+DECISIVE = Evidence(Score(np.eye(4), 20, 0.9, 900, 1000, 0.1), 4.0, ())
 
 
 @pytest.fixture(scope="module")
@@ -289,32 +295,75 @@ def test_a_map_without_a_readable_configuration_uses_the_preset(prior_map: Segme
         assert Localizer(other).config == GEO
 
 
-def test_the_best_of_all_attempts_counts(
+def test_by_segments_alone_the_best_of_all_attempts_counts(
     plaza: Plaza, prior_map: SegmentMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("segloc.fallback.THOROUGH_SEGMENTS", 0)  # so segments are tried again
-    localizer = Localizer(prior_map)
+    alone = {"occupancy": OccupancyConfig(enabled=False), "stems": StemConfig(enabled=False)}
+    localizer = Localizer(prior_map, GEO.model_copy(update=alone))
     query = localizer.describe(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))))
 
-    decisive = Evidence(Score(np.eye(4), 20, 0.9, 900, 1000, 0.1), 4.0, ())
-
     def verdict(reason: Reason | None, confidence: float) -> Verdict:
-        return Verdict(reason, "", confidence, evidence=decisive)
+        return Verdict(reason, "", confidence, evidence=DECISIVE)
 
     uncertain, less = (verdict(Reason.TOO_UNCERTAIN, p) for p in (0.7, 0.3))
     nothing = verdict(Reason.NO_CONSISTENT_MATCHES, 0.0)
     found, ambiguous = verdict(None, 0.9), verdict(Reason.AMBIGUOUS, 0.95)
     for given, best in (
-        ((uncertain, nothing, less), uncertain),
-        ((less, uncertain, nothing), uncertain),
+        ((uncertain, nothing), uncertain),
+        ((less, uncertain), uncertain),
         ((uncertain, found), found),
-        ((uncertain, ambiguous, nothing), ambiguous),
+        ((uncertain, ambiguous), ambiguous),
         ((found, uncertain), found),
-        ((nothing, less, found), found),
+        ((nothing, found), found),
     ):
         verdicts = iter(given)
         monkeypatch.setattr(localizer.verifier, "verify", lambda *_, v=verdicts: next(v))
         assert localizer.search(query).verdict is best
+
+
+def test_where_segments_say_little_all_that_was_tried_is_judged_at_once(
+    prior_map: SegmentMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    localizer = Localizer(prior_map)
+    query = localizer.describe(Plaza(1).scan(geometry.yaw_transform(0.3, (0.0, 0, 1.7))))
+    judged: list[list[Candidate]] = []
+    verify = localizer.verifier.verify
+
+    def watched(cloud: QueryCloud, candidates: list[Candidate], *given: Any) -> Verdict:
+        judged.append(candidates)
+        return verify(cloud, candidates, *given)
+
+    monkeypatch.setattr(localizer.verifier, "verify", watched)
+    found = localizer.search(query)
+    assert found.verdict.reason is not None and len(judged) == 1
+    first, again = (localizer.matcher.match(query.descriptors, n) for n in (25, 100))
+    where = query.scene.segments.centroids, prior_map.centroids
+    poses = {c.T_map_local.tobytes() for c in judged[0]}
+    for matches in (first, again):
+        tried = localizer.estimator.estimate(*where, matches)
+        assert tried and {c.T_map_local.tobytes() for c in tried} <= poses
+    agree = localizer.estimator.agreement(*where, first)  # as the confidence was fitted
+    assert all(c.inliers == agree(c.T_map_local) for c in judged[0])
+
+
+def test_of_two_attempts_the_decisive_one_counts() -> None:
+    def search(verdict: Verdict, *inliers: int) -> Search:
+        nothing = np.empty(0, np.int64)
+        matches = Matches(nothing, nothing, np.empty(0, np.float32), np.empty(0, np.float32))
+        return Search(0, matches, [Candidate(np.eye(4), n) for n in inliers], verdict)
+
+    candidates = [Candidate(np.eye(4), 4)]
+    little, found = Verdict.put_off(candidates), Verdict(None, "", 0.9)
+    refused, less = (Verdict(Reason.TOO_UNCERTAIN, "", p, evidence=DECISIVE) for p in (0.7, 0.3))
+    first, judged = search(little, 4), search(refused, 8)
+    assert first.or_better(search(found, 9), decisive=True).verdict is found
+    assert judged.or_better(search(less, 9), decisive=True) is judged
+    second = search(little, 9, 5)
+    assert first.or_better(second, decisive=True) is second
+    for kept, decisive in ((first, False), (judged, True), (judged, False)):
+        both = kept.or_better(second, decisive)
+        assert both.verdict is kept.verdict and both.matches is kept.matches
+        assert both.candidates == [*kept.candidates, *second.candidates]
 
 
 def test_nothing_more_is_tried_after_the_deadline(prior_map: SegmentMap) -> None:
@@ -322,8 +371,9 @@ def test_nothing_more_is_tried_after_the_deadline(prior_map: SegmentMap) -> None
     localizer = Localizer(prior_map, clock=lambda: float(next(ticks)))
     elsewhere = Plaza(1).scan(geometry.yaw_transform(0.3, (0.0, 0, 1.7)))
     stages = 4 + 4  # of the description, then of one attempt; each takes a second
-    clouds = 4  # stems, what stands where, and how both are judged
-    asked = {None: stages + clouds, 1e9: stages + clouds, 0.0: stages, 8.5e3: stages + 1}
+    again, clouds = 4, 4  # with more neighbours; stems, what stands where, and what all are worth
+    everything = stages + again + clouds
+    asked = {None: everything, 1e9: everything, 0.0: stages, 12.5e3: everything - 1}
     for deadline_ms, seconds in asked.items():
         found = localizer.localize(elsewhere, deadline_ms=deadline_ms)
         assert not found.localized and found.times_ms["total"] == 1e3 * seconds

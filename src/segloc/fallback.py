@@ -16,9 +16,6 @@ from .stage_times import StageTimes
 from .types import Candidate
 from .verification import QueryCloud, Verifier
 
-THOROUGH_SEGMENTS = 100_000
-"""About 3 km: in larger maps the search of what stands where leaves more and more out."""
-
 
 class Fallback:
     """Compares the clouds all over the map, and judges what it finds among what was tried.
@@ -53,9 +50,9 @@ class Fallback:
         return changed
 
     @property
-    def is_thorough(self) -> bool:
-        """Whether the clouds are compared all over the map, so that more matches hardly help."""
-        return self._config.occupancy.enabled and len(self._centroids) <= THOROUGH_SEGMENTS
+    def is_enabled(self) -> bool:
+        """Whether the clouds are compared all over the map."""
+        return self._config.occupancy.enabled
 
     def search(
         self,
@@ -67,15 +64,15 @@ class Fallback:
         near: Prior | None = None,
     ) -> Search:
         """Stems, where there are any; where those do not settle it, what stands where, too."""
-        if times.beyond(deadline_ms):
-            return tried
-        found, proposed = self._by_stems(query, tried, cloud, times, near)
-        if found is not None or times.beyond(deadline_ms):
-            return found or tried
-        if self._config.occupancy.enabled:
+        found, proposed = None, list[Candidate]()
+        if not times.beyond(deadline_ms):
+            found, proposed = self._by_stems(query, tried, cloud, times, near)
+        if found is not None:
+            return found
+        if self.is_enabled and not times.beyond(deadline_ms):
             with times("pose"):
                 proposed = [*proposed, *self.occupancy.candidates(query.scene, near)]
-        if not proposed:
+        if tried.verdict.is_judged and not proposed:
             return tried
         return _better(tried, self.judged(query, proposed, tried, cloud, times, near))
 
@@ -119,10 +116,12 @@ class Fallback:
             inliers = self._estimator.agreement(
                 query.scene.segments.centroids, self._centroids, tried.matches
             )
-            candidates = [replace(c, inliers=inliers(c.T_map_local)) for c in proposed]
-        # By the clouds alone, as all are compared here: `fit` is not asked for.
-        candidates += [replace(c, fit=0.0) for c in tried.candidates]
-        if (best := tried.verdict.best) is not None:
+            # By the clouds alone, as all are compared here: what matches propose needs no `fit`.
+            candidates = [
+                replace(c, inliers=inliers(c.T_map_local), fit=c.fit or 0.0)
+                for c in (*proposed, *tried.candidates)
+            ]
+        if tried.verdict.is_judged and (best := tried.verdict.best) is not None:
             candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
         with times("verification"):
             verdict = self._verifier.verify(cloud, candidates, inliers, allowed(near))
@@ -131,5 +130,5 @@ class Fallback:
 
 def _better(tried: Search, found: Search) -> Search:
     """What was found last, unless it is less sure that there is nothing than what was tried."""
-    believed = tried.verdict.reason is None
-    return found if believed or found.verdict.rank > tried.verdict.rank else tried
+    counts = tried.verdict.reason is None or not tried.verdict.is_judged
+    return found if counts or found.verdict.rank > tried.verdict.rank else tried

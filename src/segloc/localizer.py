@@ -21,7 +21,7 @@ from .search import Query, Search
 from .segmentation import Segmenter
 from .stage_times import Clock, StageTimes
 from .types import LocalCloud
-from .verification import QueryCloud, Verifier
+from .verification import QueryCloud, Verdict, Verifier
 
 
 class TileSearch(Protocol):
@@ -202,7 +202,7 @@ class Localizer:
         if self._tile_search is not None:
             return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
-        counts = counted(query, found)
+        counts = found.counts(query)
         return answer(query.cloud, found.verdict, counts, times.with_total(), found.near)
 
     def search(
@@ -214,10 +214,9 @@ class Localizer:
     ) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where segments say little, for or against a pose, stems do, if there are any; and where
-        those do not settle it, the clouds are compared all over the map. In a map too large for
-        that, segments are first tried again with more neighbours; the better of the verdicts
-        counts.
+        Where segments say little, for or against a pose, they are tried again with more
+        neighbours; then stems, if there are any; and where those do not settle it, the clouds are
+        compared all over the map. All that was tried is judged together.
 
         Raises
         ------
@@ -242,25 +241,28 @@ class Localizer:
         deadline_ms: float | None,
         near: Prior | None,
     ) -> Search:
-        """Descriptors -> matches -> candidate poses -> verdict."""
-        centroids, map_centroids = query.scene.segments.centroids, self.prior_map.centroids
+        """Descriptors -> matches -> candidate poses -> verdict, unless that is for the clouds."""
+        where = query.scene.segments.centroids, self.prior_map.centroids
         matcher = self._matcher_near(near)
         neighbours = matcher.neighbours(query.descriptors)
         best: Search | None = None
-        for count in matcher.schedule[:1] if self.fallback.is_thorough else matcher.schedule:
+        for count in matcher.schedule:
             with times("matching"):
                 proposed = neighbours.matches(count)
             with times("pruning"):
                 matches = matcher.prune(query.descriptors, proposed)
             with times("pose"):
-                candidates = self.estimator.estimate(centroids, map_centroids, matches)
-                candidates = within(near, candidates)
-                inliers = self.estimator.agreement(centroids, map_centroids, matches)
+                candidates = within(near, self.estimator.estimate(*where, matches))
+                inliers = self.estimator.agreement(*where, matches)
             with times("verification"):
-                verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
+                decisive = self.verifier.is_decisive(candidates)
+                for_clouds = candidates and (best is not None or not decisive)
+                if for_clouds and self.fallback.is_enabled and not times.beyond(deadline_ms):
+                    verdict = Verdict.put_off(candidates)
+                else:
+                    verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
             found = Search(len(proposed), matches, candidates, verdict)
-            if best is None or found.verdict.rank > best.verdict.rank:
-                best = found
+            best = found if best is None else best.or_better(found, decisive)
             if not verdict.undecided or times.beyond(deadline_ms):
                 break
         assert best is not None  # no schedule is empty
@@ -272,18 +274,6 @@ class Localizer:
             return self.matcher
         reach_m = self.config.local_cloud.radius_m
         return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))
-
-
-def counted(query: Query, found: Search) -> dict[str, int]:
-    """How many items each stage produced."""
-    return {
-        "scans": query.cloud.num_scans,
-        "points": len(query.cloud.points),
-        "segments": len(query.scene.segments),
-        "proposed": found.proposed,
-        "matches": len(found.matches),
-        "candidates": len(found.candidates),
-    }
 
 
 def _tiles(given: InTiles) -> InTiles:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .prior import Prior
 from .segmentation import Segmentation
@@ -43,3 +43,27 @@ class Search:
     verdict: Verdict
     by_segments: bool = True
     near: Prior | None = None
+
+    def or_better(self, other: Search, decisive: bool) -> Search:
+        """This, or the next attempt, which had more neighbours: the one with the better verdict.
+
+        Among more neighbours more agree by chance, and the confidence was fitted on fewer: where
+        the verdict on the other was put off, it counts alone only if its segments are ``decisive``;
+        else its poses are tried, too.
+        """
+        if other.verdict.is_judged:
+            return other if other.verdict.rank > self.verdict.rank else self
+        if decisive and not self.verdict.is_judged:
+            return other
+        return replace(self, candidates=[*self.candidates, *other.candidates])
+
+    def counts(self, query: Query) -> dict[str, int]:
+        """How many items each stage produced."""
+        return {
+            "scans": query.cloud.num_scans,
+            "points": len(query.cloud.points),
+            "segments": len(query.scene.segments),
+            "proposed": self.proposed,
+            "matches": len(self.matches),
+            "candidates": len(self.candidates),
+        }

@@ -223,16 +223,25 @@ def test_the_verdict_is_a_function_of_the_evidence() -> None:
 def test_where_places_look_alike_a_pose_must_be_all_but_sure_or_fit_wholly() -> None:
     config = VerificationConfig()
 
-    def root(inliers: int, overlap: float, ratio: float, rival: float, judged: int = 2000) -> float:
+    def root(
+        inliers: int,
+        overlap: float,
+        ratio: float,
+        rival: float,
+        judged: int = 2000,
+        rival_seen: float = 0.95,
+    ) -> float:
         """The confidence that is needed, as a root of the one that suffices."""
-        found = evidence(inliers, overlap, 0.95, ratio, (rival, 0.95))
-        found = replace(found, score=replace(found.score, judged=judged))
-        return math.log(config.min_confidence) / math.log(confidence_needed(found, config))
+        found = evidence(inliers, overlap, 0.95, ratio, (rival, rival_seen))
+        seen = {"confirmed": round(0.95 * judged), "judged": judged}
+        found = replace(found, score=replace(found.score, **seen))
+        return math.log(config.min_confidence) / math.log(confidence_needed(found, MODEL, config))
 
     alike, few, many = root(4, 0.9, 1.3, 0.7), root(4, 0.9, 3.0, 0.5), root(9, 0.9, 3.0, 0.7)
     assert alike > 5 * few and few > many == pytest.approx(1.0)
     assert root(9, 0.9, 1.2, 0.7) == alike  # nearly as many segments agree elsewhere
     assert root(4, 0.99, 1.3, 0.9) == few  # hardly a point is left that does not fit
+    assert root(4, 0.9, 1.3, 0.8, rival_seen=0.6) == few  # what the map holds there is not seen
     assert root(4, 0.9, 1.3, 0.5, judged=100) == alike  # little is in view
     small = root(4, 0.9, 1.3, 0.7, judged=100)
     assert small > alike and root(4, 0.99, 1.3, 0.9, judged=100) == small

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from .. import geometry
 from ..answer import answer
 from ..localization import Localization
-from ..localizer import Localizer, counted
+from ..localizer import Localizer
 from ..prior import Prior
 from ..search import Query, Search
 from ..stage_times import StageTimes
@@ -95,7 +95,7 @@ def trace(
     times = times or StageTimes(localizer.clock)
     query = localizer.describe(cloud, times)
     found = localizer.search(query, times, near=near)
-    result = answer(cloud, found.verdict, counted(query, found), times.with_total(), found.near)
+    result = answer(cloud, found.verdict, found.counts(query), times.with_total(), found.near)
     best = found.verdict.best
     T = None if best is None else best.T_map_local
     pairs, inliers = _pairs(localizer, query, found, T)

@@ -16,10 +16,8 @@ from .stems import StemFinder, Stems
 LEAST_SUPPORT, LEAST_SHARE = 5.0, 0.2
 """Of stems on stems of the map: with less, a pose is not worth comparing clouds for. Wrong poses of
 simulated forests have a share of at most 0.19, right ones 0.28 and more."""
-EFFORTS = (
-    Effort(),
-    Effort(neighbours=7, alike=4, most_landmarks=48, most_matches=1500, most_candidates=16),
-)
+EFFORT = Effort()
+"""More of it found no more in simulated forests, parks and towns, in half as much time again."""
 RANGE_M, MOST_STEMS = 40.0, 96
 """Stems of a query that are farther away are left out, since few points show them; and so are the
 farthest where there are more."""
@@ -91,7 +89,7 @@ class StemSearch:
         if len(columns) < self.config.fewest:
             return StemPoses([])
         if self._localizer is None:  # threads that ask at once make the same
-            self._localizer = LandmarkLocalizer(self._mapped(), LandmarkConfig(efforts=EFFORTS))
+            self._localizer = LandmarkLocalizer(self._mapped(), LandmarkConfig(efforts=(EFFORT,)))
         verdict, _ = self._localizer.judged(columns)
         least = max(LEAST_SUPPORT, LEAST_SHARE * len(columns))
         found = [a for a in (verdict.best, verdict.rival) if a and a.support >= least]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..answer import answer
 from ..localization import Localization, Reason
-from ..localizer import Localizer, counted
+from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..matching import Matcher
 from ..prior import Prior, within
@@ -205,5 +205,5 @@ def _nowhere(
     """The answer where no tile has a right to be searched."""
     reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
     verdict = Verdict(reason, f"{reason} (of the segments {most} agree on a place, as by chance)")
-    counts = counted(query, Search(len(matches), matches, found, verdict))
+    counts = Search(len(matches), matches, found, verdict).counts(query)
     return answer(query.cloud, verdict, counts, times.with_total(), near)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..localization import Reason, ambiguous_with
-from .confidence import ConfidenceModel
+from .confidence import Chance, ConfidenceModel
 from .config import VerificationConfig
 from .evidence import (
     DECISIVE_INLIERS,
@@ -67,7 +67,7 @@ def decide(
     elif best.overlap < CLOUD_FITS and best.walls is not None and best.walls < WALLS_FIT:
         reason = Reason.TOO_UNCERTAIN
         message = f"walls stand elsewhere there: {best.walls:.0%} of those of one direction fit"
-    elif p < (needed := confidence_needed(evidence, config)):
+    elif p < (needed := confidence_needed(evidence, model, config)):
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, needed)}: {compared(evidence)}"
     else:
@@ -83,21 +83,24 @@ def too_few_inliers(
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
 
 
-def confidence_needed(evidence: Evidence, config: VerificationConfig) -> float:
+def confidence_needed(
+    evidence: Evidence, model: ConfidenceModel, config: VerificationConfig
+) -> float:
     """More where few segments agree, and most where other places look alike or little is in view.
 
     All wrong poses of the calibration that look likely are such.
     """
     best = evidence.score
     few = best.inliers < FEW_INLIERS
-    doubts = is_alike(evidence) + (few and best.judged < SMALL_VIEW)
+    doubts = is_alike(evidence, model.chance) + (few and best.judged < SMALL_VIEW)
     root = DOUBT_ROOT * doubts if doubts else FEW_ROOT if few else 1.0
     return float(config.min_confidence ** (1.0 / root))
 
 
-def is_alike(evidence: Evidence) -> bool:
+def is_alike(evidence: Evidence, chance: Chance) -> bool:
     """Whether segments say little, and the clouds fit nearly as well at another place.
 
+    A pose at which much overlaps is not like one at which, besides, what the map holds is seen.
     Places that are built alike differ somewhere: where much is in view, and hardly a point is left
     that does not fit, it is the right one.
     """
@@ -106,7 +109,12 @@ def is_alike(evidence: Evidence) -> bool:
         return False
     if best.overlap >= WHOLLY and best.judged >= SMALL_VIEW:
         return False
-    return any(rival.overlap >= ALIKE * best.overlap for rival in evidence.rivals)
+    return any(_both(rival, chance) >= ALIKE * _both(best, chance) for rival in evidence.rivals)
+
+
+def _both(score: Score, chance: Chance) -> float:
+    """How well the query fits the map, and the map the query."""
+    return score.overlap * score.expected_seen(chance.judged)
 
 
 def compared(evidence: Evidence) -> str:

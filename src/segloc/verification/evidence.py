@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -161,6 +162,12 @@ class RefinedScore(Score):
         return self.details.fit.ground
 
 
+def inlier_evidence(inliers: int, ratio: float) -> float:
+    """The logarithm of how much likelier so many inliers are, where the best different place has
+    fewer by that ratio (Poisson, without the constant)."""
+    return inliers * math.log(max(ratio, 0.1))
+
+
 @dataclass(frozen=True)
 class Evidence:
     """All that speaks for a candidate, and for the best candidates at different places.
@@ -181,9 +188,8 @@ class Evidence:
 
     @property
     def inlier_evidence(self) -> float:
-        """The logarithm of how much likelier so many inliers are where the best different place has
-        as many as it has (Poisson, without the constant)."""
-        return self.score.inliers * math.log(max(self.inlier_ratio, 0.1))
+        """See :func:`inlier_evidence`."""
+        return inlier_evidence(self.score.inliers, self.inlier_ratio)
 
     @property
     def is_settled(self) -> bool:
@@ -218,6 +224,18 @@ class Verdict:
     best: RankedCandidate | Score | None = None
     evidence: Evidence | None = None
     runner_up: RankedCandidate | None = None
+
+    @classmethod
+    def put_off(cls, candidates: Sequence[Candidate]) -> Verdict:
+        """No verdict yet on candidates (one at least) that are to be judged among others."""
+        most = max(candidates, key=lambda candidate: candidate.inliers)
+        message = f"of the segments {most.inliers} agree on a place"
+        return cls(Reason.TOO_UNCERTAIN, message, best=RankedCandidate(most, 0.0, 0.0))
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether it is more than put off."""
+        return self.evidence is not None or self.reason is not Reason.TOO_UNCERTAIN
 
     @property
     def undecided(self) -> bool:

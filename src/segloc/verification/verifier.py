@@ -12,7 +12,16 @@ from .candidates import Allowed, CandidateScores, Inliers
 from .confidence import ConfidenceModel, shipped_confidence
 from .config import VerificationConfig
 from .decision import decide, equal_rival, too_few_inliers
-from .evidence import CoarseScore, Evidence, RankedCandidate, RefinedScore, Score, Verdict
+from .evidence import (
+    DECISIVE_INLIERS,
+    CoarseScore,
+    Evidence,
+    RankedCandidate,
+    RefinedScore,
+    Score,
+    Verdict,
+    inlier_evidence,
+)
 from .overlap_check import MapCloud, QueryCloud
 
 HOPELESS = 0.02
@@ -61,6 +70,12 @@ class Verifier:
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query's cloud, made ready to be compared with the map any number of times."""
         return self._map.query(scene)
+
+    def is_decisive(self, candidates: Sequence[Candidate]) -> bool:
+        """Whether segments say more for one of the candidates than chance would."""
+        chance = self.model.chance.inliers
+        most, second, *_ = sorted((0, chance, *(c.inliers for c in candidates)), reverse=True)
+        return most > chance and inlier_evidence(most, most / second) >= DECISIVE_INLIERS
 
     def verify(
         self,
@@ -140,12 +155,14 @@ class Verifier:
         """The pose that is likelier by itself, and its rivals near it.
 
         A rival is refined where the clouds roughly fit nearly as well; of a pose that is unlikely
-        by itself only where they fit better, since it is refused unless one of those is likelier.
+        by itself only where they fit better, since it is refused unless one of those is likelier;
+        of a hopeless one none.
         """
         rough, rivals = scores.rough_overlap(score), list[Score]()
         for each in nearby:
-            unlikely = self.model.standalone(score) < UNLIKELY
-            if each.overlap < (1.0 if unlikely else self.config.refined_from) * rough:
+            alone = self.model.standalone(score)
+            least = 1.0 if alone < UNLIKELY else self.config.refined_from
+            if alone < HOPELESS or each.overlap < least * rough:
                 rivals.append(scores.roughly(each))
                 continue
             rival = scores.closely(each.candidate)

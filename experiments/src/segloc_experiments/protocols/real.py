@@ -25,7 +25,6 @@ from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
 from segloc.datasets import NO_POSES, open_sequence
-from segloc.localizer import counted
 from segloc.types import Float64, Int64, Pose, Recording
 
 from .. import kitti00
@@ -167,7 +166,7 @@ class Judge:
             for name, localizer in self._places(chosen):
                 start = time.process_time()
                 search = localizer.search(query)
-                found = answer(query.cloud, search.verdict, counted(query, search), {})
+                found = answer(query.cloud, search.verdict, search.counts(query), {})
                 spent = common + 1e3 * (time.process_time() - start)
                 best = search.verdict.best
                 own = name in chosen.maps
