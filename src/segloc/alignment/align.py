@@ -90,8 +90,8 @@ def align_sessions(
         this process does. For processes and clusters recordings can be pickled, and their files
         are read where the tasks are done.
     folder : path, optional
-        That all workers of the executor see: submaps lie in a folder in it until the end. By
-        default the system's folder for temporary files.
+        That all workers of the executor see: submaps, some 200 MB a kilometre, lie in a folder in
+        it until the end. By default the system's folder for temporary files.
 
     Raises
     ------

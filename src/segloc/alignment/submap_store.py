@@ -1,4 +1,4 @@
-"""Where submaps and the maps of parts are kept between tasks: in memory, or in a folder."""
+"""Where submaps and the maps of parts are kept between tasks: files of a folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,47 +20,11 @@ from .submaps import Submap
 _SUBMAPS_AT_HAND, _MAPS_AT_HAND = 256, 2
 
 
-class SubmapStore(Protocol):
-    """Submaps by their number, maps by their name."""
-
-    def put(self, number: int, submap: Submap) -> None:
-        """Keep a submap."""
-        ...
-
-    def __getitem__(self, number: int, /) -> Submap: ...
-
-    def put_map(self, name: str, prior_map: SegmentMap) -> None:
-        """Keep a map."""
-        ...
-
-    def map(self, name: str) -> SegmentMap:
-        """A map that was kept."""
-        ...
-
-
-class MemoryStore:
-    """For tasks of this process."""
-
-    def __init__(self) -> None:
-        self._submaps: dict[int, Submap] = {}
-        self._maps: dict[str, SegmentMap] = {}
-
-    def put(self, number: int, submap: Submap) -> None:
-        self._submaps[number] = submap
-
-    def __getitem__(self, number: int, /) -> Submap:
-        return self._submaps[number]
-
-    def put_map(self, name: str, prior_map: SegmentMap) -> None:
-        self._maps[name] = prior_map
-
-    def map(self, name: str) -> SegmentMap:
-        return self._maps[name]
-
-
 @dataclass(frozen=True)
-class FolderStore:
-    """For tasks of several processes or machines, which all see the folder; no bit is lost.
+class SubmapStore:
+    """Submaps by their number, maps by their name, for tasks that all see the folder.
+
+    No bit is lost. A process keeps those at hand that it used last, until :func:`forget`.
 
     Raises
     ------
@@ -73,6 +37,7 @@ class FolderStore:
     folder: Path
 
     def put(self, number: int, submap: Submap) -> None:
+        """Keep a submap."""
         file = BytesIO()
         np.savez(file, allow_pickle=False, **_arrays_of(submap))
         with replacing(self._submap(number), sweep=False) as stream:
@@ -82,9 +47,11 @@ class FolderStore:
         return _read_submap(self._submap(number))
 
     def put_map(self, name: str, prior_map: SegmentMap) -> None:
+        """Keep a map."""
         prior_map.save(self._map(name))
 
     def map(self, name: str) -> SegmentMap:
+        """A map that was kept."""
         return _read_map(self._map(name))
 
     def _submap(self, number: int) -> Path:
@@ -127,3 +94,9 @@ def _read_submap(path: Path) -> Submap:
 @lru_cache(maxsize=_MAPS_AT_HAND)
 def _read_map(path: Path) -> SegmentMap:
     return SegmentMap.load(path)
+
+
+def forget() -> None:
+    """Let go of what this process has at hand."""
+    _read_submap.cache_clear()
+    _read_map.cache_clear()

@@ -18,7 +18,7 @@ from .config import AlignConfig
 from .dense import Pair, tied
 from .growing_map import PartsVote, blocks_of, known_parts, thin
 from .loops import Chain, Loop, PartNodes, Progress, loops_in_part, one_a_pair
-from .submap_store import FolderStore, MemoryStore, SubmapStore
+from .submap_store import SubmapStore, forget
 from .submaps import Session, describe_session
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
@@ -55,13 +55,14 @@ class Workspace:
 def opened_workspace(
     config: Config, settings: AlignConfig, executor: Executor | None, folder: str | Path | None
 ) -> Iterator[Workspace]:
-    """A workspace in memory; for an executor one in a folder, which is removed at the end."""
-    if executor is None:
-        yield Workspace(MemoryStore(), config, settings)
-        return
-    single = config.model_copy(update={"threads": 1})
+    """A workspace in a folder, which is removed at the end; workers have one thread each."""
+    if executor is not None:
+        config = config.model_copy(update={"threads": 1})
     with folder_in(folder, ".segloc-align-") as made:
-        yield Workspace(FolderStore(made), single, settings, executor)
+        try:
+            yield Workspace(SubmapStore(made), config, settings, executor)
+        finally:
+            forget()
 
 
 # --- recordings -> submaps and parts --------------------------------------------------------------
