@@ -189,8 +189,7 @@ def main() -> None:
     rows = [(*key, *tally.cells()) for key, tally in tallies.items()]
     command = "python -m segloc_experiments.protocols.forest_scans --clouds "
     command += f"{' '.join(args.clouds)} --columns {args.columns} --every {args.every}"
-    methods = ("profile",)
-    Result.measured("forest-scans", command, columns, rows, methods=methods).tell(args.store)
+    Result.measured("forest-scans", command, columns, rows, methods=("profile",)).tell(args.store)
 
 
 if __name__ == "__main__":
