@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from itertools import pairwise, product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,16 +23,18 @@ from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
 from segloc.config import differences
 from segloc.errors import WeightsError
+from segloc.geometry import Separation
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.matching import MatchingConfig
 from segloc.occupancy import OccupancyConfig
-from segloc.types import Descriptors, Float32, Float64, Int64, Pose
+from segloc.types import Candidate, Descriptors, Float32, Float64, Int64, Pose
 from segloc.verification import Evidence, Score, VerificationConfig, shipped_confidence
+from segloc.verification.candidates import CandidateScores
 from segloc.verification.confidence import load_confidence
 from segloc.verification.decision import confidence_needed, decide
-from segloc.verification.evidence import RefinedScore
+from segloc.verification.evidence import RankedCandidate, RefinedScore
 from segloc.verification.walls import SurfaceFit
 
 
@@ -218,6 +221,33 @@ def test_the_verdict_is_a_function_of_the_evidence() -> None:
     assert verdict.reason is Reason.AMBIGUOUS and not verdict.undecided
     verdict = decide(evidence(5, 0.4, 0.6, 1.2), None, MODEL, config)
     assert verdict.reason is Reason.TOO_UNCERTAIN and verdict.undecided
+
+
+def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
+    """Two that set out 1 m apart end on two storeys that look the same."""
+    lower, upper = (geometry.yaw_transform(0.0, (0.0, 0.0, z)) for z in (0.0, 1.0))
+    ends = {lower.tobytes(): 0.0, upper.tobytes(): 3.0}
+    details: Any = SimpleNamespace(fit=SurfaceFit(), sectors=())
+
+    def refined(candidate: Candidate, *_: object) -> RefinedScore:
+        T = geometry.yaw_transform(0.0, (0.0, 0.0, ends[candidate.T_map_local.tobytes()]))
+        return RefinedScore(T, 0, 0.98, 240, 246, 0.1, None, details)
+
+    def ranked(candidates: list[Candidate], _: object) -> list[RankedCandidate]:
+        return [RankedCandidate(c, 0.9, 0.1) for c in candidates]
+
+    cloud: Any = SimpleNamespace(ranked=ranked, refined=refined)
+    config, candidates = VerificationConfig(), [Candidate(T, 0, 0.5) for T in (lower, upper)]
+    query: Any = None
+    scores = CandidateScores(candidates, cloud, query, config, Separation(), lambda _: 0)
+    assert scores.elsewhere(lower) == []  # so neither is a rival of the other by where it starts
+    first = scores.refined(0)
+    assert scores.evidence(first, [], 3).rivals == ()
+    second = scores.refined(1)
+    found = scores.evidence(second, [first], 3)
+    assert found.rivals == (first,) == scores.evidence(second, [], 3).rivals
+    verdict = decide(found, None, MODEL, config)
+    assert verdict.reason is Reason.AMBIGUOUS
 
 
 def test_where_places_look_alike_a_pose_must_be_all_but_sure_or_fit_wholly() -> None:

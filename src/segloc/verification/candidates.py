@@ -40,6 +40,7 @@ class CandidateScores:
         self._config, self._separation, self._allowed = config, separation, allowed
         self._coarse: dict[int, CoarseScore] = {}
         self._refined: dict[int, RefinedScore] = {}
+        self._all_refined: list[RefinedScore] = []
 
     def coarse(self, k: int) -> CoarseScore:
         """Candidate k where it stands."""
@@ -50,7 +51,7 @@ class CandidateScores:
     def refined(self, k: int, start: Pose | None = None) -> RefinedScore:
         """Candidate k where the clouds fit best; ICP sets out from ``start``, too."""
         if k not in self._refined:
-            self._refined[k] = self._map.refined(self.ranked[k].candidate, self._query, start)
+            self._refined[k] = self._measured(self.ranked[k].candidate, start)
         return self._refined[k]
 
     def finished(self, score: RefinedScore) -> RefinedScore:
@@ -88,7 +89,12 @@ class CandidateScores:
 
     def closely(self, rival: Candidate) -> RefinedScore:
         """A rival where the clouds fit best."""
-        return self._map.refined(rival, self._query)
+        return self._measured(rival)
+
+    def _measured(self, candidate: Candidate, start: Pose | None = None) -> RefinedScore:
+        score = self._map.refined(candidate, self._query, start)
+        self._all_refined.append(score)
+        return score
 
     def runner_up(self, T_map_local: Pose) -> RankedCandidate | None:
         """The best supported candidate at a different place or with a different heading."""
@@ -114,10 +120,12 @@ class CandidateScores:
     def evidence(self, score: Score, rivals: Sequence[Score], chance_inliers: int) -> Evidence:
         """A score compared with those at other places; all candidates there count as rivals, too.
 
-        Rivals that turn out to be at the same place are none.
+        So does whatever was refined for another candidate: two that set out from one place may end
+        on two storeys. Rivals that turn out to be at the same place are none.
         """
         apart = self._separation.apart
-        rivals = [r for r in rivals if apart(r.T_map_local, score.T_map_local)]
+        known = {id(rival): rival for rival in (*rivals, *self._all_refined)}.values()
+        rivals = [r for r in known if apart(r.T_map_local, score.T_map_local)]
         others = [c.inliers for c in self.ranked if apart(c.T_map_local, score.T_map_local)]
         most = max([*others, *(rival.inliers for rival in rivals), chance_inliers])
         return Evidence(score, score.inliers / most, tuple(rivals))
