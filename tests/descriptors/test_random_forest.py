@@ -156,7 +156,9 @@ def test_shipped_forests_are_small_and_tell_where_they_come_from() -> None:
         descriptor = create(method)
         assert isinstance(descriptor.pruner, PairForest)
         card = descriptor.pruner.card
-        assert card["data"] and card["licence"] and card["figures"]["auc"] > 0.7
+        figures = card["figures"]
+        assert card["data"] and card["licence"]
+        assert figures["right_kept"] > 1.5 * figures["wrong_kept"]
         assert shipped_forest(method).stat().st_size < 1_000_000
 
 
