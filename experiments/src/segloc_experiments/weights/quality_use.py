@@ -1,25 +1,24 @@
 """What FC4 and a descriptor's quality are good for, beside the distance of descriptors.
 
-    python -m segloc_experiments.weights.quality_use WEIGHTS DATASET [--out FILE.json]
+    python -m segloc_experiments.weights.quality_use DATASET --methods dsm esm --store docs/results
 
-Given are the areas under the ROC of any pairs (centroids within 0.5 m against 20 m apart), with a
-bootstrap over squares of 100 m of the difference to plain distance; and how well the candidates
-that a map proposes, the nearest 25 of other sessions, are ordered: the area, and the share of right
-ones among the first 1 and 10 %.
+For each network, the areas under the ROC of any pairs (centroids within 0.5 m against 20 m apart),
+with a bootstrap over squares of 100 m of the difference to plain distance; and how well the
+candidates that a map proposes, the nearest 25 of other sessions, are ordered: the area, and the
+share of right ones among the first 1 and 10 %.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from segloc import _native
 from segloc.descriptors.pointset import load_weights
+from segloc.descriptors.weightfile import shipped_weights
 from segloc.training.dataset import SegmentDataset
 from segloc.training.pair_fitting import SAME_M
 from segloc.training.scoring import describe, load_descriptor
@@ -28,32 +27,49 @@ from segloc.types import Float32, Float64, Int64
 
 from ..feature_quality.areas import areas, difference
 from ..paper.pairs import labelled_pairs
-from ..script import parser
+from ..results.fingerprints import DESCRIBING
+from ..results.store import Cell, Result
+from ..script import storing
 
 _TOPS = (0.01, 0.1)
+COLUMNS = (
+    "network",
+    "judge",
+    "any pairs: area",
+    "less distance (95 %)",
+    "candidates: area",
+    *(f"right among the first {top:.0%}" for top in _TOPS),
+    "among all",
+)
 
 
 def main() -> None:
-    options = parser(__doc__)
-    options.add_argument("weights", type=Path)
+    options = storing(__doc__)
     options.add_argument("dataset", type=Path)
+    options.add_argument("--methods", nargs="+", default=["dsm", "esm"])
     options.add_argument("--k", type=int, default=25)
     options.add_argument("--limit", type=int, default=8000, help="segments")
-    options.add_argument("--out", type=Path)
     given = options.parse_args()
     dataset = load_dataset(given.dataset).limited(given.limit, 0)
-    vectors, quality = describe(load_descriptor(str(given.weights), 1), dataset)
-    judges = _Judges(given.weights, vectors, quality)
-    found = {
-        "weights": given.weights.name,
-        "dataset": given.dataset.name,
-        "segments": len(dataset),
-        "any pairs": _any_pairs(judges, dataset),
-        "candidates": _candidates(judges, dataset, vectors, given.k),
-    }
-    print(json.dumps(found, indent=1))
-    if given.out is not None:
-        given.out.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+    rows: list[tuple[Cell, ...]] = []
+    for method in given.methods:
+        weights = shipped_weights(f"{method}.safetensors")
+        vectors, quality = describe(load_descriptor(str(weights), 1), dataset)
+        judges = _Judges(weights, vectors, quality)
+        orders = _candidates(judges, dataset, vectors, given.k)
+        for judge, areas_of in _any_pairs(judges, dataset).items():
+            rows.append((method, judge, *areas_of, *orders[judge]))
+    Result.measured(
+        f"fc4-order-{given.dataset.name}",
+        f"python -m segloc_experiments.weights.quality_use {given.dataset.name} "
+        f"--methods {' '.join(given.methods)} --k {given.k} --limit {given.limit} "
+        "--store docs/results",
+        COLUMNS,
+        rows,
+        stages=(*DESCRIBING, "training"),
+        methods=tuple(given.methods),
+        note=f"{len(dataset)} segments, the {given.k} nearest of other sessions of each.",
+    ).tell(given.store)
 
 
 class _Judges:
@@ -75,27 +91,26 @@ class _Judges:
         return found
 
 
-def _any_pairs(judges: _Judges, dataset: SegmentDataset) -> dict[str, Any]:
+def _any_pairs(judges: _Judges, dataset: SegmentDataset) -> Mapping[str, tuple[Cell, Cell]]:
+    """By judge: the area, and how much larger it is than that of plain distance."""
     pairs = labelled_pairs(dataset, limit=10_000)
     same, places = torch.from_numpy(pairs.same), torch.from_numpy(pairs.places)
     scores = judges.scores(pairs.first, pairs.second)
     each = {k: areas(torch.from_numpy(v)[None], same, places) for k, v in scores.items()}
     return {
-        name: {
-            "area": round(float(own.value[0]), 4),
-            "difference": _rounded(difference(own, each["distance"])),
-        }
+        name: (round(float(own.value[0]), 4), _gain(difference(own, each["distance"])))
         for name, own in each.items()
     }
 
 
-def _rounded(row: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(row[name], 4) for name in ("mean", "low", "high")}
+def _gain(found: Mapping[str, float]) -> str:
+    return f"{found['mean']:+.4f} ({found['low']:+.4f} to {found['high']:+.4f})"
 
 
 def _candidates(
     judges: _Judges, dataset: SegmentDataset, vectors: Float32, k: int
-) -> dict[str, Any]:
+) -> Mapping[str, tuple[float, ...]]:
+    """By judge: the area, and the shares of right ones among the first of :data:`_TOPS`."""
     queries, mapped = [], []
     for session in np.unique(dataset.sessions):
         own = np.flatnonzero(dataset.sessions == session)
@@ -106,18 +121,16 @@ def _candidates(
     a, b = np.concatenate(queries), np.concatenate(mapped)
     near = np.linalg.norm(dataset.centroids[a] - dataset.centroids[b], axis=1) < SAME_M
     right = near & (dataset.places[a] == dataset.places[b])
-    rows = {"right": round(float(right.mean()), 4)}
-    return rows | {name: _order(score, right) for name, score in judges.scores(a, b).items()}
+    return {name: tuple(_order(score, right)) for name, score in judges.scores(a, b).items()}
 
 
-def _order(score: Float64, right: np.ndarray) -> dict[str, float]:
+def _order(score: Float64, right: np.ndarray) -> Iterator[float]:
     order = np.argsort(-score, kind="stable")
     good, bad = score[right], np.sort(score[~right])
     low, high = (np.searchsorted(bad, good, side=side) for side in ("left", "right"))
-    area = float((low + high).mean() / (2 * max(len(bad), 1)))
-    tops = {f"first {t:.0%}": round(float(right[order[: int(t * len(order))]].mean()), 4)
-            for t in _TOPS}  # fmt: skip
-    return {"area": round(area, 4), **tops}
+    yield round(float((low + high).mean() / (2 * max(len(bad), 1))), 4)
+    for top in (*_TOPS, 1.0):
+        yield round(float(right[order[: max(1, int(top * len(order)))]].mean()), 4)
 
 
 if __name__ == "__main__":
