@@ -70,7 +70,7 @@ def test_what_fc4_is_worth(
     assert same[:2] == same[2:] and 0.5 < result.rows[0][3] < 1  # type: ignore[operator]
 
     given = [files[0], "--methods", "dsm", "--k", 5]
-    result = stored(quality_use, given, tmp_path, "fc4-order-shapes", monkeypatch)
+    result = stored(quality_use, given, tmp_path, "fc4-order", monkeypatch)
     assert [row[1] for row in result.rows] == ["distance", "FC4", "distance and quality"]
     shares = {row[-1] for row in result.rows}
     assert len(shares) == 1  # of all candidates, in whatever order

@@ -29,6 +29,11 @@ def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
     return options
 
 
+def shown(path: Path) -> str:
+    """A path as a command that is kept with a result names it: as it was given, or its name."""
+    return path.name if path.is_absolute() else path.as_posix()
+
+
 def head(*columns: str) -> str:
     """The head of a Markdown table."""
     return f"{row(*columns)}\n{row(*('---' for _ in columns))}"

@@ -20,7 +20,7 @@ from segloc.training.shards import load_dataset
 
 from ..results.fingerprints import DESCRIBING
 from ..results.store import Cell, Result
-from ..script import storing
+from ..script import shown, storing
 
 AMONG = 25
 """Of the nearest, in tables of pools."""
@@ -74,9 +74,9 @@ def main() -> None:
     others = [load_dataset(path) for path in given.distractors]
     reports = scored(given.methods, load_dataset(given.dataset), others, given.pool)
     columns, rows = by_pool(reports) if given.pool else by_rank(reports)
-    what = f"{given.dataset.name} --name {given.name} --methods {' '.join(reports)}"
+    what = f"{shown(given.dataset)} --name {given.name} --methods {' '.join(reports)}"
     if given.pool:
-        what += f" --distractors {' '.join(path.name for path in given.distractors)}"
+        what += f" --distractors {' '.join(map(shown, given.distractors))}"
         what += f" --pool {' '.join(map(str, given.pool))}"
     queries = next(iter(reports.values())).queries
     Result.measured(

@@ -29,7 +29,7 @@ from ..feature_quality.areas import areas, difference
 from ..paper.pairs import labelled_pairs
 from ..results.fingerprints import DESCRIBING
 from ..results.store import Cell, Result
-from ..script import storing
+from ..script import shown, storing
 
 _TOPS = (0.01, 0.1)
 COLUMNS = (
@@ -46,6 +46,7 @@ COLUMNS = (
 def main() -> None:
     options = storing(__doc__)
     options.add_argument("dataset", type=Path)
+    options.add_argument("--name", default="fc4-order", help="of the stored table")
     options.add_argument("--methods", nargs="+", default=["dsm", "esm"])
     options.add_argument("--k", type=int, default=25)
     options.add_argument("--limit", type=int, default=8000, help="segments")
@@ -60,8 +61,8 @@ def main() -> None:
         for judge, areas_of in _any_pairs(judges, dataset).items():
             rows.append((method, judge, *areas_of, *orders[judge]))
     Result.measured(
-        f"fc4-order-{given.dataset.name}",
-        f"python -m segloc_experiments.weights.quality_use {given.dataset.name} "
+        given.name,
+        f"python -m segloc_experiments.weights.quality_use {shown(given.dataset)} "
         f"--methods {' '.join(given.methods)} --k {given.k} --limit {given.limit} "
         "--store docs/results",
         COLUMNS,
