@@ -33,7 +33,6 @@ NOT_RUN = {
     r"python -m segloc_experiments": LABORATORY,
     r"(experiments/src/)\S+\.sh": LABORATORY,
     r"M=": LABORATORY,
-    r"(for|done)\b": LABORATORY,
     r"python docs/": "writes the pages themselves; tests compare them",
     r"segloc bench": LABORATORY,
     r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in experiments/tests",
