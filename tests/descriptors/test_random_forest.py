@@ -24,7 +24,8 @@ from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import ConfigError, WeightsError
 from segloc.map.segment_map import SegmentMap
 from segloc.matching import Matcher, MatchingConfig
-from segloc.training.grow_forest import ForestConfig, train_forest, trees_of
+from segloc.training.forest_pairs import ForestConfig
+from segloc.training.grow_forest import train_forest, trees_of
 from segloc.training.shapes import shapes_dataset
 from segloc.types import Descriptors
 
@@ -158,7 +159,8 @@ def test_shipped_forests_are_small_and_tell_where_they_come_from() -> None:
         card = descriptor.pruner.card
         figures = card["figures"]
         assert card["data"] and card["licence"]
-        assert figures["right_kept"] > 1.5 * figures["wrong_kept"]
+        assert abs(figures["right_kept"] - ForestConfig().right_kept) < 0.02
+        assert figures["wrong_kept"] < figures["right_kept"] - 0.2
         assert shipped_forest(method).stat().st_size < 1_000_000
 
 
@@ -176,6 +178,19 @@ def test_training_learns_and_repeats(tmp_path: Path) -> None:
     assert first.card == again.card and first.card["config"]["trees"] == 5
     with pytest.raises(ConfigError, match="geo has no forest"):
         train_forest(dataset, files[0], "geo", config)
+
+
+def test_a_forest_keeps_as_many_of_the_right_candidates_as_is_asked(tmp_path: Path) -> None:
+    pytest.importorskip("sklearn")
+    dataset = shapes_dataset(300, 3, seed=0)
+    scores = []
+    for share in (0.5, 0.75, 0.95):
+        config = ForestConfig(trees=15, max_leaves=32, neighbours=40, right_kept=share)
+        file = tmp_path / f"{share}.safetensors"
+        scores.append(train_forest(dataset, file, "nsm", config, progress=lambda _: None))
+        assert scores[-1].right_kept == pytest.approx(share, abs=0.05)
+    wrong = [score.wrong_kept for score in scores]
+    assert wrong == sorted(wrong) and wrong[0] < wrong[-1]
 
 
 def test_pruning_keeps_the_likely_matches_in_falling_order() -> None:

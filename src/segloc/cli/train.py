@@ -86,7 +86,8 @@ def forest(
 ) -> None:
     """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
     from ..files import checked_target
-    from ..training.grow_forest import ForestConfig, train_forest
+    from ..training.forest_pairs import ForestConfig
+    from ..training.grow_forest import train_forest
     from ..training.shards import load_dataset
 
     checked_target(out)

@@ -3,41 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from .. import _native
 from ..descriptors import create
-from ..descriptors.random_forest import ForestDescriptor, PairForest, Trees, save_forest
-from ..errors import ConfigError, DatasetError, MissingDependency
+from ..descriptors.random_forest import (
+    ForestDescriptor,
+    Layout,
+    PairForest,
+    Trees,
+    save_forest,
+)
+from ..errors import ConfigError, MissingDependency
 from ..matching import MatchingConfig
-from ..section import Section
-from ..types import Float32, Int64
+from ..types import Float32
 from .dataset import SegmentDataset
+from .forest_pairs import Candidates, ForestConfig, candidates, training_pairs
 
 Progress = Callable[[str], None]
 
-
-class ForestConfig(Section):
-    """How a forest is grown, and from which pairs."""
-
-    trees: int = Field(25, ge=1)
-    max_leaves: int = Field(512, ge=2, description="of one tree: bounds the size of the file")
-    min_pairs: int = Field(20, ge=1, description="training pairs in a leaf at least")
-    pairs: int = Field(60_000, ge=2, description="right candidates at most; of wrong ones twice")
-    segments: int = Field(2_000_000, ge=2, description="of the dataset at most, whole objects")
-    queries: int = Field(200_000, ge=1, description="segments whose candidates are looked at")
-    map_segments: int = Field(8000, ge=1, description="of the maps that propose candidates")
-    neighbours: int = Field(200, ge=1, description="candidates a segment, as in matching")
-    different_m: float = Field(3.0, ge=0, description="other objects lie at least this far apart")
-    validation_share: float = Field(0.2, gt=0, lt=1)
-    seed: int = Field(0, ge=0)
-    threads: int = Field(1, ge=1)
+_MOST_ODDS, _BISECTIONS = 4.0, 12
 
 
 @dataclass(frozen=True)
@@ -104,88 +94,24 @@ def train_forest(
     some = dataset.limited(config.segments, config.seed)
     training, validation = some.split(config.validation_share, config.seed)
     vectors = descriptor.describe(training.segments()).vectors
-    rows, columns, same = training_pairs(vectors, training, config)
-    progress(f"{method}: {same.sum()} right candidates, {(~same).sum()} wrong ones")
+    pairs = training_pairs(vectors, training, config)
+    progress(f"{method}: {pairs.same.sum()} right candidates, {(~pairs.same).sum()} wrong ones")
+    layout = descriptor.layout
     features = _native.pair_features(
-        vectors, vectors, rows, columns, descriptor.layout.row, config.threads
+        vectors, vectors, pairs.rows, pairs.columns, layout.row, config.threads
     )
-    model.fit(features, same)
+    model.fit(features, pairs.same)
     trees = trees_of([estimator.tree_ for estimator in model.estimators_])
-    forest = PairForest(trees, descriptor.layout, descriptor.dim)
-    scores = _scores(forest, descriptor, validation, config)
+    held = descriptor.describe(validation.segments()).vectors
+    judged = candidates(held, validation, config, np.random.default_rng(config.seed))
+    trees = _keeping(trees, layout, held, judged, config)
+    scores = _scores(PairForest(trees, layout, descriptor.dim), held, judged, config)
     progress(f"{method}: {scores}")
     figures = {"training segments": len(training), "validation segments": len(validation)}
     text = {name: round(value, 4) for name, value in asdict(scores).items()}
     full = {**(card or {}), "figures": {**figures, **text}, "config": config.model_dump()}
-    save_forest(out, trees, descriptor.layout, descriptor.fingerprint, full)
+    save_forest(out, trees, layout, descriptor.fingerprint, full)
     return scores
-
-
-def training_pairs(
-    vectors: Float32, dataset: SegmentDataset, config: ForestConfig
-) -> tuple[Int64, Int64, NDArray[np.bool_]]:
-    """Candidates that matching proposes, and whether they show one object.
-
-    Raises
-    ------
-    DatasetError
-        If there are no pairs of one kind.
-    """
-    rng = np.random.default_rng(config.seed)
-    rows, columns, same = _candidates(vectors, dataset, config, rng)
-    right, wrong = np.flatnonzero(same), np.flatnonzero(~same)
-    if len(right) == 0 or len(wrong) == 0:
-        raise DatasetError("a forest needs objects with two views, and two objects at least")
-    right = rng.permutation(right)[: config.pairs]
-    wrong = rng.permutation(wrong)[: 2 * len(right)]
-    chosen = np.concatenate([right, wrong])
-    return rows[chosen], columns[chosen], same[chosen]
-
-
-def _candidates(
-    vectors: Float32, dataset: SegmentDataset, config: ForestConfig, rng: np.random.Generator
-) -> tuple[Int64, Int64, NDArray[np.bool_]]:
-    """What matching proposes where one session is the map and the others of its world ask.
-
-    Worlds are taken together until there are ``config.map_segments`` in a map. Pairs that may or
-    may not show one object are left out.
-    """
-    found = [(np.empty(0, np.int64), np.empty(0, np.int64))]
-    group, turn = _shared_maps(dataset, config.map_segments)
-    maps = [(group == g, turn == t) for g in np.unique(group) for t in np.unique(turn[group == g])]
-    limit = config.queries // max(1, len(maps)) + 1
-    for inside, there in maps:
-        mapped = np.flatnonzero(inside & there)
-        asking = inside & ~there if turn.any() else inside
-        queries = rng.permutation(np.flatnonzero(asking))[:limit]
-        if len(mapped) == 0 or len(queries) == 0:
-            continue
-        indices, _ = _native.knn(
-            vectors[queries], vectors[mapped], config.neighbours, config.threads
-        )
-        found.append((np.repeat(queries, indices.shape[1]), mapped[indices].reshape(-1)))
-    rows, columns = (np.concatenate(part) for part in zip(*found, strict=True))
-    same = dataset.labels[rows] == dataset.labels[columns]
-    known = (same | dataset.different(rows, columns, config.different_m)) & (rows != columns)
-    return rows[known], columns[known], same[known]
-
-
-def _shared_maps(dataset: SegmentDataset, least: int) -> tuple[Int64, Int64]:
-    """Of every segment, the group of its world, and which of the world's sessions saw it.
-
-    The first sessions of a group's worlds have ``least`` segments together, where there are so
-    many.
-    """
-    group, turn = np.zeros((2, len(dataset)), np.int64)
-    number = gathered = 0
-    for world in np.unique(dataset.places):
-        own = np.flatnonzero(dataset.places == world)
-        _, turn[own] = np.unique(dataset.sessions[own], return_inverse=True)
-        group[own] = number
-        gathered += int((turn[own] == 0).sum())
-        if gathered >= least:
-            number, gathered = number + 1, 0
-    return group, turn
 
 
 def _classifier(config: ForestConfig) -> Any:
@@ -237,16 +163,39 @@ def _rounded_down(thresholds: NDArray[np.float64]) -> Float32:
     return np.where(rounded > thresholds, lower, rounded).astype(np.float32)
 
 
+def _keeping(
+    trees: Trees, layout: Layout, vectors: Float32, judged: Candidates, config: ForestConfig
+) -> Trees:
+    """The trees with answers that let pruning keep ``config.right_kept`` of the right candidates.
+
+    Poses are estimated from what pruning leaves, so it is the right ones lost that count. The odds
+    in all leaves grow by one factor, found by bisection.
+    """
+    right = judged.only(judged.same)
+    low, high = -_MOST_ODDS, _MOST_ODDS
+    for _ in range(_BISECTIONS if len(right.rows) else 0):
+        middle = (low + high) / 2
+        forest = PairForest(_weighed(trees, middle), layout, vectors.shape[1])
+        kept = _scores(forest, vectors, right, config).right_kept
+        low, high = (low, middle) if kept > config.right_kept else (middle, high)
+    return _weighed(trees, (low + high) / 2)
+
+
+def _weighed(trees: Trees, log_odds: float) -> Trees:
+    """The odds of all answers times ``exp(log_odds)``."""
+    answers = trees.threshold.astype(np.float64)
+    weighed = answers * np.exp(log_odds)
+    weighed = (weighed / (1 - answers + weighed)).astype(np.float32)
+    return replace(trees, threshold=np.where(trees.first_child < 0, weighed, trees.threshold))
+
+
 def _scores(
-    forest: PairForest, descriptor: ForestDescriptor, dataset: SegmentDataset, config: ForestConfig
+    forest: PairForest, vectors: Float32, judged: Candidates, config: ForestConfig
 ) -> ForestScores:
-    vectors = descriptor.describe(dataset.segments()).vectors
-    rows, columns, same = _candidates(vectors, dataset, config, np.random.default_rng(config.seed))
-    likely = forest.probability(vectors, vectors, rows, columns, config.threads)
-    right, wrong = likely[same], np.sort(likely[~same])
-    if len(right) == 0 or len(wrong) == 0:
-        return ForestScores(0.5, 0.0, 0.0)
+    likely = forest.probability(vectors, vectors, judged.rows, judged.columns, config.threads)
+    right, wrong = likely[judged.same], np.sort(likely[~judged.same])
     below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
-    auc = float(below.mean() / (2 * len(wrong)))
+    auc = float(below.mean() / (2 * len(wrong))) if len(right) and len(wrong) else 0.5
     least = MatchingConfig().min_probability
-    return ForestScores(auc, float((right >= least).mean()), float((wrong >= least).mean()))
+    kept = (float((part >= least).mean()) if len(part) else 0.0 for part in (right, wrong))
+    return ForestScores(auc, *kept)

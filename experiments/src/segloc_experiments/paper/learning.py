@@ -22,7 +22,8 @@ from segloc.descriptors.segmap import SegMapDescriptor
 from segloc.errors import MissingDependency
 from segloc.processes import in_parallel
 from segloc.training.config import TrainConfig
-from segloc.training.grow_forest import ForestConfig, train_forest
+from segloc.training.forest_pairs import ForestConfig
+from segloc.training.grow_forest import train_forest
 from segloc.training.shards import INDEX, load_dataset
 
 NETWORKS = ("dsm", "esm", "segmap", "profile")
