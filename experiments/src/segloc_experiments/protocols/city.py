@@ -11,12 +11,12 @@ be verified, is there in its first place only.
 Times are processor time of one thread, medians over whole queries (gathering, segmentation and
 description included): those within map coverage, and those outside.
 
-    python -m segloc_experiments.protocols.city DATA OUT --method profile  # OUT of kitti00.sh
+    python -m segloc_experiments.protocols.city DATA OUT --store docs/results  # OUT of kitti00.sh
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +27,19 @@ from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, distances_to_path
 from segloc.stage_times import StageTimes
 
+from ..intervals import share
 from ..kitti00 import PROTOCOLS, query_set
 from ..padding import padded, town_maps
-from ..script import head, parser, row
+from ..results.store import Cell, Result
+from ..script import storing
 from ..stages import processor_clock
 
 NOWHERE_M = 50.0
+COLUMNS = (
+    *("protocol", "segments", "K", "found within map coverage", "false", "wrong inliers"),
+    *("ms within coverage", "ms elsewhere"),
+)
+Row = tuple[Cell, ...]
 
 
 def timed(localizer: Localizer, cloud: LocalCloud) -> tuple[Localization, float]:
@@ -43,8 +50,8 @@ def timed(localizer: Localizer, cloud: LocalCloud) -> tuple[Localization, float]
     return answer, watch.ms["query"]
 
 
-def run(name: str, queries: QuerySet, localizers: Sequence[Localizer]) -> None:
-    """Localize the queries in every padded map, and print a row for each."""
+def run(name: str, queries: QuerySet, localizers: Sequence[Localizer]) -> Iterator[Row]:
+    """Localize the queries in every padded map: a row for each."""
     config = localizers[0].config
     answers: list[list[tuple[Localization, float]]] = [[] for _ in localizers]
     clouds = query_clouds(queries.recording, queries.positions, config, processor_clock)
@@ -61,23 +68,24 @@ def run(name: str, queries: QuerySet, localizers: Sequence[Localizer]) -> None:
         wrong = max((r.inliers for r, n in zip(results, nowhere, strict=True) if n), default=0)
         ms = np.array([elapsed for _, elapsed in found])
         inside = e.within_coverage
-        cells = [
-            f"{(inside & e.correct).sum()} of {inside.sum()}",
-            e.false.sum(),
+        yield (
+            name,
+            len(localizer.prior_map),
+            localizer.matcher.schedule[0],
+            share(int((inside & e.correct).sum()), int(inside.sum())),
+            int(e.false.sum()),
             wrong,
-            *(f"{np.median(ms[part]):.1f}" for part in (inside, ~inside)),
-        ]
-        attempts = localizer.matcher.schedule
-        print(row(name, len(localizer.prior_map), attempts[0], *cells), flush=True)
+            *(round(float(np.median(ms[part])), 1) for part in (inside, ~inside)),
+        )
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
-    options.add_argument("--sizes", type=int, nargs="*", default=[100_000, 300_000, 1_000_000])
-    options.add_argument("--towns", type=int, default=6)
+    options.add_argument("--sizes", type=int, nargs="*", default=[1_000_000])
+    options.add_argument("--towns", type=int, default=3)
     options.add_argument("--first-seed", type=int, default=7000)
     options.add_argument("--protocols", nargs="*", default=list(PROTOCOLS))
     options.add_argument("--step", type=int, default=1, help="one of so many queries")
@@ -85,15 +93,26 @@ def main() -> None:
     args = options.parse_args()
     config = Config.load(args.config, args.method).model_copy(update={"threads": 1})
     towns = town_maps(args.out, args.method, args.towns, args.first_seed)
-    print(f"{args.towns} towns of {sum(map(len, towns))} segments together")
-    times = ("ms within coverage", "ms outside")
-    print(head("run", "segments", "K", "found", "false", "wrong inliers", *times))
+    rows: list[Row] = []
     for name in args.protocols:
         map_name = PROTOCOLS[name].map_name
         prior_map = SegmentMap.load(args.out / f"{map_name}-{args.method}.segmap")
         maps = [prior_map, *(padded(prior_map, towns, size) for size in args.sizes)]
         localizers = [Localizer(each, config) for each in maps]
-        run(name, query_set(args.data, name, args.step), localizers)
+        rows += run(name, query_set(args.data, name, args.step), localizers)
+    sizes = " ".join(map(str, args.sizes))
+    Result.measured(
+        "million",
+        f"python -m segloc_experiments.protocols.city DATA OUT --method {args.method} "
+        f"--towns {args.towns} --sizes {sizes} --step {args.step} --store docs/results",
+        COLUMNS,
+        rows,
+        methods=(args.method,),
+        note=f"`{args.method}`; the towns have {sum(map(len, towns))} segments together. In "
+        "brackets 95 % by Wilson. Wrong inliers: most of any candidate of a query that is "
+        f"{NOWHERE_M:g} m and more from the map. Milliseconds of processor time of one thread, "
+        "medians, on a machine with other work.",
+    ).tell(args.store)
 
 
 if __name__ == "__main__":
