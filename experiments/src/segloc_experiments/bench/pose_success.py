@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 
 from segloc.types import Float64
 
-from ..script import head, parser, row
+from ..results.store import Cell, Result
+from ..script import storing
 from .geometric import consensus, prosac, prune_and_solve
 from .harness import optional
 from .inputs import MatchProblem, match_problem
@@ -19,9 +21,9 @@ SHARES = (0.005, 0.01, 0.02, 0.05, 0.1)
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("trials", nargs="?", type=int, default=20)
-    trials = options.parse_args().trials
+    given = options.parse_args()
     kiss = optional("kiss_matcher")
     estimators: dict[str, Callable[[MatchProblem], Float64]] = {
         "consensus": consensus,
@@ -30,17 +32,23 @@ def main() -> None:
     }
     if kiss is not None:
         estimators["kiss-matcher"] = partial(prune_and_solve, kiss[0])
-    print(f"Poses found (1 m, 3 degrees) in {trials} trials of 7500 matches\n")
-    print(head("true matches", "scores", *estimators))
-    for share in SHARES:
-        for informative in (True, False):
-            found = dict.fromkeys(estimators, 0)
-            for seed in range(trials):
-                problem = match_problem(inliers=share, informative=informative, seed=seed)
-                for name, estimate in estimators.items():
-                    found[name] += problem.found(estimate(problem))
-            scores = "informative" if informative else "uninformative"
-            print(row(f"{100 * share:g} %", scores, *found.values()), flush=True)
+    rows: list[tuple[Cell, ...]] = []
+    for true, informative in product(SHARES, (True, False)):
+        found = dict.fromkeys(estimators, 0)
+        for seed in range(given.trials):
+            problem = match_problem(inliers=true, informative=informative, seed=seed)
+            for name, estimate in estimators.items():
+                found[name] += problem.found(estimate(problem))
+        scores = "informative" if informative else "uninformative"
+        rows.append((f"{100 * true:g} %", scores, *found.values()))
+    Result.measured(
+        "pose-success",
+        f"python -m segloc_experiments.bench.pose_success {given.trials} --store docs/results",
+        ("true matches", "scores", *estimators),
+        rows,
+        stages=("pose",),
+        note=f"Found in so many of {given.trials} trials.",
+    ).tell(given.store)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,10 @@ from segloc.tiles import TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 
 from .. import kitti00
-from ..script import head, parser, row
+from ..intervals import share
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Cell, Result
+from ..script import storing
 from .real import outcome
 
 RADIUS_M, FAR_M = 50.0, 80.0
@@ -51,8 +55,56 @@ def elsewhere(truth: Pose, path: Float64, rng: np.random.Generator) -> Float64:
     return chosen
 
 
+@dataclass(frozen=True)
+class Places:
+    """One map in one piece and in tiles.
+
+    Attributes
+    ----------
+    localizer, tiled : Localizer
+    path : (P, 4, 4) float64
+        The mapped path.
+    """
+
+    localizer: Localizer
+    tiled: Localizer
+    path: Float64
+
+    def ways(self, rng: np.random.Generator) -> dict[str, Callable[[Query, Pose], Localization]]:
+        """How each query is asked."""
+
+        def near(T: Pose) -> Prior:
+            return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
+
+        def wrong(T: Pose) -> Prior:
+            return Prior(elsewhere(T, self.path, rng), RADIUS_M)
+
+        whole, tiled = self.localizer, self.tiled
+        return {
+            "in one piece": lambda query, _: whole.locate(query),
+            "in one piece, prior": lambda query, T: whole.locate(query, near=near(T)),
+            "in one piece, wrong prior": lambda query, T: whole.locate(query, near=wrong(T)),
+            "in tiles": lambda query, _: tiled.locate(query),
+            "in tiles, prior": lambda query, T: tiled.locate(query, near=near(T)),
+            "in tiles, wrong prior": lambda query, T: tiled.locate(query, near=wrong(T)),
+        }
+
+    def rows(self, name: str, queries: list[tuple[Query, Pose]]) -> Iterator[tuple[Cell, ...]]:
+        """What is found in each way, and what it takes."""
+        for way, locate in self.ways(np.random.default_rng(0)).items():
+            outcomes, spent = [], []
+            for query, truth in queries:
+                start = time.process_time()
+                answer = locate(query, truth)
+                spent.append(1e3 * (time.process_time() - start))
+                outcomes.append(outcome(answer.T_map_sensor, truth))
+            found = share(outcomes.count("found"), len(queries))
+            times = round(float(np.median(spent)), 1), round(float(np.mean(spent)), 1)
+            yield name, way, found, outcomes.count("false"), *times
+
+
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
@@ -67,40 +119,25 @@ def main() -> None:
     whole = SegmentMap.load(file)
     index = cut_tiles(whole, args.out / "tiles", size_m=args.size)
     tiled = Localizer(TiledMap(args.out / "tiles"), config)
-    bytes_of_tiles = sum(tile.bytes for tile in index.tiles) / 1e6
-    thin = index.coarse.bytes / 1e6
-    print(f"{len(index.tiles)} tiles of {bytes_of_tiles:.2f} MB, thin map {thin:.2f} MB")
-    print(f"in one piece {file.stat().st_size / 1e6:.2f} MB")
-    localizer, rng = Localizer(whole, config), np.random.default_rng(0)
-    path = whole.trajectory
-
-    def moved(T: Pose) -> Prior:
-        return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
-
-    def wrong(T: Pose) -> Prior:
-        return Prior(elsewhere(T, path, rng), RADIUS_M)
-
-    ways: dict[str, Callable[[Query, Pose], Localization]] = {
-        "in one piece": lambda query, _: localizer.locate(query),
-        "in one piece, prior": lambda query, T: localizer.locate(query, near=moved(T)),
-        "in one piece, wrong prior": lambda query, T: localizer.locate(query, near=wrong(T)),
-        "in tiles": lambda query, _: tiled.locate(query),
-        "in tiles, prior": lambda query, T: tiled.locate(query, near=moved(T)),
-        "in tiles, wrong prior": lambda query, T: tiled.locate(query, near=wrong(T)),
-    }
-    print(head("queries", "way", "number", "found", "false", "ms, median", "mean"))
+    places = Places(Localizer(whole, config), tiled, whole.trajectory)
+    rows: list[tuple[Cell, ...]] = []
     for name in SETS:
-        queries = list(described(args.data, name, localizer, path, args.step))
-        for way, locate in ways.items():
-            outcomes, spent = [], []
-            for query, truth in queries:
-                start = time.process_time()
-                answer = locate(query, truth)
-                spent.append(1e3 * (time.process_time() - start))
-                outcomes.append(outcome(answer.T_map_sensor, truth))
-            counts = len(queries), outcomes.count("found"), outcomes.count("false")
-            times = f"{np.median(spent):.0f}", f"{np.mean(spent):.0f}"
-            print(row(name, way, *counts, *times), flush=True)
+        queries = described(args.data, name, places.localizer, places.path, args.step)
+        rows += places.rows(name, list(queries))
+    sizes = [sum(tile.bytes for tile in index.tiles), file.stat().st_size, index.coarse.bytes]
+    of_tiles, of_one, of_thin = (each / 1e6 for each in sizes)
+    Result.measured(
+        "tiles",
+        f"python -m segloc_experiments.protocols.tiles DATA OUT --size {args.size:g} "
+        f"--step {args.step} --store docs/results",
+        ("queries", "way", "found", "false", "ms, median", "mean"),
+        rows,
+        stages=(*LOCALIZING, "tiles"),
+        methods=(args.method,),
+        note=f"`{args.method}`; {len(index.tiles)} tiles of {of_tiles:.1f} MB with their margins, "
+        f"{of_one:.1f} MB in one piece, {of_thin:.1f} MB the thin map. Milliseconds of processor "
+        "time of one thread, on a machine with other work; in brackets 95 % by Wilson.",
+    ).tell(args.store)
 
 
 if __name__ == "__main__":
