@@ -26,8 +26,8 @@ from .recent import Recent
 STRONG = 0.5
 """Tiles are searched first in which a pose has such a share of the votes of the best."""
 FEW, MORE = 4, 10
-"""So many tiles are looked into. All that a query may be in are searched where they are no more,
-or with a prior no more than the second. Set by hand."""
+"""So many tiles are looked into; all that a query may be in are searched where they are no more
+than the second. Set by hand."""
 PAIR = 2
 """So many segments agree on a pose anywhere: the two that it is computed from."""
 
@@ -108,8 +108,7 @@ class TileSearch:
             if chosen and set(chosen) not in searched:
                 searched.append(set(chosen))
                 yield chosen
-        few = len(tiles) <= (FEW if near is None else MORE)
-        if tiles and few and set(tiles) not in searched:
+        if 0 < len(tiles) <= MORE and set(tiles) not in searched:
             yield tiles
 
     def _promising(
