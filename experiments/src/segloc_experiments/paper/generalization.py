@@ -61,7 +61,7 @@ def _tables(transfer: Transfer, areas: Areas) -> tuple[Table, ...]:
     steps = ", ".join(f"{name} {count}" for name, count in transfer.plan.effort.steps.items())
     note = (
         "Pairs match by centroids within 0.5 m and differ beyond 20 m, as in the paper. Steps of "
-        f"training: {steps}. Shipped weights have no FC4, so nothing for -fq; geo learns nothing, "
+        f"training: {steps}. Shipped weights come with their FC4; geo learns nothing, "
         "and of methods that are empty there nothing is shipped. Shipped forests were grown to "
         "prune near candidates, not to judge any pair."
     )
