@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -79,3 +80,8 @@ def difference(judged: Areas, plain: Areas) -> dict[str, float]:
         "least": float(own.min()),
         "most": float(own.max()),
     }
+
+
+def gain(found: Mapping[str, float]) -> str:
+    """A :func:`difference` as a cell of a table: the mean, and its interval."""
+    return f"{found['mean']:+.4f} ({found['low']:+.4f} to {found['high']:+.4f})"

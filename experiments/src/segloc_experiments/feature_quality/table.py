@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..script import head, parser, row
+from .areas import gain
 
 REAL = "kitti00"
 
@@ -62,8 +63,7 @@ def _others(results: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any],
 
 
 def _cell(found: dict[str, Any]) -> str:
-    own = found.get("against alone", found["difference"])
-    return f"{own['mean']:+.4f} ({own['low']:+.4f} to {own['high']:+.4f})"
+    return gain(found.get("against alone", found["difference"]))
 
 
 def _candidates(results: Sequence[dict[str, Any]]) -> None:

@@ -71,7 +71,7 @@ class Places:
     path: Float64
 
     def ways(self, rng: np.random.Generator) -> dict[str, Callable[[Query, Pose], Localization]]:
-        """How each query is asked."""
+        """How each query is localized."""
 
         def near(T: Pose) -> Prior:
             return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)

@@ -32,7 +32,7 @@ from segloc.training.scoring import describe, load_descriptor
 from segloc.training.shards import load_dataset
 from segloc.types import Float32
 
-from ..feature_quality.areas import areas, difference
+from ..feature_quality.areas import areas, difference, gain
 from ..paper.pairs import Pairs, labelled_pairs
 from ..results.fingerprints import DESCRIBING
 from ..results.store import Cell, Result
@@ -69,9 +69,8 @@ class Test:
         same, places = torch.from_numpy(self.pairs.same), torch.from_numpy(self.pairs.places)
         by_distance, by_head = areas(plain, same, places), areas(logits.double(), same, places)
         found = difference(by_head, by_distance)
-        gain = f"{found['mean']:+.4f} ({found['low']:+.4f} to {found['high']:+.4f})"
         each = f"{found['least']:+.4f} to {found['most']:+.4f}" if len(logits) > 1 else None
-        return round(float(by_distance.value[0]), 4), gain, each
+        return round(float(by_distance.value[0]), 4), gain(found), each
 
 
 def main() -> None:

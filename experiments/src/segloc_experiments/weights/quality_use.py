@@ -25,7 +25,7 @@ from segloc.training.scoring import describe, load_descriptor
 from segloc.training.shards import load_dataset
 from segloc.types import Float32, Float64, Int64
 
-from ..feature_quality.areas import areas, difference
+from ..feature_quality.areas import areas, difference, gain
 from ..paper.pairs import labelled_pairs
 from ..results.fingerprints import DESCRIBING
 from ..results.store import Cell, Result
@@ -99,13 +99,9 @@ def _any_pairs(judges: _Judges, dataset: SegmentDataset) -> Mapping[str, tuple[C
     scores = judges.scores(pairs.first, pairs.second)
     each = {k: areas(torch.from_numpy(v)[None], same, places) for k, v in scores.items()}
     return {
-        name: (round(float(own.value[0]), 4), _gain(difference(own, each["distance"])))
+        name: (round(float(own.value[0]), 4), gain(difference(own, each["distance"])))
         for name, own in each.items()
     }
-
-
-def _gain(found: Mapping[str, float]) -> str:
-    return f"{found['mean']:+.4f} ({found['low']:+.4f} to {found['high']:+.4f})"
 
 
 def _candidates(

@@ -14,11 +14,11 @@ export OPENBLAS_NUM_THREADS=1
 [ ! -e commit ] || [ "$(cat commit)" = "$commit" ] ||
   { echo "$PWD was begun at commit $(cat commit), this is $commit: name another folder" >&2; exit 1; }
 echo "$commit" > commit
-cp "$here"/train_*.yaml .
 extract() { segloc train extract --simulate "$1" --drive 300 --thin 2 --seed "$2" --out "$3"; }
 extract town:5,park:2,meadow:2,forest:2,industrial:2 5 worlds
 train() {
   for network; do
+    cp "$here/train_$network.yaml" .  # cards then name no folder of this machine
     [ -e "$network.safetensors" ] || segloc train "$network" worlds --commit "$commit" \
       --config "train_$network.yaml" --threads 1 --out "$network.safetensors"
   done
