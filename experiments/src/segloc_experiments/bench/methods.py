@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from rich.progress import track
 
 from segloc import Config, SegmentMap, _native
 from segloc.descriptors import available, create, segmap
@@ -18,47 +19,60 @@ from segloc.system import processor
 from segloc.training.shapes import shapes_dataset
 from segloc.types import Descriptors, Float32, Segments
 
-from ..script import parser
+from ..results.store import Cell, Result
+from ..script import storing
 from .harness import OURS, Row, in_process, interleaved, optional, row
 from .onnx import onnx_run
-from .rows import show
+from .rows import rounded
+from .stored import stored_network
 
+COMMAND = "python -m segloc_experiments.bench.methods"
+COLUMNS = (
+    *("method", "numbers", "threads", "prepare (ms)", "describe (ms)", "match (ms)", "prune (ms)"),
+    *("kept of the candidates", "paper: describe, match, prune (ms)"),
+)
 VIEWS = 3
 PAPER_MS = {  # Tinchev et al., table III, several cores: description, matching, pruning
     "segmatch-esf": (605, 50, 755),
     "nsm": (24, 207, 913),
     "segmap": (5902, 19, 0),
+    "dsm": (184, 8, 0),
+    "esm": (578, 8, 0),
 }
 CHUNK = 30
 
 
 def main() -> None:
-    parsed = parser(__doc__)
+    parsed = storing(__doc__)
     parsed.add_argument("--methods", default=",".join(available()))
     parsed.add_argument("--query", type=int, default=300)
     parsed.add_argument("--map", type=int, default=10_000)
     parsed.add_argument("--threads", default="1,2")
     parsed.add_argument("--repeats", type=int, default=5)
     options = parsed.parse_args()
-    print(processor())
-    print(
-        "| method | numbers | threads | prepare | describe | match | prune | kept of |\n"
-        "|---|---|---|---|---|---|---|---|"
-    )
+    methods = options.methods.split(",")
     threads = [int(count) for count in options.threads.split(",")]
-    for method in options.methods.split(","):
-        for count in threads:
-            arguments = (method, options.query, options.map, count, options.repeats)
-            print(in_process(count, measured, *arguments), flush=True)
-        if method in PAPER_MS:
-            described, matched, pruned = PAPER_MS[method]
-            print(f"| {method}, in the paper | | | | {described} | {matched} | {pruned} | |")
-    if "segmap" in options.methods.split(","):
-        for count in threads:
-            show([in_process(count, voxel_network, options.query, count, options.repeats)])
+    runs = [(method, count) for method in methods for count in threads]
+    sizes = (options.query, options.map)
+    rows = [
+        in_process(count, measured, method, *sizes, count, options.repeats)
+        for method, count in track(runs, "Timing methods")
+    ]
+    shown = f"--query {options.query} --map {options.map} --repeats {options.repeats}"
+    command = f"{COMMAND} {shown} --store docs/results"
+    note, stages = f"Machine: {processor()}.", ("descriptors", "matching")
+    Result.measured(
+        "methods-times", command, COLUMNS, rows, stages=stages, methods=methods, note=note
+    ).tell(options.store)
+    if "segmap" in methods:
+        networks = [
+            in_process(count, voxel_network, options.query, count, options.repeats)
+            for count in threads
+        ]
+        stored_network(networks, command, processor()).tell(options.store)
 
 
-def measured(method: str, query: int, size: int, threads: int, repeats: int) -> str:
+def measured(method: str, query: int, size: int, threads: int, repeats: int) -> tuple[Cell, ...]:
     """One line of the table."""
     segments, descriptor = scene(query), create(method, threads)
     vectors = descriptor.describe(scene(size, seed=1)).vectors
@@ -79,8 +93,11 @@ def measured(method: str, query: int, size: int, threads: int, repeats: int) -> 
         "pruning": lambda: matcher.prune(descriptors, candidates),
     }
     times = interleaved(runs, threads, repeats)
-    cells = [method, str(descriptor.dim), str(threads), *(f"{times[stage]:.1f}" for stage in runs)]
-    return "| " + " | ".join([*cells, f"{len(kept)} of {len(candidates)}"]) + " |"
+    cells = (rounded(times[stage]) for stage in runs)
+    paper = PAPER_MS.get(method)
+    beside = None if paper is None else ", ".join(map(str, paper))
+    pruned = f"{len(kept)} of {len(candidates)}"
+    return method, descriptor.dim, threads, *cells, pruned, beside
 
 
 def scene(count: int, seed: int = 0) -> Segments:

@@ -41,7 +41,9 @@ def stored(rows: Sequence[Row], command: str, machine: str) -> list[Result]:
         found.append(_result("bench", command, COLUMNS, cells, kernels, machine))
     if streams:
         cells = [_stream(row) for row in streams]
-        found.append(_result("streams", command, STREAM_COLUMNS, cells, streams, machine))
+        found.append(
+            _result("streams", command, STREAM_COLUMNS, cells, streams, machine, FOLLOWING)
+        )
     return found
 
 
@@ -52,6 +54,12 @@ def stored_queries(rows: Sequence[tuple[str, Row]], command: str, machine: str) 
     return _result("kitti-query", command, QUERY_COLUMNS, cells, measured, machine)
 
 
+def stored_network(rows: Sequence[Row], command: str, machine: str) -> Result:
+    """What ``bench.methods`` measured of SegMap's network: rows of threads."""
+    cells = [_kernel(row) for row in rows]
+    return _result("voxel-network", command, COLUMNS, cells, rows, machine, ("descriptors",), ())
+
+
 def _result(
     name: str,
     command: str,
@@ -59,10 +67,11 @@ def _result(
     cells: list[tuple[Cell, ...]],
     rows: Sequence[Row],
     machine: str,
+    stages: Sequence[str] = LOCALIZING,
+    methods: Sequence[str] = (DEFAULT_METHOD,),
 ) -> Result:
-    stages = FOLLOWING if name == "streams" else LOCALIZING
     kept = {"machine": machine, "rows": [asdict(row) for row in rows]}
-    methods, note = (DEFAULT_METHOD,), f"Machine: {machine}."
+    note = f"Machine: {machine}."
     return Result.measured(
         name, command, columns, cells, stages=stages, methods=methods, note=note, counts=kept
     )

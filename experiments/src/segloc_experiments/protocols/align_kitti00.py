@@ -1,4 +1,4 @@
-"""Three drifting sessions of KITTI 00 brought into one frame, printed as Markdown.
+"""Three drifting sessions of KITTI 00 brought into one frame.
 
     python -m segloc_experiments.protocols.align_kitti00 DATA
 
@@ -29,7 +29,9 @@ from segloc.simulation import OdometryNoise
 from segloc.training.session_registration import Registration
 from segloc.types import Float32, Float64, Int64, Pose
 
-from ..script import parser
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Result
+from ..script import storing
 
 SESSIONS = ("0:620", "621:1200", "1201:1820")
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
@@ -37,6 +39,18 @@ PLACE_M = 5.0
 FALSE_M, FALSE_DEG = 3.0, 5.0
 EVERY = 3  # of the scans with a place in the other session
 CLOUD_M = 16.0
+COMMAND = "python -m segloc_experiments.protocols.align_kitti00 DATA --store docs/results"
+COLUMNS = (
+    "sessions",
+    "pairs of poses",
+    "median (m)",
+    "90 % (m)",
+    "largest (m)",
+    "median (degrees)",
+)
+
+Errors = dict[tuple[int, int], Float64]
+"""Metres and degrees that pairs of poses are off, (n, 2), by pair of sessions."""
 
 
 def drifted(recording: Reposed, rng: np.random.Generator) -> Reposed:
@@ -73,8 +87,8 @@ def pairs_across(a: Reposed, b: Reposed) -> list[tuple[int, int]]:
     return [(int(apart[:, j].argmin()), int(j)) for j in near]
 
 
-def errors(truth: list[Reposed], found: Alignment) -> dict[tuple[int, int], Float64]:
-    """Metres and degrees that pairs of poses are off the reference, (n, 2), by pair of sessions."""
+def errors(truth: list[Reposed], found: Alignment) -> Errors:
+    """How far pairs of poses are off the reference."""
     result = {}
     for b in range(len(truth)):
         for a in range(b):
@@ -114,24 +128,39 @@ def timed(label: str) -> Iterator[Callable[[int, int], None]]:
     """A progress that prints how long each part took."""
     began = time.perf_counter()
     yield lambda done, total: None
-    print(f"<!-- {label}: {time.perf_counter() - began:.0f} s -->", flush=True)
+    print(f"{label}: {time.perf_counter() - began:.0f} s", flush=True)
 
 
-def print_table(result: dict[tuple[int, int], Float64]) -> None:
-    print("| sessions | pairs of poses | median (m) | 90 % (m) | largest (m) | median (degrees) |")
-    print("|---|---|---|---|---|---|")
-    rows = {f"{a} and {b}": off for (a, b), off in result.items() if len(off)}
-    rows["all"] = np.concatenate(list(rows.values()))
-    for name, off in rows.items():
-        metres, degrees = off.T
-        print(
-            f"| {name} | {len(off)} | {np.median(metres):.2f} | {np.percentile(metres, 90):.2f} "
-            f"| {metres.max():.2f} | {np.median(degrees):.2f} |"
-        )
+def tell(
+    name: str, command: str, found: Alignment, false: int, off: Errors, store: Path | None
+) -> None:
+    """How far poses of two sessions are off, as a table; of the loops and the time, as its note."""
+    named = {f"{a} and {b}": each for (a, b), each in off.items() if len(each)}
+    named["all"] = np.concatenate([np.zeros((0, 2)), *named.values()])
+    accepted = sum(loop.accepted for loop in found.loops)
+    rejected = len(found.loops) - accepted
+    note = (
+        f"{accepted} loops accepted, {false} of them false, {rejected} rejected; "
+        f"connected components: {len(found.components)}. {time.process_time() / 60:.0f} minutes of "
+        "a core, simulation or reading included."
+    )
+    rows = [(label, *_figures(each)) for label, each in named.items()]
+    stages = (*LOCALIZING, "alignment", "simulation")
+    Result.measured(
+        name, command, COLUMNS, rows, stages=stages, methods=("profile",), note=note
+    ).tell(store)
+
+
+def _figures(off: Float64) -> tuple[int | float | None, ...]:
+    if not len(off):
+        return 0, None, None, None, None
+    metres, degrees = off.T
+    values = (np.median(metres), np.percentile(metres, 90), metres.max(), np.median(degrees))
+    return len(off), *(round(float(value), 2) for value in values)
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--threads", type=int, default=1)
@@ -144,11 +173,8 @@ def main() -> None:
     rng = np.random.default_rng(args.seed)
     sessions = [drifted(recording, rng) for recording in truth]
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
-    accepted = sum(loop.accepted for loop in found.loops)
-    print(f"\nComponents: {found.components}")
-    print(f"Loops: {accepted} accepted, {false_loops(truth, found)} of them false,")
-    print(f"{len(found.loops) - accepted} rejected.\n")
-    print_table(errors(truth, found))
+    false, off = false_loops(truth, found), errors(truth, found)
+    tell("align-kitti00", COMMAND, found, false, off, args.store)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Six drifting sessions of a simulated town, in two seasons, against the exact truth: Markdown.
+"""Six drifting sessions of a simulated town, in two seasons, against the exact truth.
 
     python -m segloc_experiments.protocols.align_simulation [--scene town]
 
@@ -12,7 +12,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import time
+from argparse import ArgumentParser, Namespace
 
 import numpy as np
 
@@ -21,12 +21,14 @@ from segloc.alignment import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.simulation import SCENES, SENSORS, Conditions, simulate_sessions
 from segloc.types import Float64
 
-from ..script import parser
-from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, print_table, timed
+from ..script import storing
+from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, Errors, tell, timed
+
+COMMAND = "python -m segloc_experiments.protocols.align_simulation"
 
 
-def errors(truths: list[Float64], found: Alignment) -> dict[tuple[int, int], Float64]:
-    """Metres and degrees that pairs of poses are off, (n, 2), by pair of connected sessions."""
+def errors(truths: list[Float64], found: Alignment) -> Errors:
+    """How far pairs of poses of connected sessions are off."""
     result = {}
     for members in found.components:
         for b in members:
@@ -59,7 +61,7 @@ def false_loops(truths: list[Float64], found: Alignment) -> int:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--scene", choices=SCENES, default="town")
     options.add_argument("--sensor", choices=SENSORS, default="hdl64e")
     options.add_argument("--thin", type=int, default=4, help="every n-th firing of the sensor")
@@ -83,14 +85,20 @@ def main() -> None:
             float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
         )
         sessions.append(Reposed(drive, frame @ DRIFT.odometry(drive.truth, rng)))
-    began = time.perf_counter()
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
     truths = [drive.truth for drive in drives]
-    accepted = sum(loop.accepted for loop in found.loops)
-    print(f"\n{args.scene}: {time.perf_counter() - began:.0f} s. Components: {found.components}")
-    print(f"Loops: {accepted} accepted, {false_loops(truths, found)} of them false,")
-    print(f"{len(found.loops) - accepted} rejected.\n")
-    print_table(errors(truths, found))
+    name = "align-simulation" if args.scene == "town" else f"align-{args.scene}"
+    command = f"{COMMAND}{_changed(options, args)} --store docs/results"
+    tell(name, command, found, false_loops(truths, found), errors(truths, found), args.store)
+
+
+def _changed(options: ArgumentParser, args: Namespace) -> str:
+    """The options that are not as they come."""
+    names = ("scene", "sensor", "thin", "sessions", "length", "seed")
+    given = ((name, getattr(args, name)) for name in names)
+    return "".join(
+        f" --{name} {value}" for name, value in given if value != options.get_default(name)
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-r"""How much simulated clouds of halls, offices and mines are like real ones: tables in Markdown.
+r"""How much simulated clouds of halls, offices and mines are like real ones.
 
     python -m segloc_experiments.protocols.simulation_indoors \
         --vlp16 SCANS POSES --mid360 SCANS POSES
@@ -11,8 +11,10 @@ on the same kind of carrier. Medians, with quartiles; both sides go through the 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 
 from segloc import _native
 from segloc.datasets import Sequence
@@ -29,15 +31,16 @@ from segloc.simulation import (
 )
 from segloc.types import Float32, Scan
 
-from ..script import parser
-from .simulation_realism import shape_shares
+from ..results.store import Result
+from ..script import storing
+from .simulation_realism import STAGES, Row, compared, shape_shares
 
 REACH_M = 15.0
 VOXEL_M = 0.1
 CROP_POINTS = 53_000
 SEEDS = (1, 2, 3, 4)
-
-Row = dict[str, float]
+INDOORS = ("offices", "warehouse", "mine")
+COMMAND = "python -m segloc_experiments.protocols.simulation_indoors"
 
 
 def figures(points: Float32) -> Row:
@@ -98,33 +101,24 @@ def _moved(points: Float32, T: np.ndarray) -> Float32:
     return np.asarray(points @ T[:3, :3].T + T[:3, 3], dtype=np.float32)
 
 
-def table(title: str, sides: dict[str, Iterator[Float32]]) -> None:
-    """Print medians and quartiles of all sides."""
-    rows = {name: [figures(points) for points in clouds] for name, clouds in sides.items()}
-    print(f"\n{title}\n\n| | " + " | ".join(rows) + " |\n|" + "---|" * (len(rows) + 1))
-    for name in next(iter(rows.values()))[0]:
-        cells = []
-        for side in rows.values():
-            low, middle, high = np.percentile(
-                [row[name] for row in side if name in row], [25, 50, 75]
-            )
-            digits = 0 if middle > 30 else 1
-            cells.append(f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
-        print(f"| {name} | " + " | ".join(cells) + " |")
-
-
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     for name in ("vlp16", "mid360"):
-        options.add_argument(f"--{name}", nargs=2, metavar=("SCANS", "POSES"), help="real clouds")
+        options.add_argument(
+            f"--{name}", nargs=2, type=Path, metavar=("SCANS", "POSES"), help="real clouds"
+        )
     options.add_argument("--count", type=int, default=40, help="clouds a side")
     args = options.parse_args()
     for name, make in (("vlp16", single_scans), ("mid360", gathered)):
         given = getattr(args, name)
         if given is not None:
-            sides = {"real": real_scans(FolderSequence(*given), args.count)}
-            sides |= {s: make(s, args.count) for s in ("offices", "warehouse", "mine")}
-            table(name, sides)
+            clouds = {"real": real_scans(FolderSequence(*given), args.count)}
+            clouds |= {scene: make(scene, args.count) for scene in INDOORS}
+            sides = {side: [figures(each) for each in clouds[side]] for side in track(clouds, name)}
+            columns, rows = compared(sides)
+            command = f"{COMMAND} --{name} SCANS POSES --count {args.count} --store docs/results"
+            stored = f"simulated-indoors-{name}"
+            Result.measured(stored, command, columns, rows, stages=STAGES).tell(args.store)
 
 
 if __name__ == "__main__":

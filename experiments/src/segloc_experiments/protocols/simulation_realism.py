@@ -1,4 +1,4 @@
-"""How much simulated scans are like real ones: a table of both, printed as Markdown.
+"""How much simulated scans are like real ones: a table of both.
 
     python -m segloc_experiments.protocols.simulation_realism SCANS POSES
 
@@ -8,11 +8,12 @@ their poses (TUM). Both sides go through the same segmentation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import track
 from scipy.spatial import cKDTree
 
 from segloc import _native, datasets
@@ -22,12 +23,20 @@ from segloc.segmentation import Segmenter
 from segloc.simulation import demo_sessions, hdl64e
 from segloc.types import Float32
 
-from ..script import parser
+from ..results.store import Result
+from ..script import storing
 
 PATH_M = 20.0
+STAGES = ("simulation", "local cloud", "segmentation")
+"""That figures of simulated segments depend on."""
+
+COMMAND = "python -m segloc_experiments.protocols.simulation_realism SCANS POSES"
+
+Row = dict[str, float]
+"""Figures of one scan or cloud, by their names."""
 
 
-def scan_figures(points: Float32) -> dict[str, float]:
+def scan_figures(points: Float32) -> Row:
     """Figures of one full scan."""
     ranges = np.linalg.norm(points, axis=1)
     height = _native.heights_above_ground(points, 1.0, 0.2, 0.3)
@@ -40,7 +49,7 @@ def scan_figures(points: Float32) -> dict[str, float]:
     return figures
 
 
-def shape_shares(points: Float32) -> dict[str, float]:
+def shape_shares(points: Float32) -> Row:
     """What structure is made of: by the eigenvalues of each point's 16 nearest neighbours."""
     _, near = cKDTree(points).query(points, 16)
     patch = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -58,7 +67,7 @@ def shape_shares(points: Float32) -> dict[str, float]:
     }
 
 
-def cloud_figures(sequence: datasets.Sequence, i: int) -> dict[str, float]:
+def cloud_figures(sequence: datasets.Sequence, i: int) -> Row:
     """Figures of the local cloud gathered over the 20 m before position i."""
     assert sequence.poses is not None
     span = window(sequence.poses, i, PATH_M, centred=False, max_gap_m=10.0)
@@ -89,46 +98,48 @@ def _car_like(extent: Float32) -> NDArray[np.bool_]:
     return alike
 
 
-Figures: TypeAlias = Callable[[datasets.Sequence, int], dict[str, float]]
+def measured(sequences: Sequence[datasets.Sequence], count: int) -> Iterator[Row]:
+    """Figures of scans, and of the clouds around them, at evenly spaced positions."""
+    for sequence in sequences:
+        for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int).tolist():
+            yield scan_figures(sequence.scan(i).points) | cloud_figures(sequence, i)
 
 
-def quartiles(
-    sequences: Sequence[datasets.Sequence], figures: Figures, count: int
-) -> dict[str, tuple[float, float, float]]:
-    """Median and quartiles of each figure over evenly spaced positions."""
+def compared(sides: Mapping[str, Sequence[Row]]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Columns and rows of a table: a column a side, a row a figure of the first side's first."""
+    names = next(iter(sides.values()))[0]
     rows = [
-        figures(sequence, int(i))
-        for sequence in sequences
-        for i in np.linspace(12, len(sequence) - 1, count // len(sequences)).astype(int)
+        (name, *(_spread([row[name] for row in side if name in row]) for side in sides.values()))
+        for name in names
     ]
-    found = {}
-    for name in rows[0]:
-        low, middle, high = np.percentile([row[name] for row in rows], [25, 50, 75]).tolist()
-        found[name] = (middle, low, high)
-    return found
+    return ("median (quartiles)", *sides), rows
 
 
-def _cell(middle: float, low: float, high: float) -> str:
+def _spread(values: list[float]) -> str:
+    low, middle, high = np.percentile(values, [25, 50, 75])
     digits = 0 if middle > 30 else 1
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def main() -> None:
-    options = parser(__doc__)
-    options.add_argument("scans", help="folder of real scans")
-    options.add_argument("poses", help="their poses (TUM)")
+    options = storing(__doc__)
+    options.add_argument("scans", type=Path, help="folder of real scans")
+    options.add_argument("poses", type=Path, help="their poses (TUM)")
     options.add_argument("--count", type=int, default=24, help="scans and clouds a side")
     options.add_argument("--seeds", type=int, nargs="+", default=[0, 5], help="towns to simulate")
     args = options.parse_args()
-    real: list[datasets.Sequence] = [FolderSequence(args.scans, args.poses)]
-    simulated: list[datasets.Sequence] = [
-        demo_sessions(seed, sensor=hdl64e())["map"].with_odometry() for seed in args.seeds
+    real = FolderSequence(args.scans, args.poses)
+    simulated = [
+        demo_sessions(seed, sensor=hdl64e())["map"].with_odometry()
+        for seed in track(args.seeds, "Simulating towns")
     ]
-    print("Medians, with quartiles.\n\n| | real | simulated |\n|---|---|---|")
-    for figures in (lambda s, i: scan_figures(s.scan(i).points), cloud_figures):
-        left, right = (quartiles(side, figures, args.count) for side in (real, simulated))
-        for name in left:
-            print(f"| {name} | {_cell(*left[name])} | {_cell(*right[name])} |")
+    sides: dict[str, Sequence[datasets.Sequence]] = {"real": [real], "simulated": simulated}
+    columns, rows = compared(
+        {name: list(measured(side, args.count)) for name, side in sides.items()}
+    )
+    seeds = " ".join(map(str, args.seeds))
+    command = f"{COMMAND} --seeds {seeds} --count {args.count} --store docs/results"
+    Result.measured("simulated-clouds", command, columns, rows, stages=STAGES).tell(args.store)
 
 
 if __name__ == "__main__":

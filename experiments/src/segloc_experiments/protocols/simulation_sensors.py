@@ -1,11 +1,11 @@
-r"""Simulated single scans against real ones, sensor by sensor: a table, and a figure.
+r"""Simulated single scans against real ones, sensor by sensor: two tables, and a figure.
 
     python -m segloc_experiments.protocols.simulation_sensors --hdl64e SCANS --hdl32e SCANS \
         --vlp16 SCANS --figure docs/images/simulated_segments.png
 
 Each SCANS is a folder of real scans of that sensor. Every scan is segmented by itself; simulated
-ones come from towns and parks. Printed are medians with quartiles, and for each eigenvalue feature
-of the segments the Kolmogorov-Smirnov distance between both sides.
+ones come from towns and parks. Medians with quartiles, and for each eigenvalue feature of the
+segments the Kolmogorov-Smirnov distance between both sides.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from segloc.pictures import BLUE, RED
 from segloc.segmentation import Segmenter
 from segloc.simulation import SCENES, SENSORS, Conditions
 from segloc.simulation.drives import simulate_sessions
-from segloc.types import Scan
+from segloc.types import Float64, Scan
 
-from ..script import parser
+from ..results.store import Result
+from ..script import storing
+from .simulation_realism import STAGES, Row, compared
 
 FEATURES = (
     "linearity",
@@ -37,6 +39,7 @@ FEATURES = (
     "entropy",
     "curvature",
 )
+COMMAND = "python -m segloc_experiments.protocols.simulation_sensors"
 SIMULATED = (("town", 0), ("town", 1), ("town", 2), ("park", 0))
 
 
@@ -44,13 +47,8 @@ SIMULATED = (("town", 0), ("town", 1), ("town", 2), ("park", 0))
 class Side:
     """Figures of each scan, and the features of all its segments."""
 
-    rows: list[dict[str, float]]
-    features: np.ndarray
-
-    def cell(self, name: str) -> str:
-        low, middle, high = np.percentile([row[name] for row in self.rows], [25, 50, 75])
-        digits = 0 if middle > 30 else 1
-        return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+    rows: list[Row]
+    features: Float64
 
 
 def measure(scans: Iterator[Scan]) -> Side:
@@ -67,7 +65,7 @@ def measure(scans: Iterator[Scan]) -> Side:
             row["points a segment, median"] = float(np.median(segments.sizes))
             features.append(eigen_features(segments))
         rows.append(row)
-    return Side([row for row in rows if len(row) == len(rows[0])], np.concatenate(features))
+    return Side(rows, np.concatenate(features))
 
 
 def real_scans(folder: Path, count: int) -> Iterator[Scan]:
@@ -118,7 +116,7 @@ def draw(sides: dict[str, tuple[Side, Side]], path: Path) -> None:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     for name in ("hdl64e", "hdl32e", "vlp16"):
         options.add_argument(f"--{name}", type=Path, help="folder of real scans")
     options.add_argument("--count", type=int, default=40, help="scans a side, at most")
@@ -134,21 +132,33 @@ def main() -> None:
     }
     if not sides:
         options.error("name at least one folder of scans")
-    titles = [f"{name}, {side}" for name in sides for side in ("real", "simulated")]
-    print("| | " + " | ".join(titles) + " |\n|" + "---|" * (len(titles) + 1))
-    first = next(iter(sides.values()))[0]
-    for figure in first.rows[0]:
-        cells = [side.cell(figure) for pair in sides.values() for side in pair]
-        print(f"| {figure} | " + " | ".join(cells) + " |")
-    print("\n| KS distance of | " + " | ".join(sides) + " |\n|" + "---|" * (len(sides) + 1))
-    for k, name in enumerate(FEATURES):
-        distances = [
-            ks_2samp(real.features[:, k], simulated.features[:, k]).statistic
-            for real, simulated in sides.values()
-        ]
-        print(f"| {name} | " + " | ".join(f"{d:.2f}" for d in distances) + " |")
+    tell(sides, args.store)
     if args.figure is not None:
         draw(sides, args.figure)
+
+
+def tell(sides: dict[str, tuple[Side, Side]], store: Path | None) -> None:
+    """Both tables."""
+    folders = " ".join(f"--{name} SCANS" for name in sides)
+    command = f"{COMMAND} {folders} --store docs/results"
+    named = {
+        f"{name}, {kind}": side.rows
+        for name, pair in sides.items()
+        for kind, side in zip(("real", "simulated"), pair, strict=True)
+    }
+    columns, rows = compared(named)
+    Result.measured("simulated-scans", command, columns, rows, stages=STAGES).tell(store)
+    distances: list[tuple[str | float, ...]] = [
+        (name, *(round(_distance(pair, k), 2) for pair in sides.values()))
+        for k, name in enumerate(FEATURES)
+    ]
+    columns, stages = ("KS distance of", *sides), (*STAGES, "descriptors")
+    Result.measured("simulated-features", command, columns, distances, stages=stages).tell(store)
+
+
+def _distance(pair: tuple[Side, Side], feature: int) -> float:
+    real, simulated = (side.features[:, feature] for side in pair)
+    return float(ks_2samp(real, simulated).statistic)
 
 
 if __name__ == "__main__":

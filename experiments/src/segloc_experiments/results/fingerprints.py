@@ -46,12 +46,14 @@ STAGES: dict[str, tuple[str, ...]] = {
     ),
     "tiles": ("src/segloc/tiles", "src/segloc/thin_vote.py"),
     "alignment": ("src/segloc/alignment", "src/segloc/thin_vote.py"),
+    "simulation": ("src/segloc/simulation",),
 }
-"""Folders and files of each stage of a query, and of what trains, follows, tiles and aligns."""
+"""Folders and files of each stage of a query, and of what trains, follows, tiles, aligns and
+simulates."""
 
-LOCALIZING = tuple(
-    name for name in STAGES if name not in ("training", "following", "tiles", "alignment")
-)
+_OTHERS = ("training", "following", "tiles", "alignment", "simulation")
+
+LOCALIZING = tuple(name for name in STAGES if name not in _OTHERS)
 """The stages of a single query."""
 
 FOLLOWING = (*LOCALIZING, "following")
