@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
@@ -22,13 +23,19 @@ from segloc.landmarks import find_stems
 from segloc.simulation import World
 from segloc.types import Float64
 
-from ..script import head, parser, row
+from ..results.store import Result
+from ..script import storing
 from .change import SPINNING
 from .forest_scans import CLOUDS, Forests
 
 BREAST_M = 1.3
 SAME_M = 0.5
 RANGES_M = (0.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+COLUMNS = (
+    *("distance", "trees found", "found that are trees"),
+    *("axis off by, median (90 %)", "diameter, bias (median error)"),
+)
+COMMAND = "python -m segloc_experiments.protocols.found_stems"
 LEAST_DIAMETER_M = 0.06
 _STEP_M, _JOIN_M, _MOST_POINTS = 0.02, 0.04, 3000
 
@@ -101,7 +108,7 @@ class Judge:
         away = np.hypot(*(self._truth[:, :2] - sensor).T)
         self._missed.append(np.column_stack([away, missed]))
 
-    def rows(self) -> Iterator[str]:
+    def rows(self) -> Iterator[tuple[str, ...]]:
         """A row of the table for every range."""
         trees, found = np.concatenate(self._missed), np.concatenate(self._found)
         for near, far in pairwise(RANGES_M):
@@ -110,7 +117,7 @@ class Judge:
             mine = found[(found[:, 0] >= near) & (found[:, 0] < far)]
             right = mine[mine[:, 1] < SAME_M]
             gap = np.percentile(right[:, 1], [50, 90]) if len(right) else np.zeros(2)
-            yield row(
+            yield (
                 f"{near:g} to {far:g} m",
                 f"{seen} of {int(inside.sum())}",
                 f"{len(right)} of {len(mine)}",
@@ -120,8 +127,8 @@ class Judge:
 
 
 def main() -> None:
-    options = parser(__doc__)
-    options.add_argument("--seeds", type=int, nargs="+", default=[9100])
+    options = storing(__doc__)
+    options.add_argument("--seed", type=int, default=9100)
     options.add_argument("--sensor", default="vlp16", choices=SPINNING)
     options.add_argument("--columns", type=int, default=900, help="a turn of that sensor")
     options.add_argument("--clouds", default="single", choices=CLOUDS)
@@ -129,14 +136,15 @@ def main() -> None:
     options.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
     args = options.parse_args()
     forests = Forests(args.sensor, args.columns, None, "hdl64e", args.kept)
-    for seed in args.seeds:
-        judge = Judge(true_stems(forests.world(seed)))
-        single = args.clouds == "single"
-        queries = forests.single if single else forests.accumulated
-        for cloud, T_map_sensor in queries(seed, args.every):
-            judge.add(find_stems(cloud).moved(T_map_sensor), T_map_sensor[:2, 3])
-        print(head("distance", "trees found", "found that are trees", "axis off by", "diameter"))
-        print("\n".join(judge.rows()))
+    judge = Judge(true_stems(forests.world(args.seed)))
+    queries = forests.single if args.clouds == "single" else forests.accumulated
+    for cloud, T_map_sensor in track(queries(args.seed, args.every), "Finding stems"):
+        judge.add(find_stems(cloud).moved(T_map_sensor), T_map_sensor[:2, 3])
+    given = f"--seed {args.seed} --sensor {args.sensor} --clouds {args.clouds} --every {args.every}"
+    command = f"{COMMAND} {given} --store docs/results"
+    stages = ("local cloud", "stems", "simulation")
+    name, rows = f"found-stems-{args.clouds}", list(judge.rows())
+    Result.measured(name, command, COLUMNS, rows, stages=stages).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 
 from segloc import Config, LocalCloud, Localizer, build_map
 from segloc.batch.negative_maps import mirrored
@@ -23,11 +25,15 @@ from segloc.local_cloud import Accumulator, window
 from segloc.types import Recording
 
 from .. import kitti00
-from ..script import head, parser, row
+from ..results.store import Result
+from ..script import storing
 from .real import BACK, OUT, Queries, _corridor, outcome
 
 EVERY_M = 14.0
 """Between full scans of KITTI."""
+
+COLUMNS = ("queries", "all", "within coverage", "found", "false", "false in the mirror")
+COMMAND = "python -m segloc_experiments.protocols.rolling DATA --store docs/results"
 
 
 def places(data: Path) -> Iterator[tuple[Recording, Queries]]:
@@ -58,8 +64,8 @@ def anew(queries: Queries, config: Config) -> Iterator[LocalCloud]:
         yield accumulator.gather([read(i) for i in behind])
 
 
-def compare(mapped: Recording, queries: Queries, config: Config) -> None:
-    """Print a row for either way of gathering."""
+def compare(mapped: Recording, queries: Queries, config: Config) -> Iterator[tuple[str | int, ...]]:
+    """A row for either way of gathering."""
     prior_map = build_map(mapped, config)
     localizer, negative = Localizer(prior_map, config), Localizer(mirrored(prior_map), config)
     truths = queries.truths
@@ -73,19 +79,17 @@ def compare(mapped: Recording, queries: Queries, config: Config) -> None:
             wrong += negative.localize(cloud).localized
         found = sum(o == "found" and n for o, n in zip(outcomes, near, strict=True))
         cells = (len(truths), int(near.sum()), found, outcomes.count("false"), wrong)
-        print(row(f"{queries.name}, {how}", *cells), flush=True)
+        yield f"{queries.name}, {how}", *cells
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("data", type=Path)
-    options.add_argument("--only", default="", help="queries whose name starts so")
     args = options.parse_args()
     config = Config.preset("profile").model_copy(update={"threads": 1})
-    print(head("queries", "all", "within coverage", "found", "false", "false in the mirror"))
-    for mapped, queries in places(args.data):
-        if queries.name.startswith(args.only):
-            compare(mapped, queries, config)
+    compared = (compare(*place, config) for place in places(args.data))
+    rows = list(track(chain.from_iterable(compared), "Gathering and localizing", total=6))
+    Result.measured("rolling", COMMAND, COLUMNS, rows, methods=("profile",)).tell(args.store)
 
 
 if __name__ == "__main__":

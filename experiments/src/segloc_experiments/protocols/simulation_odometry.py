@@ -1,4 +1,4 @@
-"""LiDAR odometry on simulated drives: how far KISS-ICP drifts, printed as Markdown.
+"""LiDAR odometry on simulated drives: how far KISS-ICP drifts.
 
     python -m segloc_experiments.protocols.simulation_odometry
 
@@ -11,17 +11,27 @@ last row of each drive is the package's own model of odometry. Needs the extras 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from argparse import Namespace
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from rich.progress import track
 
 from segloc.geometry import rotation_angle, travelled
 from segloc.simulation import PLATFORMS, SENSORS, Route, SimulatedSequence, simulate_session, town
 from segloc.types import Float64
 
-from ..script import parser
+from ..results.store import Result
+from ..script import storing
 
+COLUMNS = (
+    *("drive", "odometry", "scans", "m", "drift (%)", "drift (degrees in 100 m)"),
+    "ms a scan",
+)
+COMMAND = "python -m segloc_experiments.protocols.simulation_odometry"
 LENGTHS_M = (25.0, 50.0, 100.0, 200.0)
+
+Row = tuple[str | int | float, ...]
 
 
 def relative_errors(truth: Float64, odometry: Float64) -> tuple[float, float]:
@@ -67,43 +77,47 @@ def model(drive: SimulatedSequence) -> tuple[Float64, Float64]:
     return drive.truth, drive.with_odometry().poses
 
 
-def print_row(
+def judged(
     drive: SimulatedSequence, odometry: Callable[[SimulatedSequence], tuple[Float64, Float64]]
-) -> None:
-    """Print one row."""
-    began = time.perf_counter()
+) -> Row:
+    """One row."""
+    began = time.process_time()
     metres, degrees = relative_errors(*odometry(drive))
-    took = time.perf_counter() - began
+    took = time.process_time() - began
     kind = f"{odometry.__name__.replace('_', '-')}, {'skewed' if drive.skew else 'at rest'}"
     length = travelled(drive.truth)[-1]
-    print(
-        f"| {drive.world.name} | {kind} | {len(drive)} | {length:.0f} | {metres:.2f} "
-        f"| {100 * degrees:.2f} | {1000 * took / len(drive):.0f} |",
-        flush=True,
-    )
+    spent = round(1000 * took / len(drive))
+    drift = (round(metres, 2), round(100 * degrees, 2))
+    return drive.world.name, kind, len(drive), round(float(length)), *drift, spent
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--seeds", type=int, nargs="+", default=[7, 8])
     options.add_argument("--length", type=float, default=400.0, help="metres")
     options.add_argument("--sensor", choices=SENSORS, default="hdl64e")
     options.add_argument("--platform", choices=PLATFORMS, default="car")
     options.add_argument("--thin", type=int, default=2, help="every n-th firing of the sensor")
     args = options.parse_args()
-    print("| drive | odometry | scans | m | drift (%) | drift (deg / 100 m) | ms a scan |")
-    print("|---|---|---|---|---|---|---|")
-    for seed in args.seeds:
-        world = town(seed)
-        junctions = world.roads.walk(np.random.default_rng(seed), [0], args.length, avoid=[])
-        route = Route(tuple(junctions), length_m=args.length)
-        sensor, platform = SENSORS[args.sensor]().thinned(args.thin), PLATFORMS[args.platform]()
-        for skew in (True, False):
-            drive = simulate_session(
-                world, 0, route, sensor, seed, platform=platform, by_rate=True, skew=skew
-            )
-            print_row(drive, kiss_icp)
-        print_row(drive, model)
+    found = (row for seed in args.seeds for row in _drive(seed, args))
+    rows = list(track(found, "Following drives", total=3 * len(args.seeds)))
+    given = f"--seeds {' '.join(map(str, args.seeds))} --length {args.length:g} --thin {args.thin}"
+    given = f"{given} --sensor {args.sensor} --platform {args.platform}"
+    command, stages = f"{COMMAND} {given} --store docs/results", ("simulation",)
+    Result.measured("simulated-odometry", command, COLUMNS, rows, stages=stages).tell(args.store)
+
+
+def _drive(seed: int, args: Namespace) -> Iterator[Row]:
+    world = town(seed)
+    junctions = world.roads.walk(np.random.default_rng(seed), [0], args.length, avoid=[])
+    route = Route(tuple(junctions), length_m=args.length)
+    sensor, platform = SENSORS[args.sensor]().thinned(args.thin), PLATFORMS[args.platform]()
+    for skew in (True, False):
+        drive = simulate_session(
+            world, 0, route, sensor, seed, platform=platform, by_rate=True, skew=skew
+        )
+        yield judged(drive, kiss_icp)
+    yield judged(drive, model)
 
 
 if __name__ == "__main__":

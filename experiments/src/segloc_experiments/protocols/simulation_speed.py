@@ -14,18 +14,27 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process a core is the fa
 
 import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Barrier
 
 import numpy as np
+from rich.progress import track
 
 from segloc.simulation import SENSORS, Lidar, Route, World, town
+from segloc.system import processor
 from segloc.types import Float64
 
-from ..script import parser
+from ..results.store import Result
+from ..script import storing
 
 Cast = Callable[[int], int]
+Row = tuple[str | int | float, ...]
+COLUMNS = (
+    *("sensor", "processes", "by", "ms a scan", "processor ms", "M rays/s", "M points/s"),
+    "times as fast, by processor",
+)
+COMMAND = "python -m segloc_experiments.protocols.simulation_speed"
 
 
 def segloc_scan(world: World, sensor: Lidar, poses: Float64) -> Cast:
@@ -99,27 +108,35 @@ def measure(
     return max(seconds) / total, sum(busy) / total, sum(points) / total
 
 
+def rows(name: str, seed: int, scans: int, processes: int) -> Iterator[Row]:
+    """Both engines on one sensor."""
+    rays = len(SENSORS[name]().rays(0.0).directions)
+    base = 0.0
+    for engine in ENGINES:
+        seconds, busy, points = measure(engine, name, seed, scans, processes)
+        base = base or busy
+        times = (round(1000 * seconds, 1), round(1000 * busy, 1))
+        rates = (round(rays / seconds / 1e6, 2), round(points / seconds / 1e6, 2))
+        yield name, processes, engine, *times, *rates, round(base / busy, 2)
+
+
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("--sensors", nargs="+", default=["hdl64e", "vlp16"])
     options.add_argument("--scans", type=int, default=40, help="of each process")
     options.add_argument("--seed", type=int, default=7, help="of the town")
     args = options.parse_args()
-    print("| sensor | processes | by | ms a scan | CPU ms | M rays/s | M points/s | CPU ratio |")
-    print("|---|---|---|---|---|---|---|---|")
-    for name in args.sensors:
-        rays = len(SENSORS[name]().rays(0.0).directions)
-        for processes in (1, 2):
-            base = 0.0
-            for engine in ENGINES:
-                seconds, busy, points = measure(engine, name, args.seed, args.scans, processes)
-                base = base or busy
-                print(
-                    f"| {name} | {processes} | {engine} | {1000 * seconds:.1f} | {1000 * busy:.1f} "
-                    f"| {rays / seconds / 1e6:.2f} | {points / seconds / 1e6:.2f} "
-                    f"| {base / busy:.2f} |",
-                    flush=True,
-                )
+    runs = [(name, processes) for name in args.sensors for processes in (1, 2)]
+    found = [
+        row
+        for name, processes in track(runs, "Casting rays")
+        for row in rows(name, args.seed, args.scans, processes)
+    ]
+    command = f"{COMMAND} --seed {args.seed} --scans {args.scans} --store docs/results"
+    note, stages = f"Machine: {processor()}.", ("simulation",)
+    Result.measured("simulation-speed", command, COLUMNS, found, stages=stages, note=note).tell(
+        args.store
+    )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python -m segloc_experiments.weights.ablate_losses DATASET --steps 1500
 
-Prints a table of ROC area and recall on the validation worlds.
+A table of ROC area and recall on the validation worlds.
 """
 
 from __future__ import annotations
@@ -15,11 +15,16 @@ from segloc.training.config import Loss, TrainConfig
 from segloc.training.shards import load_dataset
 from segloc.training.train import train
 
-from ..script import parser
+from ..results.fingerprints import DESCRIBING
+from ..results.store import Cell, Result
+from ..script import shown, storing
+
+COLUMNS = ("loss", "AUC", "recall@25", "recall@1")
+COMMAND = "python -m segloc_experiments.weights.ablate_losses"
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("dataset", type=Path)
     options.add_argument("--network", default="dsm")
     options.add_argument("--steps", type=int, default=1500)
@@ -28,8 +33,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     dataset = load_dataset(given.dataset)
-    print(f"{given.network}, {given.steps} steps, seed {given.seed}, {len(dataset):,} segments\n")
-    print("| loss | AUC | recall@25 | recall@1 |\n|---|---|---|---|")
+    rows: list[tuple[Cell, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
         for loss in get_args(Loss):
             config = TrainConfig(
@@ -41,9 +45,13 @@ def main() -> None:
                 seed=given.seed,
             )
             out = Path(folder) / f"{loss}.safetensors"
-            found = train(dataset, out, config, progress=lambda _: None)
-            row = (found.auc, found.recall, found.recall_first)
-            print(f"| {loss} | " + " | ".join(f"{value:.4f}" for value in row) + " |", flush=True)
+            found = train(dataset, out, config, progress=print)
+            figures = (found.auc, found.recall, found.recall_first)
+            rows.append((f"`{loss}`", *(round(value, 3) for value in figures)))
+    what = f"--network {given.network} --steps {given.steps} --different {given.different:g}"
+    command = f"{COMMAND} {shown(given.dataset)} {what} --seed {given.seed} --store docs/results"
+    note, stages = f"{len(dataset):,} segments.", (*DESCRIBING, "training")
+    Result.measured("losses", command, COLUMNS, rows, stages=stages, note=note).tell(given.store)
 
 
 if __name__ == "__main__":
