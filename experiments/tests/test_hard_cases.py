@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from segloc_experiments.journal import keep
-from segloc_experiments.protocols import change, reliability, simulation_queries
+from segloc_experiments.protocols import change, reliability, simulation_queries, wrong_maps
 from segloc_experiments.protocols.simulation_scenarios import scenarios
 from segloc_experiments.results.store import Result
 
@@ -39,6 +39,20 @@ def test_one_method_has_an_interval(tmp_path: Path) -> None:
     assert columns[-2:] == ("profile", "false") and row[-2:] == ("19 of 20 (76 to 99 %)", 0)
     change.report(change.entries(tmp_path / "a.jsonl"), tmp_path)
     assert Result.load(tmp_path / "change.json").rows == (row,)
+
+
+def test_what_is_false_in_the_mirror_image_of_a_place_is_told_apart(tmp_path: Path) -> None:
+    counts = {"accumulated": 20, "single": 20, "thinned": 20}
+    own = {"own, right": 50, "own, refused": 10, "half, right": 59, "half, false": 1}
+    false = [{"map": -1}, {"map": 0}, {"map": 1}]
+    offices = {"world": "offices 1", "maps": 2, "counts": counts, "own": own, "false": false}
+    rows = {row[0]: row for row in wrong_maps.table([offices])}
+    assert rows["offices"][1:] == (30, 1, 30, 1, "50 of 60", 0, "59 of 60", 1)
+    assert rows["town"][1:] == (0, 0, 0, 0, "0 of 0", 0, "0 of 0", 0)
+    halls = {**offices, "world": "warehouse 2"}  # which may be its own mirror image
+    wrong_maps.report([offices, halls], tmp_path)
+    stored = Result.load(tmp_path / "wrong-maps.json")
+    assert stored.rows[-1][1:5] == (90, 3, 30, 1) and "3 false of 90 elsewhere" in stored.note
 
 
 @pytest.mark.parametrize(("right", "cause"), [(True, None), (False, "1 candidate")])

@@ -77,7 +77,7 @@ def compare(mapped: Recording, queries: Queries, config: Config) -> Iterator[tup
         for cloud, truth in zip(clouds, truths, strict=True):
             outcomes.append(outcome(localizer.localize(cloud).T_map_sensor, truth))
             wrong += negative.localize(cloud).localized
-        found = sum(o == "found" and n for o, n in zip(outcomes, near, strict=True))
+        found = sum(o == "found" and bool(n) for o, n in zip(outcomes, near, strict=True))
         cells = (len(truths), int(near.sum()), found, outcomes.count("false"), wrong)
         yield f"{queries.name}, {how}", *cells
 

@@ -117,31 +117,52 @@ def _judged(T_map_sensor: Pose | None, truth: Pose | None) -> str:
     return "right" if np.linalg.norm((T_map_sensor - truth)[:3, 3]) < RIGHT_M else "false"
 
 
-MADE_OF = ("accumulated", "single", "thinned")
 COLUMNS = (
-    *("world", *MADE_OF, "false"),
+    *("world", "elsewhere", "false", "in its mirror image", "false there"),
     *("own map: right", "false, own", "half map: right", "false, half"),
 )
 
 
 def table(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
     """A row for each kind of world, and one of all."""
-    rows = []
+    rows: list[tuple[str | int, ...]] = []
     for name in (*KINDS, "all"):
-        here = [r for r in records if name in ("all", r["world"].split()[0])]
-        counts: Counter[str] = sum((Counter(r["counts"]) for r in here), Counter())
+        here = [r for r in records if name in ("all", _kind(r))]
         own: Counter[str] = sum((Counter(r["own"]) for r in here), Counter())
-        wrong = sum(each["map"] >= 0 for r in here for each in r["false"])
+        away, mirrored = (np.sum([(0, 0), *map(part, here)], axis=0) for part in (_away, _mirrored))
         home = [_home(own, place) for place in HOME.values()]
-        rows.append((name, *(counts[kind] for kind in MADE_OF), wrong, *home[0], *home[1]))
+        counts = (int(n) for n in (*(away - mirrored), *mirrored))
+        rows.append((name, *counts, *home[0], *home[1]))
     return rows
+
+
+def _kind(record: dict[str, Any]) -> str:
+    return str(record["world"].split()[0])
+
+
+def _away(record: dict[str, Any]) -> tuple[int, int]:
+    """Queries in maps that do not hold them, and what was found."""
+    return sum(record["counts"].values()), sum(each["map"] >= 0 for each in record["false"])
+
+
+def _mirrored(record: dict[str, Any]) -> tuple[int, int]:
+    """The same in the mirror image of their own map, the last one, where it differs from it."""
+    if KINDS[_kind(record)].alike:
+        return 0, 0
+    last = record["maps"] - 1
+    false = sum(each["map"] == last for each in record["false"])
+    return sum(record["counts"].values()) // record["maps"], false
 
 
 def report(records: list[dict[str, Any]], store: Path | None) -> None:
     """The table, and the rate that so many queries bound; kept where results are."""
     rows = table(records)
-    total, false = sum(int(n) for n in rows[-1][1:4]), int(rows[-1][4])
-    note = f"{false} false of {total} elsewhere: at most {100 * wilson(false, total)[1]:.3f} %."
+    elsewhere, false, mirrored, there = map(int, rows[-1][1:5])
+    bound = 100 * wilson(false, elsewhere)[1]
+    note = (
+        f"{false} false of {elsewhere} elsewhere: at most {bound:.3f} %. {there} of {mirrored} in "
+        "the mirror image of the very place, which is that place but for left and right."
+    )
     command = "python -m segloc_experiments.protocols.wrong_maps --report wrong_maps.jsonl"
     kept = {"records": records}
     Result.measured(
