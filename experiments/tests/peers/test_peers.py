@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from segloc_experiments.peers.compare import score
+from segloc_experiments.peers.compare import score, scored, summary, table
 from segloc_experiments.peers.exchange import Answers, Clouds, Gathering
 from segloc_experiments.peers.scan_context import ScanContexts, sideways
 
@@ -67,3 +67,7 @@ def test_threshold_is_the_best_wrong_answer(tmp_path: Path) -> None:
     assert result.threshold == 0.6
     assert result.taken.tolist() == [True, False, False, True]
     assert result.right.tolist() == [True, False, True, True]
+    columns, ((name, queries, right, *rest),) = table(scored(tmp_path))
+    assert columns[2] == "all" and (name, queries, right) == ("peer", 4, "2 of 4")
+    assert rest == [0, "3 of 4", "0.6", rest[-1]]
+    assert summary([scored(tmp_path)]) == [("peer", 1, "2 of 4", "2 of 4")]

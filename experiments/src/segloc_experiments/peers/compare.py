@@ -10,6 +10,7 @@ what its best answers are worth without a threshold. An answer is right within 3
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -17,8 +18,15 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..script import parser
+from segloc.config import DEFAULT_METHOD
+
+from ..results.store import Cell, Result
+from ..script import storing
 from .exchange import Answers, Clouds
+
+COMMAND = "python -m segloc_experiments.peers.compare OUT/*/ --store docs/results"
+METHODS = (DEFAULT_METHOD,)
+"""That segloc answers by."""
 
 RIGHT_M, RIGHT_DEG = 3.0, 5.0
 ELSEWHERE = "elsewhere"
@@ -80,27 +88,34 @@ def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
     return right
 
 
-def table(folder: Path) -> Part:
-    """Print one protocol's rows, those that find most first."""
+def scored(folder: Path) -> Part:
+    """One protocol with all answers to it, those that find most first."""
     queries = Clouds.load(folder / "queries.npz")
     scores = [score(path, queries) for path in sorted(folder.glob("answers-*.npz"))]
     scores.sort(key=lambda s: -int((s.right & s.taken & queries.within_coverage).sum()))
-    groups = [g for g in dict.fromkeys(queries.group.tolist()) if g != ELSEWHERE]
-    print(f"\n### {folder.name}\n")
-    print("| system | queries | " + " | ".join(groups) + " | false | all taken | threshold | ms |")
-    print("|---|" + "---|" * (len(groups) + 5))
-    for s in scores:
-        cells = [found(s, queries, queries.group == group) for group in groups]
-        false = int((s.taken & ~s.right).sum())
-        place = s.queried & queries.within_coverage
-        blind = f"{int((s.right & place).sum())} of {int(place.sum())}"
-        threshold = "own verdict" if math.isnan(s.threshold) else f"{s.threshold:.3g}"
-        blind = "" if math.isnan(s.threshold) else blind
-        print(
-            f"| {s.system} | {int(s.queried.sum())} | {' | '.join(cells)} | {false} | {blind} | "
-            f"{threshold} | {s.ms:.0f} |"
-        )
     return queries, scores
+
+
+def table(part: Part) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
+    """Columns, and a row a system."""
+    queries, scores = part
+    groups = [g for g in dict.fromkeys(queries.group.tolist()) if g != ELSEWHERE]
+    columns = ("system", "queries", *groups, "false", "all taken", "threshold", "ms")
+    return columns, [_row(s, queries, groups) for s in scores]
+
+
+def _row(s: Score, queries: Clouds, groups: list[str]) -> tuple[Cell, ...]:
+    judged = math.isnan(s.threshold)
+    place = s.queried & queries.within_coverage
+    return (
+        s.system,
+        int(s.queried.sum()),
+        *(found(s, queries, queries.group == group) for group in groups),
+        int((s.taken & ~s.right).sum()),
+        None if judged else f"{int((s.right & place).sum())} of {int(place.sum())}",
+        "own verdict" if judged else f"{s.threshold:.3g}",
+        round(s.ms),
+    )
 
 
 def found(s: Score, queries: Clouds, member: Bools) -> str:
@@ -108,23 +123,26 @@ def found(s: Score, queries: Clouds, member: Bools) -> str:
     return f"{int((s.right & s.taken & place).sum())} of {int(place.sum())}"
 
 
-def summary(parts: list[Part]) -> None:
-    """Print what each system finds in all protocols, with a threshold for each and with one.
+TOGETHER = ("system", "protocols", "threshold each", "one threshold")
+
+
+def summary(parts: Sequence[Part]) -> list[tuple[Cell, ...]]:
+    """What each system finds in all protocols, with a threshold for each and with one.
 
     One threshold is what a user could set, the highest that any of the protocols needs.
     """
-    print("\n### together\n\n| system | protocols | threshold each | one threshold |")
-    print("|---|---|---|---|")
+    rows: list[tuple[Cell, ...]] = []
     for system in dict.fromkeys(s.system for _, scores in parts for s in scores):
         own = [(q, s) for q, scores in parts for s in scores if s.system == system]
         highest = max(s.threshold for _, s in own)
         places = sum(int((s.queried & q.within_coverage).sum()) for q, s in own)
         each = sum(int((s.right & s.taken & q.within_coverage).sum()) for q, s in own)
         one = sum(int((s.above(highest) & q.within_coverage).sum()) for q, s in own)
-        print(f"| {system} | {len(own)} | {each} of {places} | {one} of {places} |")
+        rows.append((system, len(own), f"{each} of {places}", f"{one} of {places}"))
+    return rows
 
 
-def curve(parts: list[Part], systems: list[str], file: Path) -> None:
+def curve(parts: Sequence[Part], systems: list[str], file: Path) -> None:
     """Draw the share found over the sideways distance from the mapped path."""
     import matplotlib.pyplot as plt
 
@@ -146,15 +164,20 @@ def curve(parts: list[Part], systems: list[str], file: Path) -> None:
 
 
 def main() -> None:
-    parsed = parser(__doc__)
+    parsed = storing(__doc__)
     parsed.add_argument("folders", nargs="+", type=Path)
     parsed.add_argument("--curve", type=Path, help="draw the simulated offsets of all folders")
     parsed.add_argument("--drawn", nargs="*", default=[], help="the systems in the curve")
     options = parsed.parse_args()
-    parts = [table(folder) for folder in options.folders]
-    summary(parts)
+    parts = {folder.name: scored(folder) for folder in options.folders}
+    tables = {name: table(part) for name, part in parts.items()}
+    tables["together"] = (TOGETHER, summary(list(parts.values())))
+    for name, (columns, rows) in tables.items():
+        Result.measured(f"peers-{name}", COMMAND, columns, rows, methods=METHODS).tell(
+            options.store
+        )
     if options.curve:
-        curve(parts, options.drawn, options.curve)
+        curve(list(parts.values()), options.drawn, options.curve)
 
 
 if __name__ == "__main__":
