@@ -17,7 +17,7 @@ from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario, sce
 from segloc_experiments.paper.workspace import Workspace
 
 from segloc import Config, Localizer, build_map
-from segloc.batch import comparison
+from segloc.batch import comparison, comparison_pieces
 from segloc.batch.comparison_study import answered
 from segloc.batch.comparison_tables import summaries
 from segloc.batch.methods import METHODS, fingerprint, ready
@@ -128,6 +128,31 @@ def test_what_is_damaged_is_localized_again(
     assert run == [(METHOD,)]  # the other method is as it was
     assert len(said) == 1 and "damaged" in said[0]
     assert again.tables == study.tables
+
+
+@pytest.mark.slow
+def test_a_run_that_is_cut_off_goes_on_with_the_next_piece(
+    study: Study, workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(comparison_pieces, "PIECE", 3)
+    whole, begun = comparison.localize_all, []
+
+    def cut_off(*arguments: object) -> object:
+        begun.append(arguments)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return whole(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(comparison, "localize_all", cut_off)
+    fresh = replace(workspace, out=tmp_path, methods=(METHOD,))
+    with pytest.raises(KeyboardInterrupt):
+        answered(fresh, scenarios(fresh), ready((METHOD,)))
+    (found,) = answered(fresh, scenarios(fresh), ready((METHOD,)))
+    assert len(begun) == 4  # three pieces of eight queries, one of them begun twice
+    (expected,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    assert found.answers == expected.answers
+    for name, array in expected.arrays.items():
+        np.testing.assert_array_equal(found.arrays[name], array)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
 from .methods import published_estimator
 from .run import query_clouds
-from .scenario import OpenedScenario, QuerySet, Scenario
+from .scenario import OpenedScenario, QuerySet
 from .score import Evaluation
 
 ESTIMATORS = ("consensus", "published")
@@ -245,11 +245,17 @@ def _localization(answer: Answer) -> Localization:
 
 
 def _arrays(opened: OpenedScenario, prior_map: MappedPlace) -> dict[str, Float64]:
-    arrays = {
+    standing = {
         "trajectory": prior_map.trajectory[:, :2, 3],
         "cloud": _standing(prior_map.cloud),
     }
-    for name, query_set in opened.query_sets.items():
+    return standing | query_arrays(opened.query_sets)
+
+
+def query_arrays(query_sets: Mapping[str, QuerySet]) -> dict[str, Float64]:
+    """For each set of queries "indices-SET" and, where they are known, "truths-SET"."""
+    arrays = {}
+    for name, query_set in query_sets.items():
         arrays[f"indices-{name}"] = query_set.recording.indices[query_set.positions].astype(
             np.float64
         )
@@ -278,18 +284,3 @@ def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], query_set: 
     path[:, :2, 3] = arrays["trajectory"]
     indices = arrays[f"indices-{query_set}"].astype(np.int64)
     return Evaluation(indices, results, path, arrays.get(f"truths-{query_set}"))
-
-
-@dataclass(frozen=True)
-class Job:
-    """A scenario to be run by some methods, in a process of its own."""
-
-    scenario: Scenario
-    methods: tuple[str, ...]
-    threads: int
-
-
-def done(job: Job) -> tuple[Job, dict[str, Any], dict[str, Float64]]:
-    """The job, and what :func:`localize_all` found."""
-    answers, arrays = localize_all(job.scenario.open(), job.methods, job.threads)
-    return job, answers, arrays

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import islice
 from typing import Any
 
 from ..config import Config
-from ..processes import in_parallel
 from ..types import Float64
 from . import comparison
 from .cache import load_arrays, load_json, save_arrays, save_json
-from .comparison import ESTIMATORS, Job
+from .comparison import ESTIMATORS
 from .comparison_maps import maps
+from .comparison_pieces import Job, joined, pieces
 from .comparison_tables import Result, details, summaries
 from .methods import Methods, ready
 from .report.study import Study, Table
@@ -85,22 +88,37 @@ def compare(
 
 
 def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Methods) -> list[Result]:
-    """The answers of all methods on all scenarios; those that are stored are not computed again."""
+    """The answers of all methods on all scenarios; those that are stored are not computed again.
+
+    A scenario is answered in pieces, each of which is kept when it is finished.
+    """
     results = [_stored(workspace, scenario, methods) for scenario in scenarios]
-    jobs = [
-        Job(result.scenario, missing, workspace.threads)
-        for result in results
-        if (missing := tuple(name for name in methods.names if name not in result.answers))
+    missing = {
+        k: names
+        for k, result in enumerate(results)
+        if (names := tuple(name for name in methods.names if name not in result.answers))
+    }
+    first = [Job(results[k].scenario, names, workspace.threads) for k, names in missing.items()]
+    key = partial(_piece_key, methods=methods)
+    begun = pieces(workspace, first, key, "Localizing, the first queries")
+    rest = [
+        replace(job, piece=number)
+        for job, piece in zip(first, begun, strict=True)
+        for number in range(1, piece.number)
     ]
-    with workspace.progress("Localizing") as update:
-        update(0, len(jobs))
-        finished = in_parallel(comparison.done, jobs, workspace.workers, workspace.executor)
-        for count, (job, answers, arrays) in enumerate(finished):
-            place = next(k for k, r in enumerate(results) if r.scenario == job.scenario)
-            results[place] = Result(job.scenario, {**results[place].answers, **answers}, arrays)
-            _keep(workspace, job, methods, answers, arrays)
-            update(count + 1, len(jobs))
+    others = iter(pieces(workspace, rest, key, "Localizing"))
+    for k, job, piece in zip(missing, first, begun, strict=True):
+        parts = [piece, *islice(others, piece.number - 1)]
+        answers = joined([part.answers for part in parts])
+        results[k] = Result(job.scenario, {**results[k].answers, **answers}, piece.arrays)
+        _keep(workspace, job, methods, answers, piece.arrays)
     return results
+
+
+def _piece_key(job: Job, methods: Methods) -> tuple[str, Settings]:
+    settings = job.scenario.settings()
+    keys = dict(_method_key(job.scenario, settings, methods, name) for name in job.methods)
+    return f"piece-{job.scenario.name}-{job.piece}", {"methods": keys}
 
 
 def _stored(workspace: Workspace, scenario: Scenario, methods: Methods) -> Result:
