@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -97,6 +98,19 @@ def test_the_page_says_everything(text: str) -> None:
         assert part in words
     assert words.count("published") == 2  # the introduction, and the one table that is
     assert "geo-1" in words and "A note & more." in words and "<dsm> & co" in words
+
+
+@pytest.mark.slow
+def test_figures_of_one_fold_lie_behind_its_title() -> None:
+    folds = {"a": "", "b": "Others", "c": "Others", "d": ""}
+    figures = tuple(replace(figure("bars", name), fold=fold) for name, fold in folds.items())
+    text = report.page([Study("one", "One", (), figures, {}, "")])
+    marks = ("one-a", '<details class="fold"><summary>Others', "one-b", "one-c", "one-d")
+    places = [
+        text.index(mark if "<" in mark else f'<figure class="bars" id="{mark}"') for mark in marks
+    ]
+    assert places == sorted(places) and text.count("<details") == 1
+    assert places[3] < text.index("</details>") < places[4] and Page(text).open == []
 
 
 @pytest.mark.slow

@@ -245,11 +245,11 @@ def _localization(answer: Answer) -> Localization:
 
 
 def _arrays(opened: OpenedScenario, prior_map: MappedPlace) -> dict[str, Float64]:
-    standing = {
+    place = {
         "trajectory": prior_map.trajectory[:, :2, 3],
-        "cloud": _standing(prior_map.cloud),
+        "cloud": standing(prior_map.cloud),
     }
-    return standing | query_arrays(opened.query_sets)
+    return place | query_arrays(opened.query_sets)
 
 
 def query_arrays(query_sets: Mapping[str, QuerySet]) -> dict[str, Float64]:
@@ -264,7 +264,7 @@ def query_arrays(query_sets: Mapping[str, QuerySet]) -> dict[str, Float64]:
     return arrays
 
 
-def _standing(cloud: Float64) -> Float64:
+def standing(cloud: Float64) -> Float64:
     """Where something stands, (N, 2): cells whose points differ in height by a metre or more."""
     if not len(cloud):
         return np.empty((0, 2))
@@ -273,8 +273,8 @@ def _standing(cloud: Float64) -> Float64:
     starts = np.flatnonzero(np.diff(group.ravel()[order], prepend=-1))
     z = cloud[order, 2]
     tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts) >= _TALL_M
-    standing: Float64 = cells[tall] * _CELL_M
-    return standing
+    found: Float64 = cells[tall] * _CELL_M
+    return found
 
 
 def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], query_set: str) -> Evaluation:

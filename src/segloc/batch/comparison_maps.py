@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..config import DEFAULT_METHOD
 from ..types import Float64
 from .comparison_tables import Result, groups, label_of
 from .methods import Methods
@@ -17,23 +18,29 @@ _CLOUD_RADIUS_M = 60.0
 
 
 def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
-    """Every scenario with the answers of one method: ours where it is among them."""
-    method = "profile" if "profile" in methods.names else methods.names[-1]
+    """Every scenario with the answers of each method: ours, if it is there, and the others folded.
+
+    Each method has our estimator.
+    """
+    best = best_of(methods)
+    ordered = (best, *(name for name in methods.names if name != best))
     for result in results:
+        ground = {"map": _near_path(result.arrays), "path of the map": _path(result.arrays)}
         for group in groups(result):
             label = label_of(result, group)
-            parts = [_drawn(result.scored(method, query_set, "consensus")) for query_set in group]
-            series = {"map": _near_path(result.arrays), "path of the map": _path(result.arrays)}
-            for key in parts[0]:
-                series[key] = _joined([part[key] for part in parts])
-            yield Figure(
-                f"map-{label.replace(' ', '-')}",
-                f"{label}: {method}",
-                "map",
-                series,
-                "m",
-                "m",
-            )
+            for method in ordered:
+                parts = [_drawn(result.scored(method, each, "consensus")) for each in group]
+                drawn = {key: _joined([part[key] for part in parts]) for key in parts[0]}
+                name, fold = f"map-{label.replace(' ', '-')}", ""
+                if method != best:
+                    name, fold = f"{name}-{method}", f"{label}: by other methods"
+                title, series = f"{label}: {method}", ground | drawn
+                yield Figure(name, title, "map", series, "m", "m", fold=fold)
+
+
+def best_of(methods: Methods) -> str:
+    """Ours where it is among them, else the last."""
+    return DEFAULT_METHOD if DEFAULT_METHOD in methods.names else methods.names[-1]
 
 
 def _near_path(arrays: Mapping[str, Float64]) -> Curve:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from segloc.batch.comparison_maps import best_of
 from segloc.batch.comparison_study import compare
+from segloc.batch.methods import ready
 from segloc.batch.report.study import Study
 
 from . import published
+from .examples import examples
 from .scenarios import scenarios
 from .workspace import Workspace
 
@@ -21,4 +26,6 @@ def run(workspace: Workspace) -> Study:
         If a recording cannot be read, or results cannot be written.
     """
     found = scenarios(workspace)
-    return compare(workspace, found, "localization", "Localization", [published.localizations()])
+    study = compare(workspace, found, "localization", "Localization", [published.localizations()])
+    method = best_of(ready(workspace.methods))
+    return replace(study, figures=(*study.figures, *examples(workspace, found, method)))

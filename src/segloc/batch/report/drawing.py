@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import MissingDependency
-from ...pictures import GREEN, PALETTE, PATH, RED, rgb
+from ...pictures import GREEN, ORANGE, PALETTE, PATH, RED, rgb
 from ...types import Float64
-from .study import Figure
+from .study import Curve, Figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,11 +36,15 @@ class MapStyle:
     colour: str
     hollow: bool = False
     layer: int = 1
+    width: float = 1.2
 
 
 MAP_STYLES: Mapping[str, MapStyle] = {
     "map": MapStyle("cloud", PATH, layer=0),
+    "query": MapStyle("cloud", ORANGE, layer=1),
     "path of the map": MapStyle("line", PATH),
+    "other matches": MapStyle("line", RED, layer=2, width=0.4),
+    "matches that fit": MapStyle("line", GREEN, layer=3, width=0.4),
     "not localized": MapStyle("dots", _INK, hollow=True, layer=2),
     "true place of a false one": MapStyle("line", RED, layer=3),
     "localized": MapStyle("dots", GREEN, layer=4),
@@ -169,10 +173,10 @@ def _map(axes: Axes, figure: Figure) -> None:
     for k, (label, (x, y)) in enumerate(figure.series.items()):
         style = MAP_STYLES.get(label, MapStyle("line", _colour(k)))
         if style.kind == "cloud":
-            _cloud(axes, x, y, low, high)
+            _cloud(axes, (x, y), style, (low, high))
         elif style.kind == "line":
             name = label if len(x) else None
-            axes.plot(x, y, color=style.colour, lw=1.2, label=name, zorder=style.layer)
+            axes.plot(x, y, color=style.colour, lw=style.width, label=name, zorder=style.layer)
         else:
             axes.scatter(
                 x,
@@ -193,17 +197,18 @@ def _map(axes: Axes, figure: Figure) -> None:
     _legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
 
 
-def _cloud(axes: Axes, x: Float64, y: Float64, low: Float64, high: Float64) -> None:
-    """Grey where there is anything: one picture, however many points there are."""
+def _cloud(axes: Axes, points: Curve, style: MapStyle, extent: tuple[Float64, Float64]) -> None:
+    """Coloured where there is anything: one picture, however many points there are."""
+    (x, y), (low, high) = points, extent
     cell = max(0.5, float((high - low).max()) / _CELLS_ALONG)
     shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
     counts, _, _ = np.histogram2d(x, y, bins=shape, range=np.stack([low, low + shape * cell]).T)
     picture = np.zeros((*counts.T.shape, 4))
-    picture[..., :3] = [part / 255 for part in rgb(PATH)]
+    picture[..., :3] = [part / 255 for part in rgb(style.colour)]
     picture[..., 3] = 0.6 * (counts.T > 0)
     end = low + shape * cell
     box = (low[0], end[0], low[1], end[1])
-    axes.imshow(picture, origin="lower", extent=box, interpolation="nearest", zorder=0)
+    axes.imshow(picture, origin="lower", extent=box, interpolation="nearest", zorder=style.layer)
 
 
 def _extent(figure: Figure) -> tuple[Float64, Float64]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -104,8 +105,9 @@ def _section(study: Study) -> Iterator[str]:
         yield from _table(table)
     if study.figures:
         yield '<div class="figures">'
-        for figure in study.figures:
-            yield from _figure(study, figure)
+        for fold, figures in groupby(study.figures, lambda figure: figure.fold):
+            drawn = (part for figure in figures for part in _figure(study, figure))
+            yield from _folded(fold, drawn) if fold else drawn
         yield "</div>"
     yield from _facts(study.facts)
     yield "</section>"
@@ -137,6 +139,12 @@ _LONG_ROWS = 30
 def _cell(cell: Cell) -> str:
     words = isinstance(cell, str) and not cell[:1].isdigit()
     return f"<td{' class=words' if words else ''}>{escape(text(cell))}</td>"
+
+
+def _folded(title: str, parts: Iterable[str]) -> Iterator[str]:
+    yield f'<details class="fold"><summary>{escape(title)}</summary><div class="figures">'
+    yield from parts
+    yield "</div></details>"
 
 
 def _figure(study: Study, figure: Figure) -> Iterator[str]:
@@ -203,6 +211,7 @@ table.paper caption { color: var(--ink); }
 .note, figcaption span { color: var(--soft); font-size: .88rem; margin-top: .25rem; }
 .figures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 24rem), 1fr));
   gap: 1.5rem; margin: 1.5rem 0; }
+.fold { grid-column: 1 / -1; }
 figure { margin: 0; padding: 1rem; background: var(--tint); border-radius: 10px; }
 figure svg { display: block; width: 100%; height: auto; }
 figcaption { font-size: .9rem; font-weight: 600; margin-top: .5rem; }

@@ -75,6 +75,8 @@ class Figure:
         How to read it.
     top : float or None
         Largest radius of a polar drawing, so that several are drawn to one scale.
+    fold : str
+        What neighbours with the same one are folded away under; "" where it is in view.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Figure:
     ylabel: str = ""
     note: str = ""
     top: float | None = None
+    fold: str = ""
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,7 @@ def _key(figure: str, number: int, axis: str) -> str:
 
 
 def _described(figure: Figure) -> dict[str, Any]:
-    names = ("name", "title", "kind", "xlabel", "ylabel", "note", "top")
+    names = ("name", "title", "kind", "xlabel", "ylabel", "note", "top", "fold")
     return {name: getattr(figure, name) for name in names}
 
 
