@@ -14,6 +14,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,9 @@ from .exchange import Answers, Clouds, run
 
 
 def local_cloud(clouds: Clouds, i: int, config: Config) -> LocalCloud:
-    """A cloud as segloc takes it in, cut to its own radius."""
-    near = Accumulator(config.local_cloud).gather(Scan(clouds[i]))
-    return LocalCloud(near.points, np.eye(4), int(clouds.scans[i]))
+    """A cloud as segloc takes it in, cut to its own radius; level, as all are told."""
+    near = Accumulator(config.local_cloud).gather(Scan(clouds[i], T_odom_sensor=np.eye(4)))
+    return replace(near, num_scans=int(clouds.scans[i]))
 
 
 def site_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
