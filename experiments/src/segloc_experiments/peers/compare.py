@@ -28,6 +28,21 @@ COMMAND = "python -m segloc_experiments.peers.compare OUT/*/ --store docs/result
 METHODS = (DEFAULT_METHOD,)
 """That segloc answers by."""
 
+LABELS = {
+    "segloc-profile": "segloc",
+    "scan_context": "Scan Context",
+    "kiss_matcher": "KISS-Matcher",
+    "map_closures": "map-closures",
+    "-shifted": ", shifted",
+    "-top3": ", GICP, overlap",
+    "-inliers": ", its inliers",
+    "-alone": " alone",
+    "-scan": "",
+    "-long": "",
+    "-short": "",
+}
+"""Parts of the names of answers, as people read them."""
+
 RIGHT_M, RIGHT_DEG = 3.0, 5.0
 ELSEWHERE = "elsewhere"
 
@@ -108,7 +123,7 @@ def _row(s: Score, queries: Clouds, groups: list[str]) -> tuple[Cell, ...]:
     judged = math.isnan(s.threshold)
     place = s.queried & queries.within_coverage
     return (
-        s.system,
+        label(s.system),
         int(s.queried.sum()),
         *(found(s, queries, queries.group == group) for group in groups),
         int((s.taken & ~s.right).sum()),
@@ -116,6 +131,13 @@ def _row(s: Score, queries: Clouds, groups: list[str]) -> tuple[Cell, ...]:
         "own verdict" if judged else f"{s.threshold:.3g}",
         round(s.ms),
     )
+
+
+def label(system: str) -> str:
+    """The name of a system, of that of its answers."""
+    for part, words in LABELS.items():
+        system = system.replace(part, words)
+    return system
 
 
 def found(s: Score, queries: Clouds, member: Bools) -> str:
@@ -138,7 +160,7 @@ def summary(parts: Sequence[Part]) -> list[tuple[Cell, ...]]:
         places = sum(int((s.queried & q.within_coverage).sum()) for q, s in own)
         each = sum(int((s.right & s.taken & q.within_coverage).sum()) for q, s in own)
         one = sum(int((s.above(highest) & q.within_coverage).sum()) for q, s in own)
-        rows.append((system, len(own), f"{each} of {places}", f"{one} of {places}"))
+        rows.append((label(system), len(own), f"{each} of {places}", f"{one} of {places}"))
     return rows
 
 
@@ -156,7 +178,7 @@ def curve(parts: Sequence[Part], systems: list[str], file: Path) -> None:
                     offset = float(queries.group[i].split()[0])
                     counts.setdefault(offset, []).append(int(s.right[i] and s.taken[i]))
         x = sorted(counts)
-        axes.plot(x, [100 * np.mean(counts[o]) for o in x], marker="o", label=system)
+        axes.plot(x, [100 * np.mean(counts[o]) for o in x], marker="o", label=label(system))
     axes.set(xlabel="metres beside the mapped path", ylabel="found, %", ylim=(-3, 103))
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
