@@ -154,13 +154,13 @@ def summary(parts: Sequence[Part]) -> list[tuple[Cell, ...]]:
     One threshold is what a user could set, the highest that any of the protocols needs.
     """
     rows: list[tuple[Cell, ...]] = []
-    for system in dict.fromkeys(s.system for _, scores in parts for s in scores):
-        own = [(q, s) for q, scores in parts for s in scores if s.system == system]
+    for system in dict.fromkeys(label(s.system) for _, scores in parts for s in scores):
+        own = [(q, s) for q, scores in parts for s in scores if label(s.system) == system]
         highest = max(s.threshold for _, s in own)
         places = sum(int((s.queried & q.within_coverage).sum()) for q, s in own)
         each = sum(int((s.right & s.taken & q.within_coverage).sum()) for q, s in own)
         one = sum(int((s.above(highest) & q.within_coverage).sum()) for q, s in own)
-        rows.append((label(system), len(own), f"{each} of {places}", f"{one} of {places}"))
+        rows.append((system, len(own), f"{each} of {places}", f"{one} of {places}"))
     return rows
 
 
