@@ -23,6 +23,7 @@ RADIUS_M = 50.0
 ASIDE_M = 2.2 * RADIUS_M
 """How far beside its place the cloud is drawn a second time."""
 MOST_POINTS = 6000
+LINES = ("other matches", "matches that fit")
 
 Arrays = dict[str, Float64]
 
@@ -52,7 +53,7 @@ def example(scenario: Scenario, method: str, threads: int) -> Arrays:
             found = trace(localizer, cloud)
             if found.result.localized and found.inliers.any():
                 return _arrays(found, localizer)
-    names = ("map", "query", "aside", "matches that fit", "other matches")
+    names = ("map", "query", *LINES)
     return {name: np.empty((0, 2)) for name in names}
 
 
@@ -64,15 +65,10 @@ def _arrays(found: Trace, localizer: Localizer) -> Arrays:
     here = geometry.transform(T, found.segments.centroids)[found.pairs[:, 0], :2]
     there = prior_map.centroids[found.pairs[:, 1], :2]
     shown = np.abs(there - T[:2, 3]).max(axis=1) < RADIUS_M
-    lines = {
-        name: _lines(here[chosen] + (ASIDE_M, 0.0), there[chosen])
-        for name, chosen in (
-            ("matches that fit", found.inliers),
-            ("other matches", ~found.inliers & shown),
-        )
-    }
+    chosen = zip(LINES, (~found.inliers & shown, found.inliers), strict=True)
+    lines = {name: _lines(here[rows] + (ASIDE_M, 0.0), there[rows]) for name, rows in chosen}
     ground = _near(standing(prior_map.cloud + prior_map.origin), T)
-    return {"map": ground, "query": placed, "aside": placed + (ASIDE_M, 0.0), **lines}
+    return {"map": ground, "query": placed, **lines}
 
 
 def _near(points: Float64, T_map_local: Float64) -> Float64:
@@ -86,11 +82,9 @@ def _lines(here: Float64, there: Float64) -> Float64:
 
 
 def _figure(name: str, method: str, drawn: Arrays) -> Figure:
-    series: dict[str, Curve] = {"map": _curve(drawn["map"])}
-    series["query"] = _curve(np.concatenate([drawn["query"], drawn["aside"]]))
-    for lines in ("other matches", "matches that fit"):
-        series[lines] = _curve(drawn[lines])
-    fit, others = (len(drawn[key]) // 3 for key in ("matches that fit", "other matches"))
+    both = np.concatenate([drawn["query"], drawn["query"] + (ASIDE_M, 0.0)])
+    series = {key: _curve(points) for key, points in {**drawn, "query": both}.items()}
+    others, fit = (len(drawn[key]) // 3 for key in LINES)
     return Figure(
         f"query-{name}",
         f"{name}: a query where {method} found it",
@@ -98,7 +92,7 @@ def _figure(name: str, method: str, drawn: Arrays) -> Figure:
         series,
         "m",
         "m",
-        f"Beside it once more, with a line from each of its segments to the best match in view: "
+        "Beside it once more, with a line from each of its segments to the best match in view: "
         f"{fit} fit the pose, {others} do not.",
     )
 
