@@ -1,5 +1,6 @@
 // The table of one instruction set. CMake compiles this file once for each one, with SEGLOC_ISA set
 // to its name and with its flags (simd/instruction_sets.cmake). A new kernel is included here.
+#include "consistency/edges_kernel.h"
 #include "descriptors/fps_kernel.h"
 #include "matching/knn_kernel.h"
 #include "network/conv_kernel.h"
@@ -15,9 +16,10 @@ namespace segloc {
 namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
-const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,    kBlock,      kPanel,        &fps,
-                        &neighbors,      &xconv,    &dense,      &conv,         &knn_scan,
-                        &near_pose,      kTraining, &vote_cells, &full_windows, &add_slices};
+const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
+                        &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,
+                        &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
+                        &add_slices};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

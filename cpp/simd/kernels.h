@@ -87,6 +87,12 @@ struct MatchArrays {
   const float* my;
 };
 
+// Sources and targets of pairs, x, y, z each. Up to 15 values behind the last one may be read.
+struct EdgeArrays {
+  const float* source[3];
+  const float* target[3];
+};
+
 // Which matches lie near each other in the plane under a pose, in single precision.
 struct PoseTest {
   float cosine, sine, x, y;
@@ -169,6 +175,10 @@ struct Kernels {
   // Writes the indices of the matches in [begin, end) that pass, and returns how many.
   size_t (*near_pose)(const MatchArrays& f, const PoseTest& test, size_t begin, size_t end,
                       uint32_t* found);
+  // Writes the pairs in [begin, end) whose edges to pair k differ in length by `tolerance` at most,
+  // up to rounding, and returns how many.
+  size_t (*like_edges)(const EdgeArrays& f, size_t k, float tolerance, size_t begin, size_t end,
+                       uint32_t* found);
   TrainKernels training;
   // The cell that each match votes for.
   void (*vote_cells)(const MatchArrays& f, size_t count, const VoteLattice& lattice,

@@ -3,10 +3,12 @@
 #include <cmath>
 #include <cstdint>
 #include <random>
+#include <vector>
 
+#include "consistency/consistency.h"
 #include "pose/consensus.h"
-#include "pose/consistency.h"
 #include "pose/prosac.h"
+#include "simd/kernels.h"
 #include "tests/check.h"
 
 namespace segloc {
@@ -87,6 +89,38 @@ void far_segments() {
   }
 }
 
+// Every instruction set finds the same edges: all that are as long, none that are far from it.
+void edges() {
+  for (const std::size_t n : kSizes) {
+    std::vector<std::vector<float>> columns;
+    for (unsigned seed = 0; seed < 6; ++seed) {
+      columns.push_back(random_floats(n + 15, -40.0f, 40.0f, seed));
+    }
+    const auto& c = columns;
+    const EdgeArrays arrays = {{c[0].data(), c[1].data(), c[2].data()},
+                               {c[3].data(), c[4].data(), c[5].data()}};
+    const auto edge = [&](int first, std::size_t i, std::size_t j) {
+      double squares = 0.0;
+      for (int a = first; a < first + 3; ++a) squares += std::pow(double(c[a][i]) - c[a][j], 2);
+      return std::sqrt(squares);
+    };
+    const std::size_t k = n / 2, begin = n / 3;
+    std::vector<std::uint32_t> expected;
+    for (const Isa isa : instruction_sets()) {
+      std::vector<std::uint32_t> found(n);
+      found.resize(kernels(isa).like_edges(arrays, k, 0.5f, begin, n, found.data()));
+      if (isa == instruction_sets().front()) expected = found;
+      CHECK(found == expected);
+      for (std::size_t i = begin, next = 0; i < n; ++i) {
+        const bool hit = next < found.size() && found[next] == i;
+        next += hit;
+        const double difference = std::fabs(edge(0, i, k) - edge(3, i, k));
+        CHECK(hit ? difference < 0.51 : difference > 0.49);
+      }
+    }
+  }
+}
+
 // Whatever a binding lets through has places in every table, or is refused.
 void absurd_segments() {
   const std::size_t n = 60;
@@ -126,5 +160,6 @@ void absurd_segments() {
 void pose_tests() {
   segloc::poses();
   segloc::far_segments();
+  segloc::edges();
   segloc::absurd_segments();
 }

@@ -18,7 +18,7 @@ from segloc.errors import DatasetError
 from segloc.files import write_text
 from segloc.processes import executing
 
-from ..results.fingerprints import fingerprints
+from ..results.fingerprints import COMPARING, fingerprints
 from ..results.store import commit
 from . import places
 from .answers import DRAWS, ESTIMATORS, NEIGHBOURS
@@ -50,7 +50,7 @@ class Kept:
         """By the code as it is now."""
         produced: Answers = {
             "method": fingerprint(method),
-            "produced_by": fingerprints(methods=(method,)),
+            "produced_by": fingerprints(COMPARING, (method,)),
             "verified": verify,
         }
         if draws != DRAWS:

@@ -12,7 +12,7 @@ from segloc.batch import workspace
 from segloc.errors import ConfigError
 from segloc.simulation.suites import PAPER, SUITES, TestSet
 
-from ..results.fingerprints import LOCALIZING, fingerprints
+from ..results.fingerprints import COMPARING, fingerprints
 
 SCALES = ("small", "full", PAPER)
 
@@ -64,4 +64,4 @@ class Workspace(workspace.Workspace):
 
 @cache
 def _code() -> dict[str, str]:
-    return fingerprints((*LOCALIZING, "training"))
+    return fingerprints((*COMPARING, "training"))

@@ -24,7 +24,8 @@ STAGES: dict[str, tuple[str, ...]] = {
     "descriptors": ("src/segloc/descriptors", "cpp/descriptors", "cpp/network"),
     "map": ("src/segloc/map",),
     "matching": ("src/segloc/matching.py", "cpp/matching"),
-    "pose": ("src/segloc/pose.py", "src/segloc/consistency.py", "cpp/pose"),
+    "pose": ("src/segloc/pose.py", "cpp/pose"),
+    "geometric consistency": ("src/segloc/consistency.py", "cpp/consistency"),
     "occupancy": ("src/segloc/occupancy", "cpp/occupancy"),
     "stems": ("src/segloc/landmarks",),
     "verification": (
@@ -48,13 +49,16 @@ STAGES: dict[str, tuple[str, ...]] = {
     "alignment": ("src/segloc/alignment", "src/segloc/thin_vote.py"),
     "simulation": ("src/segloc/simulation",),
 }
-"""Folders and files of each stage of a query, and of what trains, follows, tiles, aligns and
-simulates."""
+"""Folders and files of each stage of a query, of SegMatch's estimator, and of what trains, follows,
+tiles, aligns and simulates."""
 
-_OTHERS = ("training", "following", "tiles", "alignment", "simulation")
+_OTHERS = (*("geometric consistency", "training", "following", "tiles", "alignment", "simulation"),)
 
 LOCALIZING = tuple(name for name in STAGES if name not in _OTHERS)
-"""The stages of a single query."""
+"""The stages of a single query, by the default estimator or PROSAC."""
+
+COMPARING = (*LOCALIZING, "geometric consistency")
+"""And of one by any estimator, as methods are compared."""
 
 FOLLOWING = (*LOCALIZING, "following")
 """And of a robot that is followed."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from segloc.batch.report.study import Study, Table
 
-from .fingerprints import DESCRIBING, LOCALIZING
+from .fingerprints import COMPARING, DESCRIBING
 from .store import Result
 
 TIMED = ("localization", "timing")
@@ -17,7 +17,7 @@ USUAL = ("six", "full", None)
 
 def kept(study: Study) -> Iterator[Result]:
     """Its own tables; published figures that stand beside them are in no need of it."""
-    stages = LOCALIZING if study.name in TIMED else (*DESCRIBING, "training")
+    stages = COMPARING if study.name in TIMED else (*DESCRIBING, "training")
     facts = study.facts
     of = (facts["suite"], facts["scale"], facts["data"])
     command = f"segloc evaluate {study.name} --suite {of[0]} --scale {of[1]}"

@@ -1,4 +1,4 @@
-#include "pose/consistency.h"
+#include "consistency/consistency.h"
 
 #include <algorithm>
 #include <array>
@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/portability.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
@@ -33,6 +34,29 @@ bool as_long(double a, double b, double r) {
   return rest <= 0.0 || rest * rest <= 4.0 * a * b;
 }
 
+// Sources and targets in single precision, padded for the kernels.
+class Columns {
+ public:
+  void resize(std::size_t count) {
+    for (auto& column : columns_) column.resize(padded(count, 16));
+  }
+
+  void set(std::size_t k, const Pair& pair) {
+    for (int a = 0; a < 3; ++a) {
+      columns_[a][k] = static_cast<float>(pair.source[a]);
+      columns_[3 + a][k] = static_cast<float>(pair.target[a]);
+    }
+  }
+
+  EdgeArrays arrays() const {
+    const auto& c = columns_;
+    return {{c[0].data(), c[1].data(), c[2].data()}, {c[3].data(), c[4].data(), c[5].data()}};
+  }
+
+ private:
+  std::array<std::vector<float>, 6> columns_;
+};
+
 // Which pairs are consistent with each other: pairs whose targets lie too far apart for any edge of
 // the sources are not looked at.
 class Partners {
@@ -54,6 +78,11 @@ class Partners {
 
   // Best first.
   const std::vector<std::uint32_t>& of(std::size_t k) const { return found_[k]; }
+
+  const Pair& pair(std::size_t k) const { return pairs_[k]; }
+
+  // What lengths in single precision may differ by, where those in double are as long.
+  float loose() const { return loose_; }
 
   bool consistent(std::size_t i, std::size_t j) const {
     const Pair &a = pairs_[i], &b = pairs_[j];
@@ -78,19 +107,18 @@ class Partners {
       }
     }
     width_ = std::sqrt(squared_length(low, high)) + resolution_;
-    loose_ = static_cast<float>(resolution_ + 1e-5 * width_ + 1e-5 * farthest);
+    // Rounding of the coordinates, and of the fourth powers of lengths that are compared.
+    const double rounding = 1e-5 * farthest + 1e-6 * width_ * width_ / resolution_;
+    loose_ = static_cast<float>(resolution_ + rounding);
     order_.resize(pairs_.size());
     std::iota(order_.begin(), order_.end(), 0u);
     std::stable_sort(order_.begin(), order_.end(), [&](std::uint32_t i, std::uint32_t j) {
       return cell_of(pairs_[i]) < cell_of(pairs_[j]);
     });
-    for (auto& column : columns_) column.resize(pairs_.size());
+    columns_.resize(pairs_.size());
     for (std::size_t p = 0; p < order_.size(); ++p) {
       const Pair& pair = pairs_[order_[p]];
-      for (int a = 0; a < 3; ++a) {
-        columns_[a][p] = static_cast<float>(pair.source[a]);
-        columns_[3 + a][p] = static_cast<float>(pair.target[a]);
-      }
+      columns_.set(p, pair);
       const auto cell = cells_.try_emplace(cell_of(pair), p, p + 1).first;
       cell->second.second = p + 1;
     }
@@ -104,18 +132,10 @@ class Partners {
 
   // Position p with those from begin to end: loosely in single precision, then exactly.
   void compare(std::size_t p, std::size_t begin, std::size_t end) {
-    const auto& [ax, ay, az, bx, by, bz] = columns_;
-    const float x = ax[p], y = ay[p], z = az[p], u = bx[p], v = by[p], w = bz[p], r = loose_;
-    for (std::size_t q = begin; q < end; ++q) {
-      const float dx = ax[q] - x, dy = ay[q] - y, dz = az[q] - z;
-      const float du = bx[q] - u, dv = by[q] - v, dw = bz[q] - w;
-      const float a = dx * dx + dy * dy + dz * dz, b = du * du + dv * dv + dw * dw;
-      const float rest = a + b - r * r;
-      maybe_[q] = (rest <= 0.0f) | (rest * rest <= 4.0f * a * b);
-    }
-    for (std::size_t q = begin; q < end; ++q) {
-      if (!maybe_[q]) continue;
-      const std::uint32_t i = order_[p], j = order_[q];
+    const std::size_t count =
+        kernels_.like_edges(columns_.arrays(), p, loose_, begin, end, maybe_.data());
+    for (std::size_t m = 0; m < count; ++m) {
+      const std::uint32_t i = order_[p], j = order_[maybe_[m]];
       if (!consistent(i, j)) continue;
       if (found_[i].size() < kMostPartners) found_[i].push_back(j);
       if (found_[j].size() < kMostPartners) found_[j].push_back(i);
@@ -126,9 +146,10 @@ class Partners {
   double resolution_, width_ = 1.0;
   float loose_ = 0.0f;
   std::vector<std::vector<std::uint32_t>> found_;
-  std::vector<std::uint32_t> order_;           // pairs by cell
-  std::array<std::vector<float>, 6> columns_;  // sources and targets in that order
-  std::vector<std::uint8_t> maybe_;            // whether a position may be consistent with p
+  const Kernels& kernels_ = kernels(parse_isa("auto"));
+  std::vector<std::uint32_t> order_;  // pairs by cell
+  Columns columns_;                   // in that order
+  std::vector<std::uint32_t> maybe_;  // positions that may be consistent with p
   std::map<Cell, std::pair<std::size_t, std::size_t>> cells_;  // first position, and past the last
 };
 
@@ -161,8 +182,14 @@ class Grower {
  private:
   void fill_rows(const std::vector<std::uint32_t>& partners, std::size_t words) {
     rows_.assign(partners.size() * words, 0);
+    columns_.resize(partners.size());
+    maybe_.resize(partners.size());
+    for (std::size_t i = 0; i < partners.size(); ++i) columns_.set(i, all_.pair(partners[i]));
     for (std::size_t i = 0; i < partners.size(); ++i) {
-      for (std::size_t j = 0; j < i; ++j) {
+      const std::size_t count =
+          kernels_.like_edges(columns_.arrays(), i, all_.loose(), 0, i, maybe_.data());
+      for (std::size_t m = 0; m < count; ++m) {
+        const std::size_t j = maybe_[m];
         if (!all_.consistent(partners[i], partners[j])) continue;
         rows_[i * words + j / 64] |= std::uint64_t{1} << j % 64;
         rows_[j * words + i / 64] |= std::uint64_t{1} << i % 64;
@@ -190,6 +217,9 @@ class Grower {
 
   const Partners& all_;
   std::size_t min_size_;
+  const Kernels& kernels_ = kernels(parse_isa("auto"));
+  Columns columns_;  // of the partners
+  std::vector<std::uint32_t> maybe_;
   std::vector<std::uint64_t> rows_;  // which partners of a pair are consistent, a bit each
 };
 
