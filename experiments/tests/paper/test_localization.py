@@ -24,11 +24,13 @@ from segloc.batch.comparison_tables import summaries
 from segloc.batch.methods import METHODS, fingerprint, ready
 from segloc.batch.report.study import Study, Table
 from segloc.batch.run import localize_sequence
-from segloc.descriptors import create
+from segloc.batch.scenario import QuerySet
+from segloc.descriptors import Descriptor, create
 from segloc.errors import ConfigError, DatasetError
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.simulation.suites import SUITES
+from segloc.types import Recording
 
 METHOD = "geo"
 
@@ -42,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def workspace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
     pytest.importorskip("embreex", reason="the simulation needs embreex")
     monkeypatch.setitem(SUITES, "tiny", (TINY,))
-    return Workspace(folder, suite="tiny", methods=(METHOD, "profile"))
+    return Workspace(folder, suite="tiny", scale="full", methods=(METHOD, "profile"))
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def table(study: Study, name: str) -> Table:
 @pytest.mark.slow
 def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspace) -> None:
     """Segments shared by all methods give what a map and a localizer of one method give."""
-    opened = SuiteScenario(TINY, "small", 0).open()
+    opened = SuiteScenario(TINY, "full", 0).open()
     query_set = opened.query_sets["test_0"]
     every_view = MappingConfig(compact=CompactConfig(enabled=False))  # as studies compare methods
     config = Config.preset(METHOD).model_copy(update={"threads": 1, "mapping": every_view})
@@ -124,14 +126,18 @@ def test_what_is_damaged_is_localized_again(
     run: list[tuple[str, ...]] = []
     whole = comparison.localize_all
 
-    def watched(opened: object, methods: tuple[str, ...], *rest: object) -> object:
-        run.append(methods)
-        return whole(opened, methods, *rest)  # type: ignore[arg-type]
+    def watched(
+        query_sets: dict[str, QuerySet],
+        descriptors: dict[str, Descriptor],
+        places: dict[str, comparison.MappedPlace],
+    ) -> object:
+        run.append(tuple(descriptors))
+        return whole(query_sets, descriptors, places)
 
     monkeypatch.setattr(comparison, "localize_all", watched)
     said: list[str] = []
     again = localization.run(replace(workspace, say=said.append))
-    assert run == [(METHOD,)]  # the other method is as it was
+    assert set(run) == {(METHOD,)}  # the other method is as it was
     assert len(said) == 1 and "damaged" in said[0]
     assert again.tables == study.tables
 
@@ -141,6 +147,13 @@ def test_a_run_that_is_cut_off_goes_on_with_the_next_piece(
     study: Study, workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(comparison_pieces, "PIECE", 3)
+    build, built = comparison.build_maps, []
+
+    def counted(recording: Recording, *rest: object) -> object:
+        built.append(recording.name)
+        return build(recording, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(comparison_pieces, "build_maps", counted)
     whole, begun = comparison.localize_all, []
 
     def cut_off(*arguments: object) -> object:
@@ -155,6 +168,8 @@ def test_a_run_that_is_cut_off_goes_on_with_the_next_piece(
         answered(fresh, scenarios(fresh), ready((METHOD,)))
     (found,) = answered(fresh, scenarios(fresh), ready((METHOD,)))
     assert len(begun) == 4  # three pieces of eight queries, one of them begun twice
+    assert len(built) == 2  # the map and the negative one, for all of them
+    assert not list(tmp_path.glob("cache/maps-*"))
     (expected,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
     assert found.answers == expected.answers
     for name, array in expected.arrays.items():

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +190,20 @@ def test_nothing_is_done_twice(curves: Study, space: Workspace) -> None:
         for label, (x, y) in before.series.items():
             np.testing.assert_array_equal(x, after.series[label][0])
             np.testing.assert_array_equal(y, after.series[label][1])
+
+
+def test_cells_are_scored_side_by_side(curves: Study, space: Workspace, tmp_path: Path) -> None:
+    for part in ("datasets", "models"):
+        shutil.copytree(space.out / part, tmp_path / part)
+    scored: list[str] = []
+    score = transfer._score
+    with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(2) as executor:
+        forbid(patch, (learning, "_train"))
+        patch.setattr(transfer, "_score", lambda cell: scored.append(cell.test) or score(cell))
+        again = roc.run(replace(space, out=tmp_path, executor=executor), PLAN)
+        forbid(patch, (transfer, "described"))
+        roc.run(replace(space, out=tmp_path), PLAN)
+    assert sorted(scored) == sorted(SIMULATED) and again.tables == curves.tables
 
 
 def test_generalization_study(curves: Study, space: Workspace) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..config import Config
-from ..descriptors import Descriptor, create
+from ..descriptors import Descriptor
 from ..errors import DatasetError
 from ..localization import Localization, Localized, NotLocalized, Reason
 from ..localizer import Localizer
@@ -22,7 +22,7 @@ from ..segmentation import Segmenter
 from ..types import Descriptors, Float64, Recording, Segments
 from .methods import published_estimator
 from .run import query_clouds
-from .scenario import OpenedScenario, QuerySet
+from .scenario import QuerySet
 from .score import Evaluation
 
 ESTIMATORS = ("consensus", "published")
@@ -155,48 +155,30 @@ def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
 
 
 def localize_all(
-    opened: OpenedScenario,
-    methods: tuple[str, ...],
-    threads: int = 1,
-    progress: Progress | None = None,
-) -> tuple[dict[str, Any], dict[str, Float64]]:
-    """Localize every query of a scenario in its map and in the negative one, by every method.
+    query_sets: Mapping[str, QuerySet],
+    descriptors: Mapping[str, Descriptor],
+    places: Mapping[str, MappedPlace],
+) -> dict[str, Any]:
+    """Localize every query in every place, by every method.
 
     Returns
     -------
-    answers : dict
+    dict
         ``answers[method][query_set][place][estimator]`` is a list of one dict a query, in values
         that JSON can hold.
-    arrays : dict of str to array
-        "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each set of queries
-        "indices-SET" and "truths-SET".
     """
-    descriptors = {name: create(name, threads) for name in methods}
-    places = {"map": build_place(opened.map, descriptors, threads)}
-    if opened.negative is not None:
-        places["negative"] = build_place(opened.negative, descriptors, threads)
     answers: dict[str, Any] = {
         method: {
             query_set: {place: {name: [] for name in ESTIMATORS} for place in places}
-            for query_set in opened.query_sets
+            for query_set in query_sets
         }
-        for method in methods
+        for method in descriptors
     }
-    total = sum(len(query_set.positions) for query_set in opened.query_sets.values())
-    for done, (query_set, found) in enumerate(_answered(opened, descriptors, places)):
-        for (method, place, estimator), result in found.items():
-            answers[method][query_set][place][estimator].append(_record(result))
-        if progress:
-            progress(done + 1, total)
-    return answers, _arrays(opened, places["map"])
-
-
-def _answered(
-    opened: OpenedScenario, descriptors: Mapping[str, Descriptor], places: Mapping[str, MappedPlace]
-) -> Iterator[tuple[str, dict[tuple[str, str, str], Localization]]]:
-    for name, query_set in opened.query_sets.items():
+    for name, query_set in query_sets.items():
         for found in localized(query_set, descriptors, places):
-            yield name, found
+            for (method, place, estimator), result in found.items():
+                answers[method][name][place][estimator].append(_record(result))
+    return answers
 
 
 def localized(
@@ -244,17 +226,13 @@ def _localization(answer: Answer) -> Localization:
     return Localized(T_map_sensor=np.array(answer["T_map_sensor"]).reshape(4, 4), **figures)
 
 
-def _arrays(opened: OpenedScenario, prior_map: MappedPlace) -> dict[str, Float64]:
-    place = {
-        "trajectory": prior_map.trajectory[:, :2, 3],
-        "cloud": standing(prior_map.cloud),
-    }
-    return place | query_arrays(opened.query_sets)
+def arrays_of(query_sets: Mapping[str, QuerySet], prior_map: MappedPlace) -> dict[str, Float64]:
+    """What tables and pictures of the answers need.
 
-
-def query_arrays(query_sets: Mapping[str, QuerySet]) -> dict[str, Float64]:
-    """For each set of queries "indices-SET" and, where they are known, "truths-SET"."""
-    arrays = {}
+    "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each set of queries
+    "indices-SET" and, where they are known, "truths-SET".
+    """
+    arrays = {"trajectory": prior_map.trajectory[:, :2, 3], "cloud": standing(prior_map.cloud)}
     for name, query_set in query_sets.items():
         arrays[f"indices-{name}"] = query_set.recording.indices[query_set.positions].astype(
             np.float64

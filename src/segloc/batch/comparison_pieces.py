@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..descriptors import Descriptor, create
+from ..map.segment_map import SegmentMap
 from ..processes import in_parallel
 from ..types import Float64
 from . import comparison
-from .cache import load_arrays, load_json, save_arrays, save_json
-from .comparison import query_arrays
-from .scenario import QuerySet, Scenario
+from .cache import DATA, load_arrays, load_json, save_arrays, save_json, store
+from .comparison import MappedPlace, arrays_of, build_maps, place_of
+from .scenario import OpenedScenario, QuerySet, Scenario
 from .workspace import Workspace
 
-PIECE = 50
-"""So many queries of a scenario are answered, and kept, at once."""
+PIECE, PIECES = 5, 16
+"""So many queries of a scenario are answered, and kept, at once; more where it would be in more
+pieces than so many."""
 
 Key = tuple[str, dict[str, Any]]
 """Name and settings by which a piece is kept."""
@@ -30,13 +34,16 @@ class Job:
 
     Attributes
     ----------
+    maps : Path
+        Where the first piece leaves its maps for the others.
     piece : int
-        Of :data:`PIECE` queries each: which of them.
+        Which of them.
     """
 
     scenario: Scenario
     methods: tuple[str, ...]
     threads: int
+    maps: Path
     piece: int = 0
 
 
@@ -46,9 +53,11 @@ class Piece:
 
     Attributes
     ----------
-    answers, arrays : dict
-        As :func:`~segloc.batch.comparison.localize_all` returns them; the arrays are those of the
-        whole scenario.
+    answers : dict
+        As :func:`~segloc.batch.comparison.localize_all` returns them.
+    arrays : dict
+        Those of the whole scenario, see :func:`~segloc.batch.comparison.arrays_of`; of a first
+        piece only.
     number : int
         How many pieces the scenario has.
     """
@@ -61,18 +70,44 @@ class Piece:
 def done(job: Job) -> tuple[Job, Piece]:
     """The job, and what was found."""
     opened = job.scenario.open()
+    descriptors = {name: create(name, job.threads) for name in job.methods}
+    places = _places(opened, descriptors, job)
     queries = sum(len(each.positions) for each in opened.query_sets.values())
-    part = replace(opened, query_sets=_queries_of(opened.query_sets, job.piece))
-    answers, arrays = comparison.localize_all(part, job.methods, job.threads)
-    arrays |= query_arrays(opened.query_sets)
-    return job, Piece(answers, arrays, max(1, -(-queries // PIECE)))
+    size = max(PIECE, -(-queries // PIECES))
+    part = _queries_of(opened.query_sets, job.piece * size, size)
+    answers = comparison.localize_all(part, descriptors, places)
+    arrays = {} if job.piece else arrays_of(opened.query_sets, places["map"])
+    return job, Piece(answers, arrays, max(1, -(-queries // size)))
 
 
-def _queries_of(query_sets: Mapping[str, QuerySet], piece: int) -> dict[str, QuerySet]:
-    """The same sets, each with those of its queries alone that belong to a piece."""
+def _places(
+    opened: OpenedScenario, descriptors: Mapping[str, Descriptor], job: Job
+) -> dict[str, MappedPlace]:
+    """The map, and the negative one, from where they are kept; made where they are not."""
+    found = {}
+    for name, recording in (("map", opened.map), ("negative", opened.negative)):
+        if recording is None:
+            continue
+        if not (job.maps / name).exists():
+            maps = build_maps(recording, descriptors, job.threads)
+            store(job.maps / name, {}, partial(_save_maps, maps))
+        files = {each: job.maps / name / DATA / f"{each}.segmap" for each in descriptors}
+        maps = {each: SegmentMap.load(file) for each, file in files.items()}
+        found[name] = place_of(maps, job.threads)
+    return found
+
+
+def _save_maps(maps: Mapping[str, SegmentMap], folder: Path) -> None:
+    folder.mkdir()
+    for name, prior_map in maps.items():
+        prior_map.save(folder / f"{name}.segmap")
+
+
+def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> dict[str, QuerySet]:
+    """The same sets, with so many queries of them all together, the first ``start`` left out."""
     found, before = {}, 0
     for name, each in query_sets.items():
-        first, last = (int(np.clip(k * PIECE - before, 0, None)) for k in (piece, piece + 1))
+        first, last = (int(np.clip(k - before, 0, None)) for k in (start, start + size))
         truths = None if each.truths is None else each.truths[first:last]
         found[name] = replace(each, positions=each.positions[first:last], truths=truths)
         before += len(each.positions)
@@ -83,7 +118,7 @@ def pieces(
     workspace: Workspace, jobs: Sequence[Job], key: Callable[[Job], Key], title: str
 ) -> list[Piece]:
     """What the jobs find, in their order; what has been found before is not looked for again."""
-    keys = [(name, {**settings, "queries": PIECE}) for name, settings in map(key, jobs)]
+    keys = [(name, {**settings, "queries": [PIECE, PIECES]}) for name, settings in map(key, jobs)]
     found = [workspace.find(*each, _load_piece) for each in keys]
     left = {k: job for k, job in enumerate(jobs) if found[k] is None}
     with workspace.progress(title) as update:

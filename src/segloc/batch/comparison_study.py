@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -98,7 +99,7 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
         for k, result in enumerate(results)
         if (names := tuple(name for name in methods.names if name not in result.answers))
     }
-    first = [Job(results[k].scenario, names, workspace.threads) for k, names in missing.items()]
+    first = [_first(workspace, results[k].scenario, names, methods) for k, names in missing.items()]
     key = partial(_piece_key, methods=methods)
     begun = pieces(workspace, first, key, "Localizing, the first queries")
     rest = [
@@ -112,13 +113,26 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
         answers = joined([part.answers for part in parts])
         results[k] = Result(job.scenario, {**results[k].answers, **answers}, piece.arrays)
         _keep(workspace, job, methods, answers, piece.arrays)
+        shutil.rmtree(job.maps, ignore_errors=True)
     return results
 
 
+def _first(
+    workspace: Workspace, scenario: Scenario, names: tuple[str, ...], methods: Methods
+) -> Job:
+    """The first piece of a scenario."""
+    maps = workspace.folder(f"maps-{scenario.name}", _settings(scenario, names, methods))
+    return Job(scenario, names, workspace.threads, maps)
+
+
 def _piece_key(job: Job, methods: Methods) -> tuple[str, Settings]:
-    settings = job.scenario.settings()
-    keys = dict(_method_key(job.scenario, settings, methods, name) for name in job.methods)
-    return f"piece-{job.scenario.name}-{job.piece}", {"methods": keys}
+    settings = _settings(job.scenario, job.methods, methods)
+    return f"piece-{job.scenario.name}-{job.piece}", settings
+
+
+def _settings(scenario: Scenario, names: tuple[str, ...], methods: Methods) -> Settings:
+    settings = scenario.settings()
+    return {"methods": dict(_method_key(scenario, settings, methods, name) for name in names)}
 
 
 def _stored(workspace: Workspace, scenario: Scenario, methods: Methods) -> Result:

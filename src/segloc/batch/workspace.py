@@ -128,7 +128,7 @@ class Workspace:
         self, name: str, settings: Mapping[str, object], load: Callable[[Path], T]
     ) -> T | None:
         """A finished part, or None where there is none or its files are damaged."""
-        folder = self._folder(name, settings)
+        folder = self.folder(name, settings)
         if not folder.exists():
             return None
         try:
@@ -153,9 +153,10 @@ class Workspace:
             If the folder cannot be written.
         """
         entry: dict[str, object] = {"name": name, "settings": self._of_code(settings)}
-        cache.store(self._folder(name, settings), entry, lambda path: save(value, path))
+        cache.store(self.folder(name, settings), entry, lambda path: save(value, path))
 
-    def _folder(self, name: str, settings: Mapping[str, object]) -> Path:
+    def folder(self, name: str, settings: Mapping[str, object]) -> Path:
+        """Where a part lies, or will."""
         return self.out / "cache" / f"{name}-{cache.digest(self._of_code(settings))[:16]}"
 
     def _of_code(self, settings: Mapping[str, object]) -> Mapping[str, object]:

@@ -40,8 +40,9 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     tests = transfer.domains.names
     transfer.prepare(tests)
     rows = [(test, source) for test in tests for source in _sources(test)]
+    transfer.score([(source, test) for test, source in rows])
     areas: Areas = {}
-    with workspace.progress("Scoring pairs") as update:
+    with workspace.progress("Adding up") as update:
         for done, (test, source) in enumerate(rows):
             update(done, len(rows))
             found = {m: transfer.curve(m, source, test) for m in transfer.methods}

@@ -42,9 +42,11 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     transfer = Transfer(workspace, plan)
     domains = transfer.domains.names
     transfer.prepare(domains)
+    judged = [method for method in _JUDGED if method in transfer.methods]
+    transfer.score([(domain, domain) for domain in domains], judged)
     curves: Curves = {domain: {} for domain in domains}
     cells = [(domain, method) for domain in domains for method in transfer.methods]
-    with workspace.progress("Scoring pairs") as update:
+    with workspace.progress("Adding up") as update:
         for done, (domain, method) in enumerate(cells):
             update(done, len(cells))
             curve = transfer.curve(method, domain, domain)

@@ -63,8 +63,8 @@ class Plan:
     sizes: Mapping[str, DomainSize] | None = None
 
 
-PLANS = {"small": Plan(400, 300, 2_000), "full": Plan(1500, 1000, 10_000)}
-"""By scale: three and ten minutes of one core for the trainings."""
+PLANS = {"small": Plan(250, 300, 2_000), "full": Plan(1500, 1000, 10_000)}
+"""By scale: three minutes of one core and ten for the trainings."""
 
 
 @dataclass(frozen=True)

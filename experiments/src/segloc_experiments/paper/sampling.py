@@ -66,8 +66,8 @@ class Plan:
     sizes: Mapping[str, DomainSize] | None = None
 
 
-PLANS = {"small": Plan(5, 600, 8_000, 2_000), "full": Plan(15, 1500, 40_000, 10_000)}
-"""By scale: two and four minutes of one core for the trainings."""
+PLANS = {"small": Plan(5, 300, 8_000, 2_000), "full": Plan(15, 1500, 40_000, 10_000)}
+"""By scale: two minutes of one core and four for the trainings."""
 
 
 def run(workspace: Workspace, plan: Plan | None = None) -> Study:

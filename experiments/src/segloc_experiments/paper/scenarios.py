@@ -15,11 +15,13 @@ from segloc.batch.scenario import MAX_GAP_M, Facts, OpenedScenario, QuerySet, Sc
 from segloc.datasets import Recording, Swathes
 from segloc.errors import DatasetError
 from segloc.simulation.suites import SIX, TestSet
+from segloc.types import Float64
 
 from .. import kitti00
 from .workspace import Workspace
 
-EVERY_M = 10.0
+EVERY_M = {"small": 20.0, "full": 10.0}
+"""Metres of travel from query to query, by scale; "paper" has as many queries as the paper."""
 _NEGATIVE_SEED = 10_000
 
 
@@ -39,13 +41,19 @@ class SuiteScenario:
         return Facts(self.test.kind, self.test.sensor)
 
     def settings(self) -> dict[str, Any]:
-        return {"set": asdict(self.test), "scale": self.scale, "seed": self.seed}
+        every_m = self.test.every_m(self.scale) or EVERY_M[self.scale]
+        own = {"set": asdict(self.test), "scale": self.scale, "seed": self.seed}
+        return {**own, "every_m": every_m}
 
     def open(self) -> OpenedScenario:
         sessions = self.test.sessions(self.scale, seed=self.seed)
-        every_m = self.test.every_m(self.scale)
+        published_m = self.test.every_m(self.scale)
         query_sets = {
-            name: _simulated(item, every_m) for name, item in sessions.items() if name != "map"
+            name: _spread(item, EVERY_M[self.scale])
+            if published_m is None
+            else _published(item, published_m)
+            for name, item in sessions.items()
+            if name != "map"
         }
         return OpenedScenario(sessions["map"], self.negative(), query_sets)
 
@@ -58,16 +66,25 @@ class SuiteScenario:
         return self.test.length_m / len(self.test.tests)
 
 
-def _simulated(recording: Recording, every_m: float | None = None) -> QuerySet:
-    """The queries of a session; ``every_m`` metres, where a scale says how many there are."""
-    truth = np.asarray(getattr(recording, "truth", recording.poses))
-    if every_m is not None:
-        chosen = geometry.stations(geometry.travelled(truth), every_m, 0.5 * every_m)
-        return QuerySet(recording, chosen, truth[chosen])
-    if isinstance(recording, Swathes):  # they lie 30 m apart: each is a query by itself
-        return QuerySet(recording, np.arange(len(recording), dtype=np.int64), truth)
-    positions = query_positions(truth, EVERY_M, MAX_GAP_M)
+def _published(recording: Recording, every_m: float) -> QuerySet:
+    """As many queries of a session as the paper has."""
+    truth = _truth(recording)
+    positions = geometry.stations(geometry.travelled(truth), every_m, 0.5 * every_m)
     return QuerySet(recording, positions, truth[positions])
+
+
+def _spread(recording: Recording, every_m: float) -> QuerySet:
+    """The queries of a session, each with a stretch behind it."""
+    truth = _truth(recording)
+    if isinstance(recording, Swathes):  # they lie 30 m apart: each is a query by itself
+        positions = np.arange(len(recording), dtype=np.int64)
+    else:
+        positions = query_positions(truth, every_m, MAX_GAP_M)
+    return QuerySet(recording, positions, truth[positions])
+
+
+def _truth(recording: Recording) -> Float64:
+    return np.asarray(getattr(recording, "truth", recording.poses))
 
 
 @dataclass(frozen=True)

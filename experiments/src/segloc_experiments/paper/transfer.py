@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from segloc.batch.methods import METHODS
 from segloc.batch.methods import fingerprint as shipped_fingerprint
+from segloc.batch.workspace import mute, silent
 from segloc.descriptors.base import Descriptor
 from segloc.errors import ConfigError, WeightsError
+from segloc.processes import in_parallel
 from segloc.training.shards import INDEX
 
 from .domain_segments import RECORDED, DomainSize
@@ -114,6 +116,23 @@ class Transfer:
             space = self.workspace
             trained(wanted, workers=space.workers, executor=space.executor, progress=update)
 
+    def score(self, cells: Sequence[tuple[str, str]], trusted: Sequence[str] = ()) -> None:
+        """Make all curves of each (source, test) side by side, where there are several processes.
+
+        ``trusted`` are the methods of which :meth:`trust` is made, too. What is made is kept, so
+        that :meth:`curve` and :meth:`trust` find it.
+        """
+        space = self.workspace
+        if space.workers == 1 and space.executor is None:
+            return
+        alone = replace(space, progress=silent, say=mute, workers=1, executor=None)
+        tasks = [_Cell(alone, self.plan, *cell, tuple(trusted)) for cell in cells]
+        with space.progress("Scoring pairs") as update:
+            update(0, len(tasks))
+            found = in_parallel(_score, tasks, space.workers, space.executor)
+            for done, _ in enumerate(found, start=1):
+                update(done, len(tasks))
+
     def curve(self, method: str, source: str, test: str) -> Roc | None:
         """How well a method that was trained on ``source`` tells the pairs of ``test`` apart.
 
@@ -204,6 +223,26 @@ class Transfer:
             dataset = self.domains.dataset(test, "test")
             self._described[key] = described(descriptor, dataset, self.pairs(test))
         return self._described[key]
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """The curves of all methods for one training set and one test set."""
+
+    workspace: Workspace
+    plan: Plan
+    source: str
+    test: str
+    trusted: tuple[str, ...]
+
+
+def _score(cell: _Cell) -> None:
+    """Make the curves of a cell, in whatever process."""
+    transfer = Transfer(cell.workspace, cell.plan)
+    for method in transfer.methods:
+        transfer.curve(method, cell.source, cell.test)
+    for method in cell.trusted:
+        transfer.trust(method, cell.source, cell.test)
 
 
 def _fingerprint(descriptor: Descriptor, method: str, weights: Path | None) -> str:
