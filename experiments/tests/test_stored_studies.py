@@ -10,7 +10,9 @@ from segloc_experiments.results.pages import status, table
 from segloc_experiments.results.store import Result
 from segloc_experiments.results.studies import kept
 
+from segloc.batch.comparison_tables import total
 from segloc.batch.report.study import Study, Table
+from segloc.simulation.suites import SIX
 
 
 def _study(name: str, **facts: Any) -> Study:
@@ -34,6 +36,27 @@ def test_other_sets_have_names_of_their_own() -> None:
     (result,) = kept(_study("localization", scale="small", data="kitti00"))
     assert result.name == "paper-roc-judges-six-small-kitti00"
     assert "--kitti DATA" in result.command and "verification" in result.produced_by
+
+
+def test_sets_can_be_measured_one_after_the_other(tmp_path: Path) -> None:
+    def measured(only: list[str] | None, rows: tuple[tuple[str | int, ...], ...]) -> Result:
+        counts = Table("negatives", "False", ("set", "queries", "dsm"), (*rows, total(rows)))
+        facts = {"suite": "six", "scale": "full", "data": None, "only": only}
+        of = {"fingerprints": {"dsm": "0"}}
+        (result,) = kept(Study("localization", "", (counts,), facts=facts | of), tmp_path)
+        result.save(tmp_path)
+        return result
+
+    names = [test.name for test in SIX]
+    first = measured(names[1:3], ((names[1], 5, 1), (names[2], 7, 0)))
+    assert f"--sets {names[1]},{names[2]} --store" in first.command
+    second = measured([names[0], names[2]], ((names[0], 2, 0), (names[2], 8, 0)))
+    assert second.rows == ((names[0], 2, 0), (names[1], 5, 1), (names[2], 8, 0), ("all", 15, 1))
+    rest = measured(names[3:], tuple((name, 1, 0) for name in names[3:]))
+    assert [row[0] for row in rest.rows] == [*names, "all"] and "--sets" not in rest.command
+    path = tmp_path / f"{rest.name}.json"
+    path.write_text(path.read_text().replace(rest.produced_by["pose"], "0123456789ab"))
+    assert len(measured(names[:1], ((names[0], 2, 0),)).rows) == 2  # the others are of other code
 
 
 def test_what_other_code_has_made_is_made_again(tmp_path: Path, monkeypatch: Any) -> None:

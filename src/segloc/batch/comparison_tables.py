@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,9 @@ from .methods import Methods
 from .report.study import Cell, Table
 from .scenario import Scenario
 from .score import Evaluation
+
+ALL = "all"
+"""What the last row of some tables is of."""
 
 _TITLES = {
     "consensus": "our estimator (consensus)",
@@ -106,14 +109,15 @@ def _found_elsewhere(results: list[Result], methods: Methods, estimator: str) ->
         f"negatives-{estimator}",
         f"False localizations in the map of another place, {_TITLES[estimator]}",
         ("set", "queries", *methods.names),
-        (*rows, _total(rows)),
+        (*rows, total(rows)),
         "The same queries in a map that does not hold them: every answer is false.",
     )
 
 
-def _total(rows: list[tuple[Cell, ...]]) -> tuple[Cell, ...]:
+def total(rows: Sequence[tuple[Cell, ...]]) -> tuple[Cell, ...]:
+    """A last row, which sums up what stands behind the names of all."""
     sums = [sum(int(row[k] or 0) for row in rows) for k in range(1, len(rows[0]))]
-    return ("all", *sums)
+    return (ALL, *sums)
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ def compare_on(
     write_report(out, requested=False)
 
 
-def chosen(methods: str | None) -> tuple[str, ...] | None:
+def chosen(given: str | None, option: str = "--methods") -> tuple[str, ...] | None:
     """The names in a list that is joined by commas.
 
     Raises
@@ -178,11 +178,11 @@ def chosen(methods: str | None) -> tuple[str, ...] | None:
     ConfigError
         If a name is empty.
     """
-    if methods is None:
+    if given is None:
         return None
-    names = tuple(name.strip() for name in methods.split(","))
+    names = tuple(name.strip() for name in given.split(","))
     if not all(names):
-        raise ConfigError(f"--methods {methods!r}: a name is empty")
+        raise ConfigError(f"{option} {given!r}: a name is empty")
     return names
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -38,6 +39,10 @@ Kitti = Annotated[
 Store = Annotated[
     Path | None,
     typer.Option(metavar="FOLDER", help="Keep the tables there, with fingerprints of the code."),
+]
+Sets = Annotated[
+    str | None,
+    typer.Option(metavar="NAME,...", help="Only these test sets of the suite.", show_default="all"),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
 
@@ -86,6 +91,7 @@ def localization(
     out: own.Out = own.OUT,
     suite: Suite = "six",
     scale: Scale = "small",
+    sets: Sets = None,
     kitti: Kitti = None,
     methods: own.Methods = None,
     seed: Seed = 0,
@@ -108,7 +114,8 @@ def localization(
     if mapped is None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
         with _workspace(*given, cluster) as workspace:
-            _run("localization", workspace, store)
+            only = None if sets is None else own.chosen(sets, "--sets")
+            _run("localization", replace(workspace, only=only), store)
         return
     if query is None:
         raise ConfigError("give two recordings, one to map and one to localize in it")
@@ -168,6 +175,6 @@ def _stored(name: str, workspace: Workspace, store: Path | None) -> Study:
 
     study = studies.run(name, workspace)
     if store is not None:
-        for result in kept(study):
+        for result in kept(study, store):
             say(f"stored in {result.save(store)}")
     return study

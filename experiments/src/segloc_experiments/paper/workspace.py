@@ -26,12 +26,15 @@ class Workspace(workspace.Workspace):
     suite, scale : str
         Of :data:`segloc.simulation.suites.SUITES`; "small", "full", or "paper": poses are asked for
         as often and as far along as in the paper, which takes hours.
+    only : tuple of str or None
+        Of the test sets of the suite only these.
     data : Path or None
         KITTI odometry 00: keyframes, scans and their poses, as ``protocols/kitti00.sh`` reads it.
     """
 
     suite: str = "six"
     scale: str = "small"
+    only: tuple[str, ...] | None = None
     data: Path | None = None
 
     def __post_init__(self) -> None:
@@ -39,6 +42,11 @@ class Workspace(workspace.Workspace):
             raise ConfigError(f"scale must be one of {', '.join(SCALES)}, not {self.scale!r}")
         if self.suite not in SUITES:
             raise ConfigError(f"suite must be one of {', '.join(SUITES)}, not {self.suite!r}")
+        names = [test.name for test in SUITES[self.suite]]
+        if unknown := set(self.only or ()) - set(names):
+            raise ConfigError(
+                f"no set {', '.join(sorted(unknown))} in {self.suite}; there are {', '.join(names)}"
+            )
 
     @property
     def effort(self) -> str:
@@ -47,8 +55,9 @@ class Workspace(workspace.Workspace):
 
     @property
     def sets(self) -> tuple[TestSet, ...]:
-        """The test sets of the suite."""
-        return SUITES[self.suite]
+        """The test sets of the suite, or those of them that are wanted."""
+        tests = SUITES[self.suite]
+        return tests if self.only is None else tuple(t for t in tests if t.name in self.only)
 
     @property
     def code(self) -> Mapping[str, str]:
@@ -58,7 +67,8 @@ class Workspace(workspace.Workspace):
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
         """What a study says of itself: enough to repeat it."""
         data = None if self.data is None else self.data.name
-        own = {"suite": self.suite, "scale": self.scale, "data": data}
+        only = None if self.only is None else [test.name for test in self.sets]
+        own = {"suite": self.suite, "scale": self.scale, "only": only, "data": data}
         return {**super().facts(seconds, fingerprints), **own}
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
+from segloc.batch.comparison_tables import ALL, total
 from segloc.batch.report.study import Study, Table
+from segloc.simulation.suites import SUITES
 
 from .fingerprints import COMPARING, DESCRIBING
 from .store import Result
@@ -15,8 +19,12 @@ USUAL = ("six", "full", None)
 """The suite, the scale and the data of which a result is named after its table alone."""
 
 
-def kept(study: Study) -> Iterator[Result]:
-    """Its own tables; published figures that stand beside them are in no need of it."""
+def kept(study: Study, folder: Path | None = None) -> Iterator[Result]:
+    """Its own tables; published figures that stand beside them are in no need of it.
+
+    Of a study of some test sets they also have the rows of others that the same code has measured
+    and that the folder holds.
+    """
     stages = COMPARING if study.name in TIMED else (*DESCRIBING, "training")
     facts = study.facts
     of = (facts["suite"], facts["scale"], facts["data"])
@@ -26,7 +34,7 @@ def kept(study: Study) -> Iterator[Result]:
     methods = sorted({name.split(",")[0] for name in facts["fingerprints"]})
     for table in study.tables:
         if table.source == "segloc":
-            yield Result.measured(
+            result = Result.measured(
                 _named(table, of),
                 f"{command} --store docs/results",
                 table.columns,
@@ -35,6 +43,36 @@ def kept(study: Study) -> Iterator[Result]:
                 methods=methods,
                 note=table.note,
             )
+            some = facts.get("only") is not None and table.columns[0] == "set"
+            yield _with_other_sets(result, of[0], folder) if some else result
+
+
+def _with_other_sets(result: Result, suite: str, folder: Path | None) -> Result:
+    names = [test.name for test in SUITES[suite]]
+    rows, commits = [row for row in result.rows if row[0] in names], {result.commit}
+    before = _before(result, folder)
+    if before is not None:
+        own = {row[0] for row in rows}
+        rows += [row for row in before.rows if row[0] in names and row[0] not in own]
+        commits.update(before.commit.split(", "))
+    rows.sort(key=lambda row: names.index(str(row[0])))
+    measured = dict.fromkeys(str(row[0]) for row in rows)
+    if any(row[0] == ALL for row in result.rows):
+        rows.append(total(rows))
+    command = result.command
+    if len(measured) < len(names):
+        command = command.replace(" --store", f" --sets {','.join(measured)} --store")
+    return replace(result, command=command, commit=", ".join(sorted(commits)), rows=tuple(rows))
+
+
+def _before(result: Result, folder: Path | None) -> Result | None:
+    """What the folder holds of that name, if it is of the same code."""
+    path = None if folder is None else folder / f"{result.name}.json"
+    if path is None or not path.exists():
+        return None
+    before = Result.load(path)
+    same = (before.produced_by, before.columns) == (result.produced_by, result.columns)
+    return before if same else None
 
 
 def _named(table: Table, of: tuple[str, str, str | None]) -> str:
