@@ -34,11 +34,14 @@ bool as_long(double a, double b, double r) {
   return rest <= 0.0 || rest * rest <= 4.0 * a * b;
 }
 
+// What kernels may read behind the last value.
+constexpr std::size_t kBehind = 15;
+
 // Sources and targets in single precision, padded for the kernels.
 class Columns {
  public:
   void resize(std::size_t count) {
-    for (auto& column : columns_) column.resize(padded(count, 16));
+    for (auto& column : columns_) column.resize(count + kBehind);
   }
 
   void set(std::size_t k, const Pair& pair) {
