@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,9 +24,6 @@ PIECE, PIECES = 5, 16
 """So many queries of a scenario are answered, and kept, at once; more where it would be in more
 pieces than so many."""
 
-Key = tuple[str, dict[str, Any]]
-"""Name and settings by which a piece is kept."""
-
 
 @dataclass(frozen=True)
 class Job:
@@ -35,7 +32,8 @@ class Job:
     Attributes
     ----------
     maps : Path
-        Where the first piece leaves its maps for the others.
+        Where the first piece leaves its maps for the others; the name of this folder, and so what
+        a piece is kept by, is another one for all other settings.
     piece : int
         Which of them.
     """
@@ -114,11 +112,15 @@ def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> di
     return found
 
 
-def pieces(
-    workspace: Workspace, jobs: Sequence[Job], key: Callable[[Job], Key], title: str
-) -> list[Piece]:
+def pieces(workspace: Workspace, jobs: Sequence[Job], title: str) -> list[Piece]:
     """What the jobs find, in their order; what has been found before is not looked for again."""
-    keys = [(name, {**settings, "queries": [PIECE, PIECES]}) for name, settings in map(key, jobs)]
+    keys = [
+        (
+            f"piece-{job.scenario.name}-{job.piece}",
+            {"maps": job.maps.name, "queries": [PIECE, PIECES]},
+        )
+        for job in jobs
+    ]
     found = [workspace.find(*each, _load_piece) for each in keys]
     left = {k: job for k, job in enumerate(jobs) if found[k] is None}
     with workspace.progress(title) as update:

@@ -6,7 +6,6 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -100,14 +99,13 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
         if (names := tuple(name for name in methods.names if name not in result.answers))
     }
     first = [_first(workspace, results[k].scenario, names, methods) for k, names in missing.items()]
-    key = partial(_piece_key, methods=methods)
-    begun = pieces(workspace, first, key, "Localizing, the first queries")
+    begun = pieces(workspace, first, "Localizing, the first queries")
     rest = [
         replace(job, piece=number)
         for job, piece in zip(first, begun, strict=True)
         for number in range(1, piece.number)
     ]
-    others = iter(pieces(workspace, rest, key, "Localizing"))
+    others = iter(pieces(workspace, rest, "Localizing"))
     for k, job, piece in zip(missing, first, begun, strict=True):
         parts = [piece, *islice(others, piece.number - 1)]
         answers = joined([part.answers for part in parts])
@@ -121,18 +119,10 @@ def _first(
     workspace: Workspace, scenario: Scenario, names: tuple[str, ...], methods: Methods
 ) -> Job:
     """The first piece of a scenario."""
-    maps = workspace.folder(f"maps-{scenario.name}", _settings(scenario, names, methods))
-    return Job(scenario, names, workspace.threads, maps)
-
-
-def _piece_key(job: Job, methods: Methods) -> tuple[str, Settings]:
-    settings = _settings(job.scenario, job.methods, methods)
-    return f"piece-{job.scenario.name}-{job.piece}", settings
-
-
-def _settings(scenario: Scenario, names: tuple[str, ...], methods: Methods) -> Settings:
     settings = scenario.settings()
-    return {"methods": dict(_method_key(scenario, settings, methods, name) for name in names)}
+    keys = dict(_method_key(scenario, settings, methods, name) for name in names)
+    maps = workspace.folder(f"maps-{scenario.name}", {"methods": keys})
+    return Job(scenario, names, workspace.threads, maps)
 
 
 def _stored(workspace: Workspace, scenario: Scenario, methods: Methods) -> Result:

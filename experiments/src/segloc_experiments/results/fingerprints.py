@@ -52,7 +52,14 @@ STAGES: dict[str, tuple[str, ...]] = {
 """Folders and files of each stage of a query, of SegMatch's estimator, and of what trains, follows,
 tiles, aligns and simulates."""
 
-_OTHERS = (*("geometric consistency", "training", "following", "tiles", "alignment", "simulation"),)
+_OTHERS = (
+    "geometric consistency",
+    "training",
+    "following",
+    "tiles",
+    "alignment",
+    "simulation",
+)
 
 LOCALIZING = tuple(name for name in STAGES if name not in _OTHERS)
 """The stages of a single query, by the default estimator or PROSAC."""
