@@ -54,6 +54,8 @@ def test_sets_can_be_measured_one_after_the_other(tmp_path: Path) -> None:
     assert second.rows == ((names[0], 2, 0), (names[1], 5, 1), (names[2], 8, 0), ("all", 15, 1))
     rest = measured(names[3:], tuple((name, 1, 0) for name in names[3:]))
     assert [row[0] for row in rest.rows] == [*names, "all"] and "--sets" not in rest.command
+    both = measured(names[:1], ((names[0], 2, 0), ("kitti00 sparse", 4, 0)))
+    assert [row[0] for row in both.rows] == [*names, "kitti00 sparse", "all"]
     path = tmp_path / f"{rest.name}.json"
     path.write_text(path.read_text().replace(rest.produced_by["pose"], "0123456789ab"))
     assert len(measured(names[:1], ((names[0], 2, 0),)).rows) == 2  # the others are of other code

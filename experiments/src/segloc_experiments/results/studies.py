@@ -49,14 +49,15 @@ def kept(study: Study, folder: Path | None = None) -> Iterator[Result]:
 
 def _with_other_sets(result: Result, suite: str, folder: Path | None) -> Result:
     names = [test.name for test in SUITES[suite]]
-    rows, commits = [row for row in result.rows if row[0] in names], {result.commit}
+    rows, commits = [row for row in result.rows if row[0] != ALL], {result.commit}
     before = _before(result, folder)
     if before is not None:
         own = {row[0] for row in rows}
-        rows += [row for row in before.rows if row[0] in names and row[0] not in own]
+        rows += [row for row in before.rows if row[0] not in {*own, ALL}]
         commits.update(before.commit.split(", "))
-    rows.sort(key=lambda row: names.index(str(row[0])))
-    measured = dict.fromkeys(str(row[0]) for row in rows)
+    found = {row[0] for row in rows}
+    measured = [name for name in names if name in found]
+    rows.sort(key=lambda row: measured.index(str(row[0])) if row[0] in measured else len(names))
     if any(row[0] == ALL for row in result.rows):
         rows.append(total(rows))
     command = result.command
