@@ -20,7 +20,7 @@ from .comparison import MappedPlace, arrays_of, build_maps, place_of
 from .scenario import OpenedScenario, QuerySet, Scenario
 from .workspace import Workspace
 
-PIECE, PIECES = 5, 16
+PIECE, PIECES = 2, 16
 """So many queries of a scenario are answered, and kept, at once; more where it would be in more
 pieces than so many."""
 
@@ -32,10 +32,11 @@ class Job:
     Attributes
     ----------
     maps : Path
-        Where the first piece leaves its maps for the others; the name of this folder, and so what
-        a piece is kept by, is another one for all other settings.
+        Where the maps are left for all pieces; the name of this folder, and so what a piece is
+        kept by, is another one for all other settings.
     piece : int
-        Which of them.
+        Which of them, from 1. Before them comes 0, which makes the maps and answers nothing: pieces
+        are then about alike, and no process waits for another at the end.
     """
 
     scenario: Scenario
@@ -52,12 +53,12 @@ class Piece:
     Attributes
     ----------
     answers : dict
-        As :func:`~segloc.batch.comparison.localize_all` returns them.
+        As :func:`~segloc.batch.comparison.localize_all` returns them; none of piece 0.
     arrays : dict
-        Those of the whole scenario, see :func:`~segloc.batch.comparison.arrays_of`; of a first
-        piece only.
+        Those of the whole scenario, see :func:`~segloc.batch.comparison.arrays_of`; of piece 0
+        only.
     number : int
-        How many pieces the scenario has.
+        How many pieces the scenario has, beside piece 0.
     """
 
     answers: dict[str, Any]
@@ -72,10 +73,11 @@ def done(job: Job) -> tuple[Job, Piece]:
     places = _places(opened, descriptors, job)
     queries = sum(len(each.positions) for each in opened.query_sets.values())
     size = max(PIECE, -(-queries // PIECES))
-    part = _queries_of(opened.query_sets, job.piece * size, size)
-    answers = comparison.localize_all(part, descriptors, places)
-    arrays = {} if job.piece else arrays_of(opened.query_sets, places["map"])
-    return job, Piece(answers, arrays, max(1, -(-queries // size)))
+    number = max(1, -(-queries // size))
+    if job.piece == 0:
+        return job, Piece({}, arrays_of(opened.query_sets, places["map"]), number)
+    part = _queries_of(opened.query_sets, (job.piece - 1) * size, size)
+    return job, Piece(comparison.localize_all(part, descriptors, places), {}, number)
 
 
 def _places(

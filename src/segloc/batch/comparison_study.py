@@ -99,18 +99,17 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
         if (names := tuple(name for name in methods.names if name not in result.answers))
     }
     first = [_first(workspace, results[k].scenario, names, methods) for k, names in missing.items()]
-    begun = pieces(workspace, first, "Localizing, the first queries")
+    begun = pieces(workspace, first, "Building maps")
     rest = [
-        replace(job, piece=number)
-        for job, piece in zip(first, begun, strict=True)
-        for number in range(1, piece.number)
+        replace(job, piece=number + 1)
+        for job, maps_made in zip(first, begun, strict=True)
+        for number in range(maps_made.number)
     ]
-    others = iter(pieces(workspace, rest, "Localizing"))
-    for k, job, piece in zip(missing, first, begun, strict=True):
-        parts = [piece, *islice(others, piece.number - 1)]
-        answers = joined([part.answers for part in parts])
-        results[k] = Result(job.scenario, {**results[k].answers, **answers}, piece.arrays)
-        _keep(workspace, job, methods, answers, piece.arrays)
+    parts = iter(pieces(workspace, rest, "Localizing"))
+    for k, job, maps_made in zip(missing, first, begun, strict=True):
+        answers = joined([part.answers for part in islice(parts, maps_made.number)])
+        results[k] = Result(job.scenario, {**results[k].answers, **answers}, maps_made.arrays)
+        _keep(workspace, job, methods, answers, maps_made.arrays)
         shutil.rmtree(job.maps, ignore_errors=True)
     return results
 
@@ -118,7 +117,7 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
 def _first(
     workspace: Workspace, scenario: Scenario, names: tuple[str, ...], methods: Methods
 ) -> Job:
-    """The first piece of a scenario."""
+    """The maps of a scenario."""
     settings = scenario.settings()
     keys = dict(_method_key(scenario, settings, methods, name) for name in names)
     maps = workspace.folder(f"maps-{scenario.name}", {"methods": keys})

@@ -20,7 +20,7 @@ from segloc.types import Float64
 from .. import kitti00
 from .workspace import Workspace
 
-EVERY_M = {"small": 20.0, "full": 10.0}
+EVERY_M = {"small": 40.0, "full": 10.0}
 """Metres of travel from query to query, by scale; "paper" has as many queries as the paper."""
 _NEGATIVE_SEED = 10_000
 
