@@ -17,8 +17,9 @@ from segloc_experiments.paper.examples import ASIDE_M
 from segloc_experiments.paper.scenarios import KittiScenario, SuiteScenario, scenarios
 from segloc_experiments.paper.workspace import Workspace
 
-from segloc import Config, Localizer, build_map
+from segloc import Localizer, build_map
 from segloc.batch import comparison, comparison_pieces
+from segloc.batch.comparison import shared_config
 from segloc.batch.comparison_study import answered
 from segloc.batch.comparison_tables import summaries
 from segloc.batch.methods import METHODS, fingerprint, ready
@@ -63,7 +64,8 @@ def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspa
     opened = SuiteScenario(TINY, "full", 0).open()
     query_set = opened.query_sets["test_0"]
     every_view = MappingConfig(compact=CompactConfig(enabled=False))  # as studies compare methods
-    config = Config.preset(METHOD).model_copy(update={"threads": 1, "mapping": every_view})
+    config = shared_config(METHOD, 1, segments_alone=True)
+    config = config.model_copy(update={"mapping": every_view})
     localizer = Localizer(build_map(opened.map, config), config)
     expected = localize_sequence(localizer, query_set.recording, query_set.positions)
     (found,) = answered(workspace, scenarios(workspace), ready((METHOD,)))

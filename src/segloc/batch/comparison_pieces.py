@@ -93,7 +93,7 @@ def _places(
             store(job.maps / name, {}, partial(_save_maps, maps))
         files = {each: job.maps / name / DATA / f"{each}.segmap" for each in descriptors}
         maps = {each: SegmentMap.load(file) for each, file in files.items()}
-        found[name] = place_of(maps, job.threads)
+        found[name] = place_of(maps, job.threads, job.scenario.segments_alone)
     return found
 
 

@@ -66,6 +66,11 @@ class Scenario(Protocol):
     @property
     def name(self) -> str: ...
 
+    @property
+    def segments_alone(self) -> bool:
+        """Whether nothing but segments makes candidates, so that only methods differ."""
+        ...
+
     def facts(self) -> Facts: ...
 
     def settings(self) -> dict[str, Any]:
@@ -118,6 +123,10 @@ class PairScenario:
     @property
     def name(self) -> str:
         return "own"
+
+    @property
+    def segments_alone(self) -> bool:
+        return False  # what is found with all there is
 
     def facts(self) -> Facts:
         return Facts("own", "own")

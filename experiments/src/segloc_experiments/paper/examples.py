@@ -30,8 +30,8 @@ Arrays = dict[str, Float64]
 
 def examples(workspace: Workspace, scenarios: Sequence[Scenario], method: str) -> Iterator[Figure]:
     """The first query of each scenario that is localized; none where none is."""
-    config = shared_config(method, 0).model_dump(mode="json")
     for scenario in scenarios:
+        config = shared_config(method, 0, scenario.segments_alone).model_dump(mode="json")
         decides = {"scenario": scenario.settings(), "config": config, "method": method}
         drawn = workspace.cached(
             f"example-{scenario.name}",
@@ -46,7 +46,7 @@ def examples(workspace: Workspace, scenarios: Sequence[Scenario], method: str) -
 
 def example(scenario: Scenario, method: str, threads: int) -> Arrays:
     """What is drawn, map frame, (N, 2) each: lines are pairs of ends with NaN behind."""
-    opened, config = scenario.open(), shared_config(method, threads)
+    opened, config = scenario.open(), shared_config(method, threads, scenario.segments_alone)
     localizer = Localizer(build_map(opened.map, config), config)
     for query_set in opened.query_sets.values():
         for cloud, _ in query_clouds(query_set.recording, query_set.positions, config):
