@@ -105,9 +105,9 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
     first = [_first(workspace, results[k].scenario, names, methods) for k, names in missing.items()]
     begun = pieces(workspace, first, "Building maps")
     rest = [
-        replace(job, piece=number + 1)
+        replace(job, piece=number)
         for job, maps_made in zip(first, begun, strict=True)
-        for number in range(maps_made.number)
+        for number in range(1, maps_made.number + 1)
     ]
     parts = iter(pieces(workspace, rest, "Localizing"))
     for k, job, maps_made in zip(missing, first, begun, strict=True):
@@ -121,7 +121,7 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
 def _first(
     workspace: Workspace, scenario: Scenario, names: tuple[str, ...], methods: Methods
 ) -> Job:
-    """The maps of a scenario."""
+    """The job that makes the maps of a scenario."""
     settings = scenario.settings()
     keys = dict(_method_key(scenario, settings, methods, name) for name in names)
     maps = workspace.folder(f"maps-{scenario.name}", {"methods": keys})
