@@ -192,19 +192,17 @@ def in_parallel(
     tasks: Sequence[Task],
     workers: int,
     executor: Executor | None = None,
-) -> Iterator[Result]:
-    """Results as they are finished, by an executor, or else by so many processes.
+) -> Iterator[tuple[int, Result]]:
+    """:func:`as_finished` by an executor, or else by so many processes.
 
     These have one thread each for linear algebra. With one, or one task, everything runs in this
-    process. Work, tasks and errors are those of :func:`as_finished`.
+    process.
     """
     if executor is not None or workers == 1 or len(tasks) < 2:
-        for _, result in as_finished(work, tasks, executor):
-            yield result
+        yield from as_finished(work, tasks, executor)
         return
     with single_threaded_pool(min(workers, len(tasks))) as pool:
-        for _, result in as_finished(work, tasks, pool):
-            yield result
+        yield from as_finished(work, tasks, pool)
 
 
 @contextmanager

@@ -139,7 +139,7 @@ def test_what_is_damaged_is_localized_again(
     monkeypatch.setattr(comparison, "localize_all", watched)
     said: list[str] = []
     again = localization.run(replace(workspace, say=said.append))
-    assert run == [(METHOD,)] * 4  # all pieces of eight queries; the other method is as it was
+    assert run == [(METHOD,)] * 8  # a piece each query; the other method is as it was
     assert len(said) == 1 and "damaged" in said[0]
     assert again.tables == study.tables
 

@@ -226,13 +226,15 @@ def _localization(answer: Answer) -> Localization:
     return Localized(T_map_sensor=np.array(answer["T_map_sensor"]).reshape(4, 4), **figures)
 
 
-def arrays_of(query_sets: Mapping[str, QuerySet], prior_map: MappedPlace) -> dict[str, Float64]:
-    """What tables and pictures of the answers need.
+def arrays_of(
+    query_sets: Mapping[str, QuerySet], trajectory: Float64, cloud: Float64
+) -> dict[str, Float64]:
+    """What tables and pictures of the answers need, of queries and a :class:`MappedPlace`.
 
     "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each set of queries
     "indices-SET" and, where they are known, "truths-SET".
     """
-    arrays = {"trajectory": prior_map.trajectory[:, :2, 3], "cloud": standing(prior_map.cloud)}
+    arrays = {"trajectory": trajectory[:, :2, 3], "cloud": standing(cloud)}
     for name, query_set in query_sets.items():
         arrays[f"indices-{name}"] = query_set.recording.indices[query_set.positions].astype(
             np.float64

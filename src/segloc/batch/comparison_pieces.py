@@ -20,87 +20,148 @@ from .comparison import MappedPlace, arrays_of, build_maps, place_of
 from .scenario import OpenedScenario, QuerySet, Scenario
 from .workspace import Workspace
 
-PIECE, PIECES = 2, 16
+PIECE, PIECES = 1, 32
 """So many queries of a scenario are answered, and kept, at once; more where it would be in more
 pieces than so many."""
+
+PLACES = ("map", "negative")
+_ARRAYS = "arrays.npz"
+
+Answers = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Job:
-    """Some queries of a scenario, to be answered by some methods, in a process of its own.
+    """The queries of a scenario, to be answered by some methods.
 
     Attributes
     ----------
     maps : Path
         Where the maps are left for all pieces; the name of this folder, and so what a piece is
         kept by, is another one for all other settings.
-    piece : int
-        Which of them, from 1. Before them comes 0, which makes the maps and answers nothing: pieces
-        are then about alike, and no process waits for another at the end.
     """
 
     scenario: Scenario
     methods: tuple[str, ...]
     threads: int
     maps: Path
-    piece: int = 0
+
+    def arrays(self) -> dict[str, Float64]:
+        """Those of :func:`~segloc.batch.comparison.arrays_of`, once the map is made."""
+        return load_arrays(self.maps / "map" / DATA / _ARRAYS)
+
+    def descriptors(self) -> dict[str, Descriptor]:
+        return {name: create(name, self.threads) for name in self.methods}
 
 
 @dataclass(frozen=True)
 class Piece:
-    """What a job found.
+    """The queries of a job from ``start`` on, so many of them; ``number`` tells pieces apart."""
 
-    Attributes
-    ----------
-    answers : dict
-        As :func:`~segloc.batch.comparison.localize_all` returns them; none of piece 0.
-    arrays : dict
-        Those of the whole scenario, see :func:`~segloc.batch.comparison.arrays_of`; of piece 0
-        only.
-    number : int
-        How many pieces the scenario has, beside piece 0.
-    """
-
-    answers: dict[str, Any]
-    arrays: dict[str, Float64]
+    job: Job
     number: int
+    start: int
+    size: int
 
 
-def done(job: Job) -> tuple[Job, Piece]:
-    """The job, and what was found."""
+@dataclass(frozen=True)
+class Prepared:
+    """A scenario that is ready to be answered."""
+
+    query_sets: Mapping[str, QuerySet]
+    descriptors: Mapping[str, Descriptor]
+    places: Mapping[str, MappedPlace]
+
+
+def make_maps(workspace: Workspace, jobs: Sequence[Job]) -> None:
+    """The maps of all jobs, each in a process of its own, where they are not yet."""
+    left = [(job, name) for job in jobs for name in PLACES if not (job.maps / name).exists()]
+    with workspace.progress("Building maps") as update:
+        update(0, len(left))
+        made = in_parallel(_make_map, left, workspace.workers, workspace.executor)
+        for count, _ in enumerate(made, 1):
+            update(count, len(left))
+
+
+def _make_map(task: tuple[Job, str]) -> None:
+    job, name = task
     opened = job.scenario.open()
-    descriptors = {name: create(name, job.threads) for name in job.methods}
-    places = _places(opened, descriptors, job)
-    queries = sum(len(each.positions) for each in opened.query_sets.values())
-    size = max(PIECE, -(-queries // PIECES))
-    number = max(1, -(-queries // size))
-    if job.piece == 0:
-        return job, Piece({}, arrays_of(opened.query_sets, places["map"]), number)
-    part = _queries_of(opened.query_sets, (job.piece - 1) * size, size)
-    return job, Piece(comparison.localize_all(part, descriptors, places), {}, number)
+    recording = opened.map if name == "map" else opened.negative
+    if recording is None:
+        return
+    maps = build_maps(recording, job.descriptors(), job.threads)
+    first = next(iter(maps.values()))
+    arrays = arrays_of(opened.query_sets, first.trajectory, first.cloud + first.origin)
+    store(job.maps / name, {}, partial(_save, maps, arrays))
 
 
-def _places(
-    opened: OpenedScenario, descriptors: Mapping[str, Descriptor], job: Job
-) -> dict[str, MappedPlace]:
-    """The map, and the negative one, from where they are kept; made where they are not."""
-    found = {}
-    for name, recording in (("map", opened.map), ("negative", opened.negative)):
-        if recording is None:
-            continue
-        if not (job.maps / name).exists():
-            maps = build_maps(recording, descriptors, job.threads)
-            store(job.maps / name, {}, partial(_save_maps, maps))
-        files = {each: job.maps / name / DATA / f"{each}.segmap" for each in descriptors}
-        maps = {each: SegmentMap.load(file) for each, file in files.items()}
-        found[name] = place_of(maps, job.threads, job.scenario.segments_alone)
-    return found
-
-
-def _save_maps(maps: Mapping[str, SegmentMap], folder: Path) -> None:
+def _save(maps: Mapping[str, SegmentMap], arrays: Mapping[str, Float64], folder: Path) -> None:
     folder.mkdir()
     for name, prior_map in maps.items():
         prior_map.save(folder / f"{name}.segmap")
+    save_arrays(arrays, folder / _ARRAYS)
+
+
+def answers_of(workspace: Workspace, jobs: Sequence[Job]) -> list[Answers]:
+    """What :func:`~segloc.batch.comparison.localize_all` finds for each job, in their order.
+
+    Pieces that have been answered before are not answered again.
+    """
+    pieces = [piece for job in jobs for piece in _pieces(job)]
+    keys = [_key(piece) for piece in pieces]
+    try:
+        found = workspace.cached_each("Localizing", keys, _answer, pieces, save_json, load_json)
+    finally:
+        _prepared.clear()
+    whole: dict[Path, list[Answers]] = {job.maps: [] for job in jobs}
+    for piece, answers in zip(pieces, found, strict=True):
+        whole[piece.job.maps].append(answers)
+    return [_joined(parts) for parts in whole.values()]
+
+
+def _pieces(job: Job) -> list[Piece]:
+    arrays = job.arrays()
+    queries = sum(len(each) for name, each in arrays.items() if name.startswith("indices-"))
+    size = max(PIECE, -(-queries // PIECES))
+    starts = range(0, max(queries, 1), size)
+    return [Piece(job, number, start, size) for number, start in enumerate(starts, 1)]
+
+
+def _key(piece: Piece) -> tuple[str, dict[str, Any]]:
+    settings = {"maps": piece.job.maps.name, "queries": [piece.start, piece.size]}
+    return f"piece-{piece.job.scenario.name}-{piece.number}", settings
+
+
+def _answer(piece: Piece) -> Answers:
+    ready = _ready(piece.job)
+    part = _queries_of(ready.query_sets, piece.start, piece.size)
+    return comparison.localize_all(part, ready.descriptors, ready.places)
+
+
+_prepared: dict[Path, Prepared] = {}
+"""What this process answers, by its maps: pieces of one scenario come one after another, and are made ready
+once. It is large, so never two of them."""
+
+
+def _ready(job: Job) -> Prepared:
+    ready = _prepared.get(job.maps)
+    if ready is None:
+        _prepared.clear()
+        opened = job.scenario.open()
+        ready = Prepared(opened.query_sets, job.descriptors(), _places(opened, job))
+        _prepared[job.maps] = ready
+    return ready
+
+
+def _places(opened: OpenedScenario, job: Job) -> dict[str, MappedPlace]:
+    found = {}
+    for name, recording in zip(PLACES, (opened.map, opened.negative), strict=True):
+        if recording is None:
+            continue
+        files = {each: job.maps / name / DATA / f"{each}.segmap" for each in job.methods}
+        maps = {each: SegmentMap.load(file) for each, file in files.items()}
+        found[name] = place_of(maps, job.threads, job.scenario.segments_alone)
+    return found
 
 
 def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> dict[str, QuerySet]:
@@ -114,40 +175,8 @@ def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> di
     return found
 
 
-def pieces(workspace: Workspace, jobs: Sequence[Job], title: str) -> list[Piece]:
-    """What the jobs find, in their order; what has been found before is not looked for again."""
-    keys = [
-        (
-            f"piece-{job.scenario.name}-{job.piece}",
-            {"maps": job.maps.name, "queries": [PIECE, PIECES]},
-        )
-        for job in jobs
-    ]
-    found = [workspace.find(*each, _load_piece) for each in keys]
-    left = {k: job for k, job in enumerate(jobs) if found[k] is None}
-    with workspace.progress(title) as update:
-        update(0, len(left))
-        finished = in_parallel(done, list(left.values()), workspace.workers, workspace.executor)
-        for count, (job, piece) in enumerate(finished):
-            k = next(k for k, other in left.items() if other == job)
-            found[k] = piece
-            workspace.keep(*keys[k], piece, _save_piece)
-            update(count + 1, len(left))
-    return [piece for piece in found if piece is not None]
-
-
-def joined(parts: Sequence[Any]) -> Any:
+def _joined(parts: Sequence[Any]) -> Any:
     """Lists at the same place of nested dicts, one after another."""
     if isinstance(parts[0], dict):
-        return {key: joined([part[key] for part in parts]) for key in parts[0]}
+        return {key: _joined([part[key] for part in parts]) for key in parts[0]}
     return [each for part in parts for each in part]
-
-
-def _save_piece(piece: Piece, path: Path) -> None:
-    path.mkdir()
-    save_json({"answers": piece.answers, "number": piece.number}, path / "answers.json")
-    save_arrays(piece.arrays, path / "arrays.npz")
-
-
-def _load_piece(path: Path) -> Piece:
-    return Piece(**load_json(path / "answers.json"), arrays=load_arrays(path / "arrays.npz"))

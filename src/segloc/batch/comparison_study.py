@@ -5,8 +5,6 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 from ..config import Config
@@ -15,7 +13,7 @@ from . import comparison
 from .cache import load_arrays, load_json, save_arrays, save_json
 from .comparison import ESTIMATORS
 from .comparison_maps import maps
-from .comparison_pieces import Job, joined, pieces
+from .comparison_pieces import Job, answers_of, make_maps
 from .comparison_tables import Result, details, summaries
 from .methods import Methods, ready
 from .report.study import Study, Table
@@ -102,26 +100,17 @@ def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Metho
         for k, result in enumerate(results)
         if (names := tuple(name for name in methods.names if name not in result.answers))
     }
-    first = [_first(workspace, results[k].scenario, names, methods) for k, names in missing.items()]
-    begun = pieces(workspace, first, "Building maps")
-    rest = [
-        replace(job, piece=number)
-        for job, maps_made in zip(first, begun, strict=True)
-        for number in range(1, maps_made.number + 1)
-    ]
-    parts = iter(pieces(workspace, rest, "Localizing"))
-    for k, job, maps_made in zip(missing, first, begun, strict=True):
-        answers = joined([part.answers for part in islice(parts, maps_made.number)])
-        results[k] = Result(job.scenario, {**results[k].answers, **answers}, maps_made.arrays)
-        _keep(workspace, job, methods, answers, maps_made.arrays)
+    jobs = [_job(workspace, results[k].scenario, names, methods) for k, names in missing.items()]
+    make_maps(workspace, jobs)
+    for k, job, answers in zip(missing, jobs, answers_of(workspace, jobs), strict=True):
+        arrays = job.arrays()
+        results[k] = Result(job.scenario, {**results[k].answers, **answers}, arrays)
+        _keep(workspace, job, methods, answers, arrays)
         shutil.rmtree(job.maps, ignore_errors=True)
     return results
 
 
-def _first(
-    workspace: Workspace, scenario: Scenario, names: tuple[str, ...], methods: Methods
-) -> Job:
-    """The job that makes the maps of a scenario."""
+def _job(workspace: Workspace, scenario: Scenario, names: tuple[str, ...], methods: Methods) -> Job:
     settings = scenario.settings()
     keys = dict(_method_key(scenario, settings, methods, name) for name in names)
     maps = workspace.folder(f"maps-{scenario.name}", {"methods": keys})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
@@ -15,10 +15,13 @@ from typing import Any, TypeVar
 
 from .._native import __version__, instruction_set
 from ..errors import SeglocError
+from ..processes import in_parallel
 from ..system import processor
 from . import cache
 
 T = TypeVar("T")
+Task = TypeVar("Task")
+Key = tuple[str, Mapping[str, object]]
 Update = Callable[[int, int], None]
 
 
@@ -123,6 +126,33 @@ class Workspace:
         value = compute()
         self.keep(name, settings, value, save)
         return value
+
+    def cached_each(
+        self,
+        title: str,
+        keys: Sequence[Key],
+        work: Callable[[Task], T],
+        tasks: Sequence[Task],
+        save: Callable[[T, Path], object],
+        load: Callable[[Path], T],
+    ) -> list[T]:
+        """:meth:`cached` for many tasks, each under its (name, settings), done in parallel.
+
+        ``work`` and ``tasks`` are those of :func:`segloc.processes.as_finished`; ``title`` names
+        the progress.
+        """
+        found = {
+            k: part for k, key in enumerate(keys) if (part := self.find(*key, load)) is not None
+        }
+        left = [k for k in range(len(tasks)) if k not in found]
+        with self.progress(title) as update:
+            update(0, len(left))
+            done = in_parallel(work, [tasks[k] for k in left], self.workers, self.executor)
+            for count, (number, value) in enumerate(done, 1):
+                found[left[number]] = value
+                self.keep(*keys[left[number]], value, save)
+                update(count, len(left))
+        return [found[k] for k in range(len(tasks))]
 
     def find(
         self, name: str, settings: Mapping[str, object], load: Callable[[Path], T]

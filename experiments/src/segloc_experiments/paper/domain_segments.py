@@ -161,9 +161,9 @@ def simulated(
     folder.mkdir(parents=True, exist_ok=True)
     jobs = _jobs(folder, domain, split, size, seed)
     sessions: list[Session] = []
-    for done, session in enumerate(in_parallel(_simulate, jobs, workers, executor), start=1):
+    for _, session in in_parallel(_simulate, jobs, workers, executor):
         sessions.append(session)
-        progress(done, len(jobs))
+        progress(len(sessions), len(jobs))
     finish(folder, sessions, _EXTRACT.label)
     return folder
 

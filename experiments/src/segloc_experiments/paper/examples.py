@@ -30,18 +30,19 @@ Arrays = dict[str, Float64]
 
 def examples(workspace: Workspace, scenarios: Sequence[Scenario], method: str) -> Iterator[Figure]:
     """The first query of each scenario that is localized; none where none is."""
-    for scenario in scenarios:
-        config = shared_config(method, 0, scenario.segments_alone).model_dump(mode="json")
-        decides = {"scenario": scenario.settings(), "config": config, "method": method}
-        drawn = workspace.cached(
-            f"example-{scenario.name}",
-            decides,
-            partial(example, scenario, method, workspace.threads),
-            save_arrays,
-            load_arrays,
-        )
-        if len(drawn["query"]):
-            yield _figure(scenario.name, method, drawn)
+    keys = [(f"example-{each.name}", _decides(each, method)) for each in scenarios]
+    work = partial(example, method=method, threads=workspace.threads)
+    drawn = workspace.cached_each(
+        "Drawing queries", keys, work, scenarios, save_arrays, load_arrays
+    )
+    for scenario, arrays in zip(scenarios, drawn, strict=True):
+        if len(arrays["query"]):
+            yield _figure(scenario.name, method, arrays)
+
+
+def _decides(scenario: Scenario, method: str) -> dict[str, object]:
+    config = shared_config(method, 0, scenario.segments_alone).model_dump(mode="json")
+    return {"scenario": scenario.settings(), "config": config, "method": method}
 
 
 def example(scenario: Scenario, method: str, threads: int) -> Arrays:
