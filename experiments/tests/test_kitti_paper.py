@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from segloc_experiments.intervals import mcnemar, share
 from segloc_experiments.kitti_paper import counting, pieces, places, protocol, tables
 from segloc_experiments.kitti_paper.answers import ESTIMATORS, VERIFIED
 from segloc_experiments.results.store import Result
 
+from segloc.batch.intervals import mcnemar, share
 from segloc.batch.score import distances_to_path
 from segloc.errors import DatasetError
 

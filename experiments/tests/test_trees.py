@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from segloc_experiments.calibration import landmarks as calibration
-from segloc_experiments.intervals import wilson
 from segloc_experiments.protocols import trees
 from segloc_experiments.stems import Detector, planted, pose_at, surveyed, wild
+
+from segloc.batch.intervals import wilson
 
 
 def test_wilsons_interval_is_the_published_one() -> None:

@@ -92,6 +92,10 @@ def test_the_tables_count_what_was_answered(study: Study) -> None:
         (method, estimator) for method in (METHOD, "profile") for estimator in comparison.ESTIMATORS
     }
     assert table(study, "localizations-paper").source == "paper"
+    beside = table(study, "differences-consensus")
+    (_, n, *_), (name, others_n, alone, others, p) = beside.rows
+    assert (name, n - others_n) == (METHOD, alone - others)  # type: ignore[operator]
+    assert [n, others_n] == found[::-1] and 0 < float(str(p)) <= 1
 
 
 @pytest.mark.slow

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..config import DEFAULT_METHOD
 from ..types import Float64
 from .comparison_tables import Result, groups, label_of
-from .methods import Methods
+from .methods import Methods, best_of
 from .report.study import Curve, Figure
 from .score import PATH_BREAK_M, Evaluation
 
@@ -36,11 +35,6 @@ def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
                     name, fold = f"{name}-{method}", f"{label}: by other methods"
                 title, series = f"{label}: {method}", ground | drawn
                 yield Figure(name, title, "map", series, "m", "m", fold=fold)
-
-
-def best_of(methods: Methods) -> str:
-    """Ours where it is among them, else the last."""
-    return DEFAULT_METHOD if DEFAULT_METHOD in methods.names else methods.names[-1]
 
 
 def _near_path(arrays: Mapping[str, Float64]) -> Curve:

@@ -139,8 +139,8 @@ def _answer(piece: Piece) -> Answers:
 
 
 _prepared: dict[Path, Prepared] = {}
-"""What this process answers, by its maps: pieces of one scenario come one after another, and are made ready
-once. It is large, so never two of them."""
+"""What this process answers, by its maps: pieces of one scenario come one after another, and it is
+made ready once. It is large, so never two of them."""
 
 
 def _ready(job: Job) -> Prepared:

@@ -14,7 +14,7 @@ from .cache import load_arrays, load_json, save_arrays, save_json
 from .comparison import ESTIMATORS
 from .comparison_maps import maps
 from .comparison_pieces import Job, answers_of, make_maps
-from .comparison_tables import Result, details, summaries
+from .comparison_tables import Result, details, differences, summaries
 from .methods import Methods, ready
 from .report.study import Study, Table
 from .scenario import Pair, PairScenario, Scenario
@@ -78,7 +78,12 @@ def compare(
     start = time.perf_counter()
     methods = ready(workspace.methods)
     results = answered(workspace, scenarios, methods)
-    tables = [table for each in ESTIMATORS for table in summaries(results, methods, each)]
+    tables = [
+        table
+        for make in (summaries, differences)
+        for each in ESTIMATORS
+        for table in make(results, methods, each)
+    ]
     return Study(
         name,
         title,

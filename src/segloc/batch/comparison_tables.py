@@ -11,7 +11,8 @@ import numpy as np
 from ..types import Float64
 from . import comparison
 from .comparison import ESTIMATORS, Answer
-from .methods import Methods
+from .intervals import mcnemar
+from .methods import Methods, best_of
 from .report.study import Cell, Table
 from .scenario import Scenario
 from .score import Evaluation
@@ -50,6 +51,13 @@ class Result:
         """The answers to one query_set, against the truth."""
         answers = self.answers[method][query_set]["map"][estimator]
         return comparison.evaluation(answers, self.arrays, query_set)
+
+    def right(self, method: str, estimator: str) -> list[bool]:
+        """Whether each query was localized rightly; empty where the truth of some is not known."""
+        scored = [self.scored(method, each, estimator) for each in self.query_sets()]
+        if any(each.truths is None for each in scored):
+            return []
+        return [bool(right) for each in scored for right in each.correct]
 
     def has_negatives(self) -> bool:
         """Whether the queries were also made where nothing may be found."""
@@ -111,6 +119,31 @@ def _found_elsewhere(results: list[Result], methods: Methods, estimator: str) ->
         ("set", "queries", *methods.names),
         (*rows, total(rows)),
         "The same queries in a map that does not hold them: every answer is false.",
+    )
+
+
+def differences(results: list[Result], methods: Methods, estimator: str) -> Iterator[Table]:
+    """Each method beside ours, query by query; nothing where there is nothing to compare."""
+    ours = best_of(methods)
+    right = {
+        name: [each for result in results for each in result.right(name, estimator)]
+        for name in methods.names
+    }
+    if len(methods.names) < 2 or not right[ours]:
+        return
+    rows: list[tuple[Cell, ...]] = [(ours, sum(right[ours]), None, None, None)]
+    for name in (name for name in methods.names if name != ours):
+        alone = sum(a and not b for a, b in zip(right[ours], right[name], strict=True))
+        others = sum(b and not a for a, b in zip(right[ours], right[name], strict=True))
+        p = f"{mcnemar(right[ours], right[name]):.2g}"
+        rows.append((name, sum(right[name]), alone, others, p))
+    yield Table(
+        f"differences-{estimator}",
+        f"Methods beside {ours}, query by query, {_TITLES[estimator]}",
+        ("method", "right", f"by {ours} alone", "by this method alone", "p"),
+        tuple(rows),
+        f"Of {len(right[ours])} queries, those of all sets together. p: McNemar's exact test, with "
+        "no correction for several tests.",
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..config import DEFAULT_METHOD
 from ..descriptors import available, create
 from ..errors import ConfigError, WeightsError
 
@@ -76,6 +77,11 @@ def ready(names: tuple[str, ...] | None = None) -> Methods:
     if not fingerprints:
         raise ConfigError(f"none of {', '.join(chosen)} has its weights")
     return Methods(fingerprints, left_out)
+
+
+def best_of(methods: Methods) -> str:
+    """Ours where it is among them, else the last."""
+    return DEFAULT_METHOD if DEFAULT_METHOD in methods.names else methods.names[-1]
 
 
 def fingerprint(name: str) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from segloc.batch.intervals import mcnemar, share
 from segloc.batch.methods import METHODS
 from segloc.errors import DatasetError
 
-from ..intervals import mcnemar, share
 from ..paper.published import LOCALIZATIONS
 from ..results.store import Origin, Result
 from .answers import DRAWS, ESTIMATORS, VERIFIED, verified_as

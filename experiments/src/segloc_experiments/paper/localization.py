@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from segloc.batch.comparison_maps import best_of
 from segloc.batch.comparison_study import compare
-from segloc.batch.methods import ready
+from segloc.batch.methods import best_of, ready
 from segloc.batch.report.study import Study
 
 from . import published

@@ -15,12 +15,12 @@ import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
 from segloc.batch.failures import funnel
+from segloc.batch.intervals import share
 from segloc.batch.run import localize_sequence
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation
 from segloc.datasets import open_sequence
 
-from ..intervals import share
 from ..kitti00 import poses_of
 from ..recordings import BEAMS, FewerBeams
 from ..results.store import Result

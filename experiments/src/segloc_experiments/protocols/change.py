@@ -27,6 +27,7 @@ import numpy as np
 
 from segloc import Localization, SegmentMap
 from segloc.batch.comparison import MappedPlace, build_maps, localized, place_of
+from segloc.batch.intervals import mcnemar, share
 from segloc.batch.run import query_positions
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, Tolerance
@@ -46,7 +47,6 @@ from segloc.simulation.drives import lane, mapped_way
 from segloc.simulation.motion.traversal import simulate_session
 
 from .. import script
-from ..intervals import mcnemar, share
 from ..journal import entries, keep
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept

@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap
+from segloc.batch.intervals import share
 from segloc.batch.run import query_clouds
 from segloc.batch.scenario import QuerySet
 from segloc.batch.score import Evaluation, distances_to_path
 from segloc.stage_times import StageTimes
 
-from ..intervals import share
 from ..kitti00 import PROTOCOLS, query_set
 from ..padding import padded, town_maps
 from ..results.store import Cell, Result

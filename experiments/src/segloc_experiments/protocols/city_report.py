@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..intervals import share
+from segloc.batch.intervals import share
+
 from .city_queries import WAYS, WIDE
 
 Line = tuple[str, str]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
+from segloc.batch.intervals import share
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.map.compact import CompactConfig, compacted, with_cloud_voxel
@@ -24,7 +25,6 @@ from segloc.map.config import MappingConfig
 from segloc.search import Query
 from segloc.types import Float64
 
-from ..intervals import share
 from ..results.store import Cell, Result
 from ..script import storing
 from .real import maps, outcome, queries

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import Config, Localization, Localizer, Reason, build_map, geometry
+from segloc.batch.intervals import share
 from segloc.batch.score import Tolerance, pose_errors
 from segloc.simulation import Conditions, SimulatedSequence, building, simulate_sessions, vlp16
 from segloc.types import Float64, Pose
 
-from ..intervals import share
 from ..recordings import Unposed
 from ..results.store import Result
 from ..script import storing

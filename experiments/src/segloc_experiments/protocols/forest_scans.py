@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap, build_map
+from segloc.batch.intervals import share, wilson
 from segloc.batch.negative_maps import mirrored
 from segloc.batch.run import query_clouds
 from segloc.batch.score import distances_to_path, pose_errors
@@ -28,7 +29,6 @@ from segloc.local_cloud import Accumulator
 from segloc.simulation import SCENES, Conditions, World
 from segloc.types import Pose
 
-from ..intervals import share, wilson
 from ..recordings import beside, has_room, kept
 from ..results.store import Result
 from ..script import storing

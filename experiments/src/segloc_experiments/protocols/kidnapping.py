@@ -27,7 +27,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..intervals import share
+from segloc.batch.intervals import share
+
 from ..journal import entries, keep
 from ..results.fingerprints import FOLLOWING
 from ..results.store import Cell, Result

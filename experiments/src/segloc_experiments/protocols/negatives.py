@@ -15,12 +15,12 @@ from functools import lru_cache
 from pathlib import Path
 
 from segloc import Config, Localization, Localizer, SegmentMap, build_map
+from segloc.batch.intervals import share
 from segloc.datasets import Recording, open_sequence
 from segloc.local_cloud import window
 from segloc.simulation import demo_sessions
 from segloc.types import LocalCloud
 
-from ..intervals import share
 from ..results.store import Result
 from ..script import storing
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..intervals import share, wilson
+from segloc.batch.intervals import share, wilson
+
 from ..results.store import Result
 from ..script import show
 

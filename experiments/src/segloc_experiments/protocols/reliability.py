@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from segloc.batch.intervals import share
+
 from ..calibration.reliability import BINS
-from ..intervals import share
 from ..results.store import Cell, Result
 from ..script import storing
 

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
+from segloc.batch.intervals import share
 from segloc.files import replacing
 from segloc.map.build import build_map
 from segloc.simulation import SimulatedSequence
 from segloc.stage_times import StageTimes
 from segloc.types import Candidate, Pose
 
-from ..intervals import share
 from ..recordings import kept
 from ..results.store import Cell, Result
 from ..script import row, storing

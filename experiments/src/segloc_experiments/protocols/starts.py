@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map
+from segloc.batch.intervals import share
 from segloc.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks, find_stems
 from segloc.reposed import Derived
 from segloc.types import Float64, Recording
 
-from ..intervals import share
 from ..recordings import Files
 from ..results.store import Result
 from ..script import storing

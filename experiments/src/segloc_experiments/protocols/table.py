@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from segloc.batch.intervals import share
 from segloc.batch.methods import METHODS
 
-from ..intervals import share
 from ..results.stamp import stamped
 from ..results.store import Origin, Result
 from ..script import head, row, storing

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
+from segloc.batch.intervals import share
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.search import Query
@@ -23,7 +24,6 @@ from segloc.tiles import TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 
 from .. import kitti00
-from ..intervals import share
 from ..results.fingerprints import LOCALIZING
 from ..results.store import Cell, Result
 from ..script import storing

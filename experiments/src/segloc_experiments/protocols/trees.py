@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import geometry
+from segloc.batch.intervals import share, wilson
 from segloc.batch.score import pose_errors
 from segloc.io import read_trajectory
 from segloc.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
-from ..intervals import share, wilson
 from ..journal import entries, keep
 from ..results.store import Cell, Result
 from ..script import resumed

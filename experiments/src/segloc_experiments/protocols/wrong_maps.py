@@ -25,13 +25,13 @@ import numpy as np
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap, build_map
+from segloc.batch.intervals import wilson
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import Sequence
 from segloc.search import Query
 from segloc.types import Pose
 
 from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
-from ..intervals import wilson
 from ..journal import entries, keep
 from ..results.store import Result
 from ..script import resumed

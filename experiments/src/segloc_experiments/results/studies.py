@@ -23,7 +23,7 @@ def kept(study: Study, folder: Path | None = None) -> Iterator[Result]:
     """Its own tables; published figures that stand beside them are in no need of it.
 
     Of a study of some test sets they also have the rows of others that the same code has measured
-    and that the folder holds.
+    and that the folder holds; what sums up all sets is not kept of some.
     """
     stages = COMPARING if study.name in TIMED else (*DESCRIBING, "training")
     facts = study.facts
@@ -32,8 +32,9 @@ def kept(study: Study, folder: Path | None = None) -> Iterator[Result]:
     command += "" if of[2] is None else " --kitti DATA"
     # By "method", or "method, what it was trained on".
     methods = sorted({name.split(",")[0] for name in facts["fingerprints"]})
+    some = facts.get("only") is not None
     for table in study.tables:
-        if table.source == "segloc":
+        if table.source == "segloc" and (table.columns[0] == "set" or not some):
             result = Result.measured(
                 _named(table, of),
                 f"{command} --store docs/results",
@@ -43,7 +44,6 @@ def kept(study: Study, folder: Path | None = None) -> Iterator[Result]:
                 methods=methods,
                 note=table.note,
             )
-            some = facts.get("only") is not None and table.columns[0] == "set"
             yield _with_other_sets(result, of[0], folder) if some else result
 
 
