@@ -68,6 +68,16 @@ def test_a_page_is_filled_and_found_stale(tmp_path: Path, clone: Path) -> None:
     assert stale(page.replace("| 41 |", "| 42 |"), tmp_path) == ["two"]
 
 
+def test_rows_in_which_another_method_is_ahead_are_bold(tmp_path: Path, clone: Path) -> None:
+    rows = (("town", 0.5, 0.75), ("park", "7 (1)", 7), ("meadow", "12", "9 (3)"))
+    replace(result(clone), columns=("set", "geo", "profile"), rows=rows).save(tmp_path)
+    page = PAGE.replace("result two -->\nold", "result two, bold where profile is behind -->\nold")
+    filled = written(page, tmp_path, clone)
+    assert "| park | 7 (1) | 7 |" in filled and "| town | 0.5 | 0.75 |" in filled
+    assert "| **meadow** | **12** | **9 (3)** |" in filled and "ahead of `profile`" in filled
+    assert stale(filled, tmp_path) == []
+
+
 def test_an_old_table_stays_until_its_result_is_stored(tmp_path: Path, clone: Path) -> None:
     old = PAGE.replace("old", f"{MARK}\n\n| method |")
     assert written(old, tmp_path, clone) == old and not stale(old, tmp_path)

@@ -3,7 +3,8 @@
 A page shows a result where it says ``<!-- begin result NAME -->`` and ``<!-- end result NAME -->``.
 Below each table stands what measured it, and whether that code is still the one of this clone. A
 table from before there were stored results stays, marked, until its result is stored; so does a
-remark that there is none yet.
+remark that there is none yet. ``<!-- begin result NAME, bold where METHOD is behind -->`` prints
+those rows in bold in which a column of another method has more than that of METHOD.
 
     python -m segloc_experiments.results.pages --check
 """
@@ -12,8 +13,10 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+from segloc.batch.methods import METHODS
 
 from ..script import parser
 from .fingerprints import PROJECT, changed
@@ -21,7 +24,10 @@ from .store import FOLDER, Cell, Result
 
 DOCS = PROJECT / "docs"
 _PLACE = re.compile(
-    r"(<!-- begin result ([\w-]+) -->\n)(.*?)(<!-- end result \2 -->)", flags=re.DOTALL
+    r"(?P<begin><!-- begin result (?P<name>[\w-]+)"
+    r"(?:, bold where (?P<ours>[\w-]+) is behind)? -->\n)"
+    r"(?P<body>.*?)(?P<end><!-- end result (?P=name) -->)",
+    flags=re.DOTALL,
 )
 MARK = "*Not kept with its code, so it may be outdated.*"
 """Of a table that is shown until its result is stored."""
@@ -29,15 +35,31 @@ MARK = "*Not kept with its code, so it may be outdated.*"
 UNMEASURED = "*Not measured so far.*"
 """In place of a table until its result is stored."""
 
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+
 _STATUS = re.compile(r"^\*(?:Measured at|Outdated:).*$", flags=re.MULTILINE)
 
 
-def table(result: Result) -> str:
-    """A result as Markdown, with its note and its command."""
+def table(result: Result, ours: str | None = None) -> str:
+    """A result as Markdown, with its note and its command; in bold where a method is behind."""
     head = (result.columns, ("---",) * len(result.columns))
-    rows = "\n".join(f"| {' | '.join(map(_shown, row))} |" for row in (*head, *result.rows))
+    rows = [[_shown(cell) for cell in row] for row in (*head, *result.rows)]
     note = f"{result.note}\n\n" if result.note else ""
-    return f"    {result.command}\n\n{rows}\n\n{note}"
+    if ours is not None:
+        behind = [k for k, row in enumerate(result.rows, len(head)) if _behind(result, row, ours)]
+        for k in behind:
+            rows[k] = [f"**{cell}**" for cell in rows[k]]
+        note += f"Bold: another method is ahead of `{ours}`.\n\n" if behind else ""
+    lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return f"    {result.command}\n\n{lines}\n\n{note}"
+
+
+def _behind(result: Result, row: Sequence[Cell], ours: str) -> bool:
+    """Whether a column of another method has more, as a number or the one that a text begins."""
+    cells = zip(result.columns, row, strict=True)
+    scores = {name: _NUMBER.match(str(cell)) for name, cell in cells if name in METHODS}
+    numbers = {name: float(found[0]) for name, found in scores.items() if found}
+    return max(numbers.values()) > numbers[ours]
 
 
 def _shown(cell: Cell) -> str:
@@ -62,11 +84,12 @@ def written(page: str, folder: Path = FOLDER, root: Path = PROJECT) -> str:
     """
 
     def filled(match: re.Match[str]) -> str:
-        path = folder / f"{match[2]}.json"
-        if not path.exists() and (MARK in match[3] or UNMEASURED in match[3]):
+        path, body = folder / f"{match['name']}.json", match["body"]
+        if not path.exists() and (MARK in body or UNMEASURED in body):
             return match[0]
         result = Result.load(path)
-        return f"{match[1]}\n{table(result)}{status(result, root)}\n\n{match[4]}"
+        shown = f"{table(result, match['ours'])}{status(result, root)}"
+        return f"{match['begin']}\n{shown}\n\n{match['end']}"
 
     return _PLACE.sub(filled, page)
 
@@ -79,11 +102,11 @@ def stale(page: str, folder: Path = FOLDER) -> list[str]:
 
 
 def _names(page: str) -> list[str]:
-    return [match[2] for match in _PLACE.finditer(page)]
+    return [match["name"] for match in _PLACE.finditer(page)]
 
 
 def _bodies(page: str) -> list[str]:
-    return [match[3] for match in _PLACE.finditer(page)]
+    return [match["body"] for match in _PLACE.finditer(page)]
 
 
 def _ageless(body: str) -> str:
