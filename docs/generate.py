@@ -55,7 +55,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "matching.py": (7, "descriptors to matches"),
     "pose.py": (7, "matches to candidate poses"),
     "consistency.py": (7, "matches that keep their distances, to candidate poses"),
-    "occupancy": (7, "what stands where, to candidate poses, when segments say too little"),
+    "occupancy": (7, "occupancy to candidate poses, when segments say too little"),
     "registration.py": (7, "generalised ICP"),
     "verification": (7, "candidate poses to one verified pose, or a reason"),
     "map": (7, "the prior map: table, cloud, file, merge; build and update"),

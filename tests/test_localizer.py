@@ -371,7 +371,7 @@ def test_nothing_more_is_tried_after_the_deadline(prior_map: SegmentMap) -> None
     localizer = Localizer(prior_map, clock=lambda: float(next(ticks)))
     elsewhere = Plaza(1).scan(geometry.yaw_transform(0.3, (0.0, 0, 1.7)))
     stages = 4 + 4  # of the description, then of one attempt; each takes a second
-    again, clouds = 4, 4  # with more neighbours; stems, what stands where, and what all are worth
+    again, clouds = 4, 4  # with more neighbours; stems, occupancy, and what all are worth
     everything = stages + again + clouds
     asked = {None: everything, 1e9: everything, 0.0: stages, 12.5e3: everything - 1}
     for deadline_ms, seconds in asked.items():

@@ -1,4 +1,4 @@
-"""Poses by what stands where: the kernel against a reference, and whole queries."""
+"""Occupancy search: the kernel against a reference, and whole queries."""
 
 from __future__ import annotations
 

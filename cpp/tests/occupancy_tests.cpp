@@ -1,4 +1,4 @@
-// The search for poses by what stands where, at every size from nothing up.
+// The occupancy search, at every size from nothing up.
 #include "occupancy/occupancy_pyramid.h"
 #include "occupancy/pose_search.h"
 #include "tests/check.h"

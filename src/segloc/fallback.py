@@ -1,4 +1,4 @@
-"""Where segments say little: candidates by stems and by what stands where; the clouds judge."""
+"""Where segments say little: candidates by stems and by occupancy; the clouds judge."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Fallback:
         deadline_ms: float | None = None,
         near: Prior | None = None,
     ) -> Search:
-        """Stems, where there are any; where those do not settle it, what stands where, too."""
+        """Stems, where there are any; where those do not settle it, occupancy, too."""
         found, proposed = None, list[Candidate]()
         if not times.beyond(deadline_ms):
             found, proposed = self._by_stems(query, tried, cloud, times, near)

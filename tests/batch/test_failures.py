@@ -37,7 +37,7 @@ def queries(walk: PlazaSequence, positions: Iterable[int]) -> QuerySet:
 
 
 def by_segments(**sections: Any) -> Config:
-    """Without the search by what stands where, which would find what segments do not."""
+    """Without the occupancy search, which would find what segments do not."""
     config = Config.preset("geo")
     occupancy = config.occupancy.model_copy(update={"enabled": False})
     return config.model_copy(update={"occupancy": occupancy, **sections})

@@ -57,7 +57,7 @@ class MappedPlace:
 def shared_config(method: str, threads: int, segments_alone: bool = False) -> Config:
     """A method's preset, with the segmentation that all methods share: the default one.
 
-    With ``segments_alone`` nothing else makes candidates: neither stems nor what stands where.
+    With ``segments_alone`` nothing else makes candidates: neither stems nor occupancy.
     """
     preset, default = Config.preset(method), Config()
     shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}

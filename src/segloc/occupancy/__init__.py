@@ -1,4 +1,4 @@
-"""Local cloud -> candidate poses, by what stands where: for queries whose segments say too little.
+"""Local cloud -> candidate poses, by occupancy: for queries whose segments say too little.
 
 The map and the query are looked at from above: which cells are occupied, at which heights over
 ground. Poses are searched by branch and bound over windows that hold all that their cells do. W.

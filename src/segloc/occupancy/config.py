@@ -1,4 +1,4 @@
-"""How poses are searched by what stands where."""
+"""How poses are searched by occupancy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..section import Section
 
 
 class OccupancyConfig(Section):
-    """The search for poses by what stands where."""
+    """The search for poses by occupancy."""
 
     enabled: bool = Field(
         True, description="where segments decide nothing, search by what stands where"

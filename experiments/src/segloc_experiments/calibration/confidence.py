@@ -156,7 +156,7 @@ def candidates(places: list[Place], drive: Sequence) -> list[Row]:
 
 
 def _judged(localizer: Localizer, query: Query, truth: Pose | None) -> list[Row]:
-    """The rows of a query's best candidates: by its segments, and by what stands where."""
+    """The rows of a query's best candidates: by its segments, and by occupancy."""
     found = localizer.search(query)
     verdicts = [found.verdict]
     if found.by_segments:

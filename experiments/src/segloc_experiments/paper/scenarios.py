@@ -39,7 +39,7 @@ class SuiteScenario:
 
     @property
     def segments_alone(self) -> bool:
-        return True  # what stands where would find what a method loses
+        return True  # occupancy would find what a method loses
 
     def facts(self) -> Facts:
         return Facts(self.test.kind, self.test.sensor)

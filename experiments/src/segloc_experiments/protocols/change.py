@@ -59,7 +59,7 @@ CLOUDS = ("single", "accumulated")
 ESTIMATOR = "consensus"
 ALONE = "segments alone"
 WAYS = ("all there is", ALONE)
-"""With stems and what stands where, and without both."""
+"""With stems and occupancy, and without both."""
 SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
 
 
