@@ -10,6 +10,7 @@ import pytest
 from segloc_experiments.protocols.table import result as table_of
 from segloc_experiments.results import fingerprints as prints
 from segloc_experiments.results.pages import MARK, pages, stale, status, written
+from segloc_experiments.results.quotes import figure, unsaid
 from segloc_experiments.results.stamp import stamp
 from segloc_experiments.results.store import FOLDER, Origin, Result
 
@@ -114,6 +115,25 @@ def test_a_table_of_several_runs_is_of_one_code(tmp_path: Path) -> None:
 def test_the_documentation_shows_what_is_stored() -> None:
     shown = [path for path in pages() for _ in stale(path.read_text("utf-8"))]
     assert not shown, "run `python docs/results.py`"
+    assert not list(unsaid())
+
+
+def test_sentences_quote_what_is_stored(tmp_path: Path, clone: Path) -> None:
+    rows = (("town", "all", "8 of 9 (5 to 10 %)", 12345), ("park", "all", "1 of 2", 5))
+    columns = ("set", "by", "found", "queries")
+    replace(result(clone), columns=columns, rows=rows).save(tmp_path)
+    assert str(figure("two", "*", "found", tmp_path)) == "9 of 11"
+    assert figure("two", "town | all", "queries", tmp_path).n == "12 345"
+    assert figure("two", "park", "found", tmp_path).word == "one"
+    for row, column in (("meadow", "found"), ("town", "lost"), ("town", "by")):
+        with pytest.raises(DatasetError, match="two"):
+            figure("two", row, column, tmp_path)
+    quotes, page = tmp_path / "quotes.yaml", tmp_path / "page.md"
+    quotes.write_text('page.md: [{text: "{n} were found", n: [two, "*", found]}]')
+    page.write_text("Of all, 9 of\n11 were found.")
+    assert not list(unsaid(quotes, tmp_path, tmp_path))
+    page.write_text("8 of 11 were found.")
+    assert list(unsaid(quotes, tmp_path, tmp_path)) == [("page.md", "9 of 11 were found")]
 
 
 @pytest.mark.parametrize("path", STORED, ids=lambda path: path.stem)

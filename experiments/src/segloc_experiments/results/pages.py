@@ -4,7 +4,8 @@ A page shows a result where it says ``<!-- begin result NAME -->`` and ``<!-- en
 Below each table stands what measured it, and whether that code is still the one of this clone. A
 table from before there were stored results stays, marked, until its result is stored; so does a
 remark that there is none yet. ``<!-- begin result NAME, bold where METHOD is behind -->`` prints
-those rows in bold in which a column of another method has more than that of METHOD.
+those rows in bold in which a column of another method has more than that of METHOD. Sentences
+that quote a result are in :mod:`.quotes`; one that is not as it is stored is a fault, too.
 
     python -m segloc_experiments.results.pages --check
 """
@@ -20,6 +21,7 @@ from segloc.batch.methods import METHODS
 
 from ..script import parser
 from .fingerprints import PROJECT, changed
+from .quotes import unsaid
 from .store import FOLDER, Cell, Result
 
 DOCS = PROJECT / "docs"
@@ -136,6 +138,7 @@ def main() -> None:
             stored = FOLDER / f"{name}.json"
             state = status(Result.load(stored)) if stored.exists() else "not stored"
             print(f"{path.name}: {name}: {state}")
+    faults += [f'{page} should say, by stored results: "{text}"' for page, text in unsaid()]
     print("\n".join(faults))
     sys.exit(bool(faults))
 
