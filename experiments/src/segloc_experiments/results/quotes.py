@@ -22,21 +22,10 @@ from .store import FOLDER, Cell, Result
 
 QUOTES = PROJECT / "docs" / "quotes.yaml"
 _COUNT = re.compile(r"(\d+)(?: of (\d+))?\b")
-_WORDS = [
-    "none",
-    "one",
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
-]
+_WORDS = (
+    *("none", "one", "two", "three", "four", "five", "six"),
+    *("seven", "eight", "nine", "ten", "eleven", "twelve"),
+)
 
 
 @dataclass(frozen=True)
