@@ -8,6 +8,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[4]
@@ -110,7 +111,8 @@ def _of(root: Path, paths: Iterable[Path]) -> str:
     for path in paths:
         for file in _files(path):
             digest.update(file.relative_to(root).as_posix().encode() + b"\0")
-            digest.update(meaning(file) + b"\0")
+            facts = file.stat()
+            digest.update(_read_once(file, facts.st_mtime_ns, facts.st_size) + b"\0")
     return digest.hexdigest()[:_PREFIX]
 
 
@@ -120,6 +122,13 @@ def _files(path: Path) -> Iterator[Path]:
     for file in sorted(path.rglob("*")) if path.is_dir() else ():
         if file.is_file() and "__pycache__" not in file.parts:
             yield file
+
+
+@cache
+def _read_once(file: Path, changed_ns: int, size: int) -> bytes:
+    """Of a file as it is now: many results depend on the same ones."""
+    del changed_ns, size
+    return meaning(file)
 
 
 def meaning(file: Path) -> bytes:
