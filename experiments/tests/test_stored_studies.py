@@ -38,14 +38,18 @@ def test_other_sets_have_names_of_their_own() -> None:
     assert "--kitti DATA" in result.command and "verification" in result.produced_by
 
 
-def test_sets_can_be_measured_one_after_the_other(tmp_path: Path) -> None:
-    def measured(only: list[str], rows: tuple[tuple[str | int, ...], ...]) -> Result:
-        counts = Table("negatives", "False", ("set", "queries", "dsm"), (*rows, total(rows)))
+def test_sets_and_methods_can_be_measured_one_after_the_other(tmp_path: Path) -> None:
+    def measured(
+        only: list[str], rows: tuple[tuple[str | int, ...], ...], method: str = "dsm"
+    ) -> Result:
+        counts = Table("negatives", "False", ("set", "queries", method), (*rows, total(rows)))
+        over_all = Table("differences", "", ("method", "right"), ((method, 3),))
         facts = {"suite": "six", "scale": "full", "data": None, "only": only}
-        of = {"fingerprints": {"dsm": "0"}}
-        over_all = Table("differences", "", ("method", "right"), (("dsm", 3),))  # never of some
-        (result,) = kept(Study("localization", "", (counts, over_all), facts=facts | of), tmp_path)
+        of = {"fingerprints": {method: "0"}}
+        study = Study("localization", "", (counts, over_all), facts=facts | of)
+        result, own = kept(study, tmp_path)
         result.save(tmp_path)
+        assert own.rows == ((method, 3),) and f"--sets {','.join(only)} --store" in own.command
         return result
 
     names = [test.name for test in SIX]
@@ -57,6 +61,11 @@ def test_sets_can_be_measured_one_after_the_other(tmp_path: Path) -> None:
     assert [row[0] for row in rest.rows] == [*names, "all"] and "--sets" not in rest.command
     both = measured(names[:1], ((names[0], 2, 0), ("kitti00 sparse", 4, 0)))
     assert [row[0] for row in both.rows] == [*names, "kitti00 sparse", "all"]
+    other = measured(names[:1], ((names[0], 2, 6),), "nsm")
+    assert (
+        other.columns == ("set", "queries", "nsm", "dsm") and "weights of nsm" in other.produced_by
+    )
+    assert other.rows[:2] == ((names[0], 2, 6, 0), (names[1], 5, None, 1))
     path = tmp_path / f"{rest.name}.json"
     path.write_text(path.read_text().replace(rest.produced_by["pose"], "0123456789ab"))
     assert len(measured(names[:1], ((names[0], 2, 0),)).rows) == 2  # the others are of other code
