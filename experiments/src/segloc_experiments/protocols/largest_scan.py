@@ -1,24 +1,31 @@
 """Time and memory of reading the largest scan that is allowed, in each format.
 
-    python -m segloc_experiments.protocols.largest_scan [POINTS] > table.md
+    python -m segloc_experiments.protocols.largest_scan --store docs/results
 
 Each file is written by a process, and read by another one.
 """
 
 from __future__ import annotations
 
+import json
 import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+
+from rich.progress import track
 
 from segloc.budget import MOST_POINTS
 
-from ..script import head, parser
+from ..results.store import Cell, Result
+from ..script import storing
 
 BLOCK = 1_000_000
+COMMAND = "python -m segloc_experiments.protocols.largest_scan --store docs/results"
+COLUMNS = ("format", "file, MB", "memory, MB", "seconds")
 SUFFIXES = (".bin", ".pcd", ".ply", ".npz", ".laz", ".xyz", "-lists.ply")
 
 
@@ -55,12 +62,11 @@ def read(path: Path) -> None:
     read_scan(path)
     spent = time.process_time() - start
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{path.stat().st_size / 1e6:.0f} | {memory:.0f} | {spent:.1f}")
+    print(json.dumps([round(path.stat().st_size / 1e6), round(memory), round(spent, 1)]))
 
 
-def measure(count: int) -> None:
+def measured(count: int) -> Iterator[tuple[Cell, ...]]:
     """A row for each format: written by one process, read by another."""
-    print(head("format", "file, MB", "memory, MB", "seconds"))
     for suffix in SUFFIXES:
         with tempfile.TemporaryDirectory() as folder:
             path = str(Path(folder) / f"scan{suffix}")
@@ -69,11 +75,11 @@ def measure(count: int) -> None:
             done = subprocess.run(
                 [*command, "read", path], check=True, capture_output=True, text=True
             )
-            print(f"| {suffix.lstrip('-.')} | {done.stdout.strip()} |", flush=True)
+            yield (suffix.lstrip("-."), *json.loads(done.stdout))
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("step", nargs="?", choices=("all", "write", "read"), default="all")
     options.add_argument("path", nargs="?", type=Path)
     options.add_argument("--points", type=int, default=MOST_POINTS)
@@ -83,7 +89,11 @@ def main() -> None:
     elif args.step == "read":
         read(args.path)
     else:
-        measure(args.points)
+        rows = list(track(measured(args.points), "Formats", total=len(SUFFIXES)))
+        note = f"{args.points} points; memory of the process, and a core's seconds, reading alone."
+        Result.measured(
+            "largest-scan", COMMAND, COLUMNS, rows, stages=("reading",), note=note
+        ).tell(args.store)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Peak memory of mapping and localizing short and long recordings, printed as Markdown.
+"""Peak memory of mapping and localizing short and long recordings.
 
-    python -m segloc_experiments.protocols.memory_long_recording [2000 20000]
+    python -m segloc_experiments.protocols.memory_long_recording 2000 20000 --store docs/results
 
 Each recording is laps around a yard at 1.8 km/h and 10 Hz: 5 cm between scans. The scans of one
 lap are written once and linked as often as they are needed, so that a folder of 20 000 costs no
@@ -14,6 +14,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -30,8 +31,14 @@ from segloc.map.build import build_map
 from segloc.types import Float64
 
 from ..memory import highest_mb
-from ..script import head, parser, row
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Result
+from ..script import storing
 
+COLUMNS = (
+    *("scans", "path", "at start", "opened", "mapped", "localized", "the map's file", "found"),
+    *("mapping", "localizing"),
+)
 STEP_M = 0.05
 RADIUS_M = 15.9  # a lap is 100 m, 2000 scans
 LAP = 2000
@@ -83,7 +90,7 @@ def write_recording(folder: Path, lap: Path, count: int) -> None:
 
 
 def measure(folder: Path) -> None:
-    """Print a row: scans, peaks after opening, mapping and localizing, and the map's size."""
+    """Print a row as JSON."""
     config = Config(threads=1)
     before = highest_mb()
     recording = open_sequence(folder, "poses.tum")
@@ -96,22 +103,22 @@ def measure(folder: Path) -> None:
     positions = query_positions(recording.poses, EVERY_M, config.local_cloud.max_gap_m)
     results = localize_sequence(Localizer(prior_map, config), recording, positions)
     found = sum(result.localized for result in results)
-    peaks = (f"{mb:.0f}" for mb in (before, opened, mapped, highest_mb()))
-    seconds = (f"{s:.0f}" for s in (built - began, time.process_time() - built))
-    localized = f"{found} of {len(results)}"
-    print(row(len(recording), *peaks, f"{size:.1f}", localized, *seconds), flush=True)
+    peaks = (round(mb) for mb in (before, opened, mapped, highest_mb()))
+    seconds = (f"{s:.0f} s" for s in (built - began, time.process_time() - built))
+    path = f"{len(recording) * STEP_M:g} m"
+    answers = f"{found} of {len(results)}"
+    print(json.dumps([len(recording), path, *peaks, round(size, 1), answers, *seconds]))
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = storing(__doc__)
     options.add_argument("counts", type=int, nargs="*", default=[2000, 20000])
     options.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     args = options.parse_args()
     if args.measure is not None:
         measure(args.measure)
         return
-    peaks = ("at start (MB)", "opened", "mapped", "localized", "map's file")
-    print(head("scans", *peaks, "localized", "mapping (s)", "localizing (s)"), flush=True)
+    rows = []
     with tempfile.TemporaryDirectory() as root:
         lap = Path(root) / "lap"
         write_lap(lap, np.random.default_rng(0))
@@ -119,8 +126,15 @@ def main() -> None:
             folder = Path(root) / f"scans{count}"
             write_recording(folder, lap, count)
             module = f"{__package__}.memory_long_recording"
-            command = [sys.executable, "-m", module, "--measure", str(folder)]
-            subprocess.run(command, check=True)
+            alone = [sys.executable, "-m", module, "--measure", str(folder)]
+            done = subprocess.run(alone, check=True, capture_output=True, text=True)
+            rows.append(json.loads(done.stdout.splitlines()[-1]))
+    counts = " ".join(map(str, args.counts))
+    command = f"python -m {__package__}.memory_long_recording {counts} --store docs/results"
+    note = "Peak memory of the process, and the map's file, MB; a core's seconds."
+    Result.measured("long-recordings", command, COLUMNS, rows, stages=LOCALIZING, note=note).tell(
+        args.store
+    )
 
 
 if __name__ == "__main__":

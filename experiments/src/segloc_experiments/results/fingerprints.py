@@ -49,9 +49,10 @@ STAGES: dict[str, tuple[str, ...]] = {
     "tiles": ("src/segloc/tiles", "src/segloc/thin_vote.py"),
     "alignment": ("src/segloc/alignment", "src/segloc/thin_vote.py"),
     "simulation": ("src/segloc/simulation",),
+    "reading": ("src/segloc/io", "src/segloc/budget.py", "cpp/io"),
 }
 """Folders and files of each stage of a query, of SegMatch's estimator, and of what trains, follows,
-tiles, aligns and simulates."""
+tiles, aligns, simulates and reads files."""
 
 _OTHERS = (
     "geometric consistency",
@@ -60,6 +61,7 @@ _OTHERS = (
     "tiles",
     "alignment",
     "simulation",
+    "reading",
 )
 
 LOCALIZING = tuple(name for name in STAGES if name not in _OTHERS)
