@@ -91,7 +91,7 @@ def measured(options: Namespace) -> Steps:
     *mapped, later = recorded(out, *of)
     km, later_km = kilometres(mapped), kilometres([later])
     scans = sum(folder_size(out / "scans" / drive.name) for drive in mapped) / 1e6
-    steps.add(f"scans, LAZ (every {options.thin}. firing of an HDL-64E)", km, None, scans)
+    steps.add(f"scans, LAZ (one firing in {options.thin} of an HDL-64E)", km, None, scans)
     prior_map, seconds = timed(lambda: build_merged_map(mapped, config))
     prior_map.save(out / "site.segmap")
     size = (out / "site.segmap").stat().st_size / 1e6

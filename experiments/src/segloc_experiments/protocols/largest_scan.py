@@ -90,7 +90,8 @@ def main() -> None:
         read(args.path)
     else:
         rows = list(track(measured(args.points), "Formats", total=len(SUFFIXES)))
-        note = f"{args.points} points; memory of the process, and a core's seconds, reading alone."
+        count = f"{args.points / 1e6:g} million points"
+        note = f"{count}; memory of the process, and a core's seconds, reading alone."
         Result.measured(
             "largest-scan", COMMAND, COLUMNS, rows, stages=("reading",), note=note
         ).tell(args.store)

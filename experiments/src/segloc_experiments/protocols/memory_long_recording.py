@@ -107,7 +107,7 @@ def measure(folder: Path) -> None:
     seconds = (f"{s:.0f} s" for s in (built - began, time.process_time() - built))
     path = f"{len(recording) * STEP_M:g} m"
     answers = f"{found} of {len(results)}"
-    print(json.dumps([len(recording), path, *peaks, round(size, 1), answers, *seconds]))
+    print(json.dumps([len(recording), path, *peaks, round(size, 3), answers, *seconds]))
 
 
 def main() -> None:
