@@ -11,7 +11,7 @@ import numpy as np
 from ..types import Float64
 from . import comparison
 from .comparison import ESTIMATORS, Answer
-from .intervals import mcnemar
+from .intervals import apart, mcnemar
 from .methods import Methods, best_of
 from .report.study import Cell, Table
 from .scenario import Scenario
@@ -133,10 +133,8 @@ def differences(results: list[Result], methods: Methods, estimator: str) -> Iter
         return
     rows: list[tuple[Cell, ...]] = [(ours, sum(right[ours]), None, None, None)]
     for name in (name for name in methods.names if name != ours):
-        alone = sum(a and not b for a, b in zip(right[ours], right[name], strict=True))
-        others = sum(b and not a for a, b in zip(right[ours], right[name], strict=True))
         p = f"{mcnemar(right[ours], right[name]):.2g}"
-        rows.append((name, sum(right[name]), alone, others, p))
+        rows.append((name, sum(right[name]), *apart(right[ours], right[name]), p))
     yield Table(
         f"differences-{estimator}",
         f"Methods beside {ours}, query by query, {_TITLES[estimator]}",

@@ -23,6 +23,18 @@ def share(successes: int, trials: int) -> str:
     return f"{successes} of {trials}{interval}"
 
 
+def apart(a: Sequence[bool], b: Sequence[bool]) -> tuple[int, int]:
+    """How often the first alone succeeded, and the second alone, of the same queries.
+
+    Raises
+    ------
+    ValueError
+        If they are not of the same queries.
+    """
+    pairs = list(zip(a, b, strict=True))
+    return sum(x and not y for x, y in pairs), sum(y and not x for x, y in pairs)
+
+
 def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
     """McNemar's exact test: how likely two methods that are equally good differ so much.
 
@@ -41,8 +53,7 @@ def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
     ValueError
         If they are not of the same queries.
     """
-    only_a = sum(x and not y for x, y in zip(a, b, strict=True))
-    only_b = sum(y and not x for x, y in zip(a, b, strict=True))
+    only_a, only_b = apart(a, b)
     if not only_a + only_b:
         return 1.0
     return float(binomtest(only_a, only_a + only_b, 0.5).pvalue)
