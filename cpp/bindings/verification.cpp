@@ -1,4 +1,6 @@
 // Verification: overlap and visibility.
+#include <limits>
+
 #include "bindings/bindings.h"
 #include "verification/correlation.h"
 #include "verification/point_index.h"
@@ -107,16 +109,20 @@ void bind_verification(nb::module_& m) {
            nb::arg("half_width"), nb::arg("range"))
       .def(
           "sample",
-          [](const PointIndex& index, double x, double y, double radius, std::size_t count) {
+          [](const PointIndex& index, double x, double y, double radius, std::size_t count,
+             double low, double high) {
             const double place[2] = {x, y};
             require_usable(place, 2, "x, y");
             require_between(radius, 0.0, kLongest, "radius");
             require(count > 0, "count must be positive");
-            std::vector<float> points = index.sample(x, y, radius, count);
+            require(low <= high, "low must not be above high");
+            std::vector<float> points = index.sample({x, y, radius, low, high}, count);
             const std::size_t rows = points.size() / 3;
             return to_numpy(std::move(points), {rows, 3});
           },
-          nb::arg("x"), nb::arg("y"), nb::arg("radius"), nb::arg("count"));
+          nb::arg("x"), nb::arg("y"), nb::arg("radius"), nb::arg("count"),
+          nb::arg("low") = -std::numeric_limits<double>::infinity(),
+          nb::arg("high") = std::numeric_limits<double>::infinity());
 }
 
 }  // namespace segloc::bindings

@@ -56,7 +56,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     const segloc::PointIndex index(points.data(), n, length);
     const double T[16] = {0, -1, 0, 3, 1, 0, 0, -2, 0, 0, 1, 1e14, 0, 0, 0, 1};
     index.overlap(points.data(), n, T, length);
-    if (n > 0) require_finite(index.sample(points[0], points[1], length, 5));
+    if (n > 0) require_finite(index.sample({points[0], points[1], length}, 5));
   });
   // A grid of millions of cells is allowed, and slow: only narrow clouds go on.
   float low[2] = {1e30f, 1e30f}, high[2] = {-1e30f, -1e30f};

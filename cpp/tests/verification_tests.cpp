@@ -15,7 +15,8 @@ void point_index() {
     const PointIndex index(points.data(), n, 0.5);
     const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
     CHECK(index.overlap(points.data(), n, identity, 0.5).near == n);
-    CHECK(index.sample(0, 0, 1000, n + 1).size() == 3 * n && index.sample(500, 0, 1, 9).empty());
+    CHECK(index.sample({0, 0, 1000}, n + 1).size() == 3 * n);
+    CHECK(index.sample({500, 0, 1}, 9).empty());
     const double away[16] = {1, 0, 0, 1e9, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
     CHECK(index.overlap(points.data(), n, away, 0.5).near == 0);
   }

@@ -34,6 +34,7 @@ void PointIndex::fill_tiles() {
       points_.push_back(i);
       x_of_.push_back(grid_[i][0]);
       y_of_.push_back(grid_[i][1]);
+      z_of_.push_back(grid_[i][2]);
     }
     tiles_.push_back({at.first, at.second, 0, 0});
     fill_blocks(tiles_.back(), begin);
@@ -50,7 +51,8 @@ void PointIndex::fill_blocks(Tile& tile, std::size_t begin) {
     };
     const auto [low_x, high_x] = range(x_of_);
     const auto [low_y, high_y] = range(y_of_);
-    blocks_.push_back({begin, end, *low_x, *high_x, *low_y, *high_y});
+    const auto [low_z, high_z] = range(z_of_);
+    blocks_.push_back({begin, end, *low_x, *high_x, *low_y, *high_y, *low_z, *high_z});
   }
   tile.last_block = blocks_.size();
 }
@@ -80,27 +82,29 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
 
 // What the nearest and the farthest place of a block are decides for all in it: no point is rounded
 // to be nearer or farther than those.
-PointIndex::Part PointIndex::part_of(const Block& block, const Circle& circle) const {
-  const double near_x = std::clamp(circle.x, block.low_x, block.high_x);
-  const double near_y = std::clamp(circle.y, block.low_y, block.high_y);
-  if (!circle.holds(near_x, near_y)) return {&block, 0};
+PointIndex::Part PointIndex::part_of(const Block& block, const Column& column) const {
+  const double near_x = std::clamp(column.x, block.low_x, block.high_x);
+  const double near_y = std::clamp(column.y, block.low_y, block.high_y);
+  const double level = std::clamp(column.low, block.low_z, block.high_z);
+  if (!column.holds(near_x, near_y, level)) return {&block, 0};
   const auto farther = [](double at, double low, double high) {
     return std::abs(low - at) > std::abs(high - at) ? low : high;
   };
-  if (circle.holds(farther(circle.x, block.low_x, block.high_x),
-                   farther(circle.y, block.low_y, block.high_y))) {
+  const double far_x = farther(column.x, block.low_x, block.high_x);
+  const double far_y = farther(column.y, block.low_y, block.high_y);
+  if (column.holds(far_x, far_y, block.low_z) && column.holds(far_x, far_y, block.high_z)) {
     return {&block, block.end - block.begin};
   }
   std::size_t count = 0;
   for (std::size_t k = block.begin; k < block.end; ++k) {
-    count += circle.holds(x_of_[k], y_of_[k]);
+    count += column.holds(x_of_[k], y_of_[k], z_of_[k]);
   }
   return {&block, count};
 }
 
-std::vector<PointIndex::Part> PointIndex::parts(const Circle& circle) const {
+std::vector<PointIndex::Part> PointIndex::parts(const Column& column) const {
   std::vector<Part> found;
-  const double x = circle.x, y = circle.y, radius = circle.radius;
+  const double x = column.x, y = column.y, radius = column.radius;
   if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
   const std::int64_t first = tile_of(x - radius), last = tile_of(x + radius);
   const std::int64_t bottom = tile_of(y - radius), top = tile_of(y + radius);
@@ -117,7 +121,7 @@ std::vector<PointIndex::Part> PointIndex::parts(const Circle& circle) const {
       continue;
     }
     for (std::size_t k = tile->first_block; k < tile->last_block; ++k) {
-      const Part part = part_of(blocks_[k], circle);
+      const Part part = part_of(blocks_[k], column);
       if (part.count > 0) found.push_back(part);
     }
     ++tile;
@@ -125,15 +129,14 @@ std::vector<PointIndex::Part> PointIndex::parts(const Circle& circle) const {
   return found;
 }
 
-std::vector<float> PointIndex::sample(double x, double y, double radius, std::size_t count) const {
-  const Circle circle{x, y, radius};
-  const std::vector<Part> found = parts(circle);
+std::vector<float> PointIndex::sample(const Column& column, std::size_t count) const {
+  const std::vector<Part> found = parts(column);
   std::size_t all = 0;
   for (const Part& part : found) all += part.count;
   if (all == 0) return {};
   const std::size_t step = (all - 1) / std::max<std::size_t>(1, count) + 1;
   std::vector<float> points;
-  each(found, circle, step, [&](std::uint32_t i) {
+  each(found, column, step, [&](std::uint32_t i) {
     const PointGrid::Point p = grid_[i];
     points.insert(points.end(), p.begin(), p.end());
   });

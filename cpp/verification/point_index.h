@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "segmentation/point_grid.h"
@@ -25,15 +26,25 @@ class PointIndex {
   // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
   Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
 
-  // At most `count` of the points within a horizontal distance of (x, y), (k, 3), evenly thinned,
-  // in an order of their own.
-  std::vector<float> sample(double x, double y, double radius, std::size_t count) const;
+  // What is between two heights, within a horizontal distance of (x, y).
+  struct Column {
+    double x, y, radius;
+    double low = -std::numeric_limits<double>::infinity();
+    double high = std::numeric_limits<double>::infinity();
+    bool holds(double px, double py, double pz) const {
+      const double dx = px - x, dy = py - y;
+      return dx * dx + dy * dy <= radius * radius && low <= pz && pz <= high;
+    }
+  };
+
+  // At most `count` of the points in a column, (k, 3), evenly thinned, in an order of their own.
+  std::vector<float> sample(const Column& column, std::size_t count) const;
 
   // Calls visit(point) for those within a horizontal distance of (x, y), in the same order.
   template <typename Visit>
   void visit(double x, double y, double radius, Visit&& visit) const {
-    const Circle circle{x, y, radius};
-    each(parts(circle), circle, 1, [&](std::uint32_t i) { visit(grid_[i]); });
+    const Column column{x, y, radius};
+    each(parts(column), column, 1, [&](std::uint32_t i) { visit(grid_[i]); });
   }
 
   // Whether there are any points around, at any height.
@@ -43,23 +54,16 @@ class PointIndex {
   double radius() const { return grid_.radius(); }
 
  private:
-  // Points of a tile that follow one another, and where they lie seen from above.
+  // Points of a tile that follow one another, and where they lie.
   struct Block {
     std::size_t begin, end;
-    double low_x, high_x, low_y, high_y;
+    double low_x, high_x, low_y, high_y, low_z, high_z;
   };
   struct Tile {
     std::int64_t y, x;
     std::size_t first_block, last_block;
   };
-  struct Circle {
-    double x, y, radius;
-    bool holds(double px, double py) const {
-      const double dx = px - x, dy = py - y;
-      return dx * dx + dy * dy <= radius * radius;
-    }
-  };
-  // A block of which so many points lie in a circle.
+  // A block of which so many points lie in a column.
   struct Part {
     const Block* block;
     std::size_t count;
@@ -68,12 +72,12 @@ class PointIndex {
 
   void fill_tiles();
   void fill_blocks(Tile& tile, std::size_t begin);
-  Part part_of(const Block& block, const Circle& circle) const;
+  Part part_of(const Block& block, const Column& column) const;
   // Those of which any do, in order.
-  std::vector<Part> parts(const Circle& circle) const;
-  // Calls take(i) for every step-th of the points in a circle, in the grid's order.
+  std::vector<Part> parts(const Column& column) const;
+  // Calls take(i) for every step-th of the points in a column, in the grid's order.
   template <typename Take>
-  void each(const std::vector<Part>& parts, const Circle& circle, std::size_t step,
+  void each(const std::vector<Part>& parts, const Column& column, std::size_t step,
             const Take& take) const {
     std::size_t skip = 0;  // before the next one that is taken
     for (const Part& part : parts) {
@@ -82,7 +86,7 @@ class PointIndex {
         continue;
       }
       for (std::size_t k = part.block->begin; k < part.block->end; ++k) {
-        if (!part.is_whole() && !circle.holds(x_of_[k], y_of_[k])) continue;
+        if (!part.is_whole() && !column.holds(x_of_[k], y_of_[k], z_of_[k])) continue;
         if (skip > 0) {
           --skip;
           continue;
@@ -98,7 +102,7 @@ class PointIndex {
   std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
   std::vector<Block> blocks_;
   std::vector<std::uint32_t> points_;  // of one tile after another
-  std::vector<float> x_of_, y_of_;     // of those, to be read one after another
+  std::vector<float> x_of_, y_of_, z_of_;  // of those, to be read one after another
 };
 
 }  // namespace segloc

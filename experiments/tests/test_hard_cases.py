@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from segloc_experiments.journal import keep
 from segloc_experiments.protocols import change, reliability, simulation_queries, wrong_maps
 from segloc_experiments.protocols.simulation_scenarios import scenarios
+from segloc_experiments.recordings import kept
 from segloc_experiments.results.store import Result
+
+from segloc.simulation import Conditions, building, simulate_sessions, vlp16
 
 
 def _set(method: str, right: list[bool], **values: object) -> dict[str, object]:
@@ -72,3 +76,17 @@ def test_reliability_counts_poses_by_their_confidence() -> None:
     assert rows[0][:2] == ("0.00 to 0.05", "0 of 1 (0 to 79 %)")
     assert rows[-2] == ("0.95 to 1.00", "1 of 2 (9 to 91 %)", "0 of 0")
     assert rows[-1] == ("Brier score", round((0.01**2 + 0.97**2 + 0.01**2) / 3, 4), None)
+
+
+def test_scans_of_worlds_that_differ_are_kept_apart(tmp_path: Path) -> None:
+    pytest.importorskip("embreex", reason="simulation needs the extra sim")
+    alike, own = (
+        simulate_sessions(
+            building(4, size_m=40.0, storeys=2, differ=differ), vlp16(60), [Conditions()], length_m=20.0, storey=1
+        )[0]
+        for differ in (0.0, 1.0)
+    )
+    np.testing.assert_array_equal(alike.truth, own.truth)
+    folders = {kept(drive, tmp_path).folder for drive in (alike, own)}
+    assert len(folders) == 2
+    assert kept(alike, tmp_path).folder in folders

@@ -146,7 +146,15 @@ class PointIndex:
         half_width: float,
         range: float,
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]: ...
-    def sample(self, x: float, y: float, radius: float, count: int) -> NDArray[np.float32]: ...
+    def sample(
+        self,
+        x: float,
+        y: float,
+        radius: float,
+        count: int,
+        low: float = ...,
+        high: float = ...,
+    ) -> NDArray[np.float32]: ...
 
 class PoseSearch:
     def __init__(

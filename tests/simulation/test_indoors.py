@@ -253,6 +253,29 @@ def test_storeys_have_one_plan_and_furniture_as_they_should() -> None:
     )
 
 
+def walls(house: World, storey: int) -> Float64:
+    """(N, 2) corners of the walls of a storey, seen from above."""
+    assert house.interior is not None
+    corners = np.concatenate(of_kind(house, "wall"))
+    on = np.floor((corners[:, 2] + 0.31) / house.interior.storeys[1]) == storey
+    return np.unique(np.round(corners[on, :2], 2), axis=0)
+
+
+def test_storeys_may_have_rooms_of_their_own() -> None:
+    alike, house = (building(4, size_m=40.0, storeys=3, own_rooms=own) for own in (False, True))
+    np.testing.assert_array_equal(walls(house, 0), walls(alike, 0))
+    outer = walls(alike, 0)
+    low, high = outer.min(axis=0), outer.max(axis=0)
+    for storey in (1, 2):
+        own = walls(house, storey)
+        np.testing.assert_allclose([own.min(axis=0), own.max(axis=0)], [low, high], atol=0.02)
+        gap, _ = cKDTree(outer).query(own)
+        assert 0.1 < (gap > 0.3).mean() < 0.9
+    assert house.recipe is not None
+    make, arguments = house.recipe
+    np.testing.assert_array_equal(make(*arguments).static.triangles, house.static.triangles)
+
+
 def test_a_path_on_each_storey_is_the_same_but_for_its_height() -> None:
     house = building(4, size_m=40.0, storeys=3)
     assert house.interior is not None

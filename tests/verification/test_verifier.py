@@ -71,15 +71,20 @@ def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, shar
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.1, 80.0))
-def test_points_within_a_circle(seed: int, count: int, radius: float) -> None:
+def test_points_within_a_circle_between_heights(seed: int, count: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     cloud = rng.uniform(-60, 60, (count, 3)).astype(np.float32)
+    cloud[:, 2] = np.round(cloud[:, 2])
     x, y = rng.uniform(-70, 70, 2)
-    expected = np.flatnonzero(np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius)
+    low, high = np.sort(rng.integers(-70, 70, 2)).astype(float)
+    circle = np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius
     index = PointIndex(cloud, 0.5)
     every = index.sample(x, y, radius, count + 1)
+    assert sorted(map(tuple, every)) == sorted(map(tuple, cloud[circle]))
+    expected = np.flatnonzero(circle & (low <= cloud[:, 2]) & (cloud[:, 2] <= high))
+    every = index.sample(x, y, radius, count + 1, low, high)
     assert sorted(map(tuple, every)) == sorted(map(tuple, cloud[expected]))
-    some = index.sample(x, y, radius, 50)
+    some = index.sample(x, y, radius, 50, low, high)
     assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
     assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
 

@@ -105,9 +105,11 @@ def kept(drive: SimulatedSequence, root: Path | None) -> Kept:
     """The drive, its scans in a folder of its own below ``root``."""
     if root is None:
         return Kept(drive, None)
-    key = repr((drive.world.name, drive.session, drive.seed, drive.sensor, drive.conditions))
+    world = drive.world
+    made_of = world.recipe[1] if world.recipe else ()
+    key = repr((world.name, made_of, drive.session, drive.seed, drive.sensor, drive.conditions))
     digest = hashlib.sha256(key.encode() + drive.truth.tobytes()).hexdigest()[:12]
-    return Kept(drive, root / f"{drive.world.name}-{drive.name.replace(' ', '-')}-{digest}")
+    return Kept(drive, root / f"{world.name}-{drive.name.replace(' ', '-')}-{digest}")
 
 
 def beside(

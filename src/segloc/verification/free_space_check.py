@@ -15,12 +15,26 @@ from ..types import Float32, Pose
 from .config import VerificationConfig
 
 
+_WITHIN, _MOST = (1.0, 99.0), 4000
+"""Percentiles of the heights of all that is seen, and how many points they are taken of."""
+_BESIDE_M = 1.0
+"""Map points that are so far above or below these may still be judged."""
+
+
 class QueryView:
-    """What a sensor saw, as a range image about the local frame's origin."""
+    """What a sensor saw, as a range image about the local frame's origin.
+
+    Attributes
+    ----------
+    low, high : float
+        Nearly all that it saw is between these heights, metres: what the map has on other storeys
+        cannot be judged.
+    """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
         radius = max(config.seen_radius, config.coarse_radius)
         self._margin = config.visibility_margin
+        self.low, self.high = _heights(scene)
         self._image = _native.VisibilityCheck(
             scene.structure, scene.ground, config.visibility_range, config.visibility_bin, radius
         )
@@ -56,7 +70,16 @@ def judged(
         So many of them at most.
     """
     x, y = float(T[0, 3]), float(T[1, 3])
-    points = index.sample(x, y, range_m, sample)
+    low, high = view.low + T[2, 3], view.high + T[2, 3]
+    points = index.sample(x, y, range_m, sample, low - _BESIDE_M, high + _BESIDE_M)
     T_local_map = np.ascontiguousarray(geometry.inverse(T))
     seen, violations = view.judged(points, T_local_map, radius)
     return seen, seen + violations
+
+
+def _heights(scene: Segmentation) -> tuple[float, float]:
+    z = np.concatenate([scene.structure[:, 2], scene.ground[:, 2]])
+    if not len(z):
+        return -np.inf, np.inf
+    low, high = np.percentile(z[:: -(-len(z) // _MOST)], _WITHIN)
+    return float(low), float(high)

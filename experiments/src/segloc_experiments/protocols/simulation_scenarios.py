@@ -161,6 +161,10 @@ def _storeys(differ: float) -> Make:
     return lambda seed: building(seed, storeys=STOREYS, differ=differ)
 
 
+def _divided(seed: int) -> World:
+    return building(seed, storeys=STOREYS, own_rooms=True)
+
+
 def _bare(seed: int) -> World:
     return warehouse(seed, repetitive=True)
 
@@ -186,6 +190,10 @@ def _floors(differ: float, expected: str, asked: Side = _QUADRUPED) -> Scenario:
     return Scenario(name, _storeys(differ), _OS0, asked, expected, **five)  # type: ignore[arg-type]
 
 
+def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
+    return replace(_floors(0.5, "found", asked), map_name="building-rooms", world=_divided)
+
+
 def _one_floor(differ: float) -> Scenario:
     asked = replace(_floors(differ, "refused"), map_name=f"storey-{differ:g}", storeys=(0,))
     return replace(asked, query_storeys=_ALL[1:])
@@ -200,6 +208,17 @@ def scenarios() -> dict[str, Scenario]:
             "halls", halls, _OS0, Side("mid360", "handheld", 10)
         ),
         "bare halls, handheld OS0-128": Scenario("bare", _bare, _OS0, _HANDHELD),
+        "five storeys with rooms of their own": _own_rooms(),
+        "five storeys with rooms of their own, handheld Mid-360, 1 s": _own_rooms(
+            Side("mid360", "handheld", 10)
+        ),
+        "one storey, asked on others: rooms of their own": replace(
+            _own_rooms(),
+            expected="refused",
+            map_name="storey-rooms",
+            storeys=(0,),
+            query_storeys=_ALL[1:],
+        ),
         "five storeys that differ": _floors(0.5, "found"),
         "five storeys that differ, handheld Mid-360, 1 s": _floors(
             0.5, "found", Side("mid360", "handheld", 10)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Room:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What all storeys of a building have in common.
+    """The plan of a storey; what is not of its rooms, all storeys of a building have in common.
 
     Attributes
     ----------
@@ -115,19 +115,11 @@ def draw_plan(rng: np.random.Generator, size_m: float) -> FloorPlan:
     count = max(2, round((last - first) / rng.uniform(14, 26)) + 1)
     crossings = np.linspace(first, last, count)
     crossings[1:-1] += rng.uniform(-2.0, 2.0, count - 2)
-    glazed = float(rng.choice([0.1, 0.3, 0.7]))
-    rooms: list[Room] = []
-    for low, high, front in ((0.0, outer, outer), (wide - outer, wide, wide - outer)):
-        rooms += _row(rng, (0.0, size_m), (low, high), front, glazed)
-    middle = wide / 2 + float(rng.uniform(-0.1, 0.1)) * core
-    bottom, top = outer + corridor, wide - outer - corridor
-    for a, b in zip(crossings[:-1] + corridor / 2, crossings[1:] - corridor / 2, strict=True):
-        rooms += _row(rng, (a, b), (bottom, middle), bottom, glazed)
-        rooms += _row(rng, (a, b), (middle, top), top, glazed)
+    rooms = _rooms(rng, (size_m, wide), corridor, outer, crossings)
     ceiling = float(rng.uniform(2.6, 3.3))
     return FloorPlan(
         (size_m, wide),
-        tuple(rooms),
+        rooms,
         corridor,
         outer,
         tuple(crossings.tolist()),
@@ -135,6 +127,33 @@ def draw_plan(rng: np.random.Generator, size_m: float) -> FloorPlan:
         ceiling,
         float(rng.uniform(1.4, 2.4)),
     )
+
+
+def divided_anew(plan: FloorPlan, rng: np.random.Generator) -> FloorPlan:
+    """The same shell, corridors and stairs, with other rooms."""
+    crossings = np.array(plan.crossings)
+    return replace(plan, rooms=_rooms(rng, plan.size, plan.corridor, plan.outer, crossings))
+
+
+def _rooms(
+    rng: np.random.Generator,
+    size: tuple[float, float],
+    corridor: float,
+    outer: float,
+    crossings: Float64,
+) -> tuple[Room, ...]:
+    """Two rows of rooms with windows, and two between the corridors."""
+    long, wide = size
+    glazed = float(rng.choice([0.1, 0.3, 0.7]))
+    rooms: list[Room] = []
+    for low, high, front in ((0.0, outer, outer), (wide - outer, wide, wide - outer)):
+        rooms += _row(rng, (0.0, long), (low, high), front, glazed)
+    bottom, top = outer + corridor, wide - outer - corridor
+    middle = wide / 2 + float(rng.uniform(-0.1, 0.1)) * (top - bottom)
+    for a, b in zip(crossings[:-1] + corridor / 2, crossings[1:] - corridor / 2, strict=True):
+        rooms += _row(rng, (a, b), (bottom, middle), bottom, glazed)
+        rooms += _row(rng, (a, b), (middle, top), top, glazed)
+    return tuple(rooms)
 
 
 def _row(

@@ -10,7 +10,7 @@ from ...errors import ConfigError
 from ..objects.mesh import Mesh, boxes, join, tubes
 from ..objects.shell import panes, slab, stair_flight, wall
 from .fitting import Fitting
-from .floorplan import FloorPlan, Room, draw_plan
+from .floorplan import FloorPlan, Room, divided_anew, draw_plan
 from .furnish import furnish, places
 from .layout import check_world
 from .world import World
@@ -31,11 +31,18 @@ def offices(seed: int, *, size_m: float = 60.0) -> World:
     ConfigError
         If ``size_m`` is not in 30..200 or the seed is negative.
     """
-    return _erect("offices", seed, size_m, 1, 0.0)
+    return _erect("offices", seed, size_m, 1, 0.0, False)
 
 
 @lru_cache(maxsize=2)
-def building(seed: int, *, size_m: float = 50.0, storeys: int = 5, differ: float = 0.5) -> World:
+def building(
+    seed: int,
+    *,
+    size_m: float = 50.0,
+    storeys: int = 5,
+    differ: float = 0.5,
+    own_rooms: bool = False,
+) -> World:
     """Storeys of one plan above each other, with stairs at both ends.
 
     ``world.floor(k)`` is the floor of storey k, and ``Route(storey=k)`` leads over it.
@@ -49,6 +56,8 @@ def building(seed: int, *, size_m: float = 50.0, storeys: int = 5, differ: float
     differ : float
         Share of the places where each storey has furniture of its own: 0 for storeys that are
         equal but for doors, chairs and people. Walls and doorways are the same on all.
+    own_rooms : bool
+        Each storey is divided into rooms of its own. Facades, corridors and stairs are the same.
 
     Raises
     ------
@@ -60,18 +69,23 @@ def building(seed: int, *, size_m: float = 50.0, storeys: int = 5, differ: float
         raise ConfigError(f"storeys must be in 1..20, not {storeys}")
     if not 0 <= differ <= 1:
         raise ConfigError(f"differ must be in 0..1, not {differ}")
-    return _erect("building", seed, size_m, storeys, differ)
+    return _erect("building", seed, size_m, storeys, differ, own_rooms)
 
 
-def _erect(name: str, seed: int, size_m: float, storeys: int, differ: float) -> World:
+def _erect(
+    name: str, seed: int, size_m: float, storeys: int, differ: float, own_rooms: bool
+) -> World:
     check_world(seed, size_m, 30.0, 200.0)
     rng = np.random.default_rng([seed, 86_028_121])
     plan = draw_plan(rng, size_m)
     site = Fitting(rng, plan.size, plan.corridors())
-    built = _structure(rng, plan)
-    found = places(rng, plan)
+    built, found = _structure(rng, plan), places(rng, plan)
     heights = tuple(plan.rise * k for k in range(storeys))
     for k, z in enumerate(heights):
+        if own_rooms and k:
+            own = np.random.default_rng([seed, 86_028_121, k])
+            plan = divided_anew(plan, own)
+            built, found = _structure(own, plan), places(own, plan)
         for kind, mesh in built:
             site.put(kind, mesh, _ORIGIN, 0.0, z)
         _slabs(site, plan, k, storeys)
@@ -79,14 +93,16 @@ def _erect(name: str, seed: int, size_m: float, storeys: int, differ: float) -> 
         furnish(site, found, seed, k, z, differ)
     _stairs(site, plan, storeys)
     site.people = [np.array(street.at(s)[0]) for street in site.roads.streets for s in (3.0, 7.0)]
-    arguments = (name, seed, size_m, storeys, differ)
+    arguments = (name, seed, size_m, storeys, differ, own_rooms)
     return site.world(name, seed, (_remake, arguments), storeys=heights)
 
 
-def _remake(name: str, seed: int, size_m: float, storeys: int, differ: float) -> World:
+def _remake(
+    name: str, seed: int, size_m: float, storeys: int, differ: float, own_rooms: bool
+) -> World:
     if name == "offices":
         return offices(seed, size_m=size_m)
-    return building(seed, size_m=size_m, storeys=storeys, differ=differ)
+    return building(seed, size_m=size_m, storeys=storeys, differ=differ, own_rooms=own_rooms)
 
 
 def _structure(rng: np.random.Generator, plan: FloorPlan) -> list[tuple[str, Mesh]]:
