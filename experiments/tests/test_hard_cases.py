@@ -80,11 +80,10 @@ def test_reliability_counts_poses_by_their_confidence() -> None:
 
 def test_scans_of_worlds_that_differ_are_kept_apart(tmp_path: Path) -> None:
     pytest.importorskip("embreex", reason="simulation needs the extra sim")
+    worlds = [building(4, size_m=40.0, storeys=2, differ=differ) for differ in (0.0, 1.0)]
     alike, own = (
-        simulate_sessions(
-            building(4, size_m=40.0, storeys=2, differ=differ), vlp16(60), [Conditions()], length_m=20.0, storey=1
-        )[0]
-        for differ in (0.0, 1.0)
+        simulate_sessions(world, vlp16(60), [Conditions()], length_m=20.0, storey=1)[0]
+        for world in worlds
     )
     np.testing.assert_array_equal(alike.truth, own.truth)
     folders = {kept(drive, tmp_path).folder for drive in (alike, own)}

@@ -14,7 +14,6 @@ from ..segmentation import Segmentation
 from ..types import Float32, Pose
 from .config import VerificationConfig
 
-
 _WITHIN, _MOST = (1.0, 99.0), 4000
 """Percentiles of the heights of all that is seen, and how many points they are taken of."""
 _BESIDE_M = 1.0
