@@ -14,10 +14,8 @@ from ..segmentation import Segmentation
 from ..types import Float32, Pose
 from .config import VerificationConfig
 
-_WITHIN, _MOST = (1.0, 99.0), 4000
-"""Percentiles of the heights of all that is seen, and how many points they are taken of."""
 _BESIDE_M = 1.0
-"""Map points that are so far above or below these may still be judged."""
+"""Map points that are so far above or below all that is seen may still be judged."""
 
 
 class QueryView:
@@ -26,8 +24,8 @@ class QueryView:
     Attributes
     ----------
     low, high : float
-        Nearly all that it saw is between these heights, metres: what the map has on other storeys
-        cannot be judged.
+        All that it saw is between these heights, metres: what the map has on other storeys cannot
+        be judged.
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
@@ -80,5 +78,4 @@ def _heights(scene: Segmentation) -> tuple[float, float]:
     z = np.concatenate([scene.structure[:, 2], scene.ground[:, 2]])
     if not len(z):
         return -np.inf, np.inf
-    low, high = np.percentile(z[:: -(-len(z) // _MOST)], _WITHIN)
-    return float(low), float(high)
+    return float(z.min()), float(z.max())
