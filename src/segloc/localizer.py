@@ -15,6 +15,7 @@ from .local_cloud import Accumulator, Scans
 from .localization import Localization
 from .map.segment_map import SegmentMap
 from .matching import Matcher
+from .occupancy import is_storeyed
 from .pose import PoseEstimator
 from .prior import Near, Prior, allowed, within
 from .search import Query, Search
@@ -120,6 +121,7 @@ class Localizer:
             config.verification,
             separation=config.pose.separation,
             threads=threads,
+            storeyed=is_storeyed(prior_map.trajectory),
         )
         self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
         self._tile_search = None if self.tiles is None else self.tiles.search(self)

@@ -8,3 +8,4 @@ maps of one floor so; here a cell has several heights, and the work is bounded.
 
 from .config import OccupancyConfig as OccupancyConfig
 from .search import OccupancySearch as OccupancySearch
+from .storeys import is_storeyed as is_storeyed

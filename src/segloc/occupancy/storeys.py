@@ -28,7 +28,7 @@ def storeys(cloud: Float32, path: Float64) -> Iterator[tuple[Float32, Float64]]:
     path : (V, 3) float64
         Along which the cloud was recorded, in the same frame.
     """
-    levels = _levels(path[:, 2]) if len(cloud) and _is_storeyed(path) else np.empty(0)
+    levels = _levels(path[:, 2]) if len(cloud) and is_storeyed(path) else np.empty(0)
     if len(levels) < 2:
         yield cloud, path
         return
@@ -50,8 +50,13 @@ def _drop(cloud: Float32, path: Float64) -> float:
     return float(edges[np.argmax(counts >= 0.5 * counts.max()) + 1])
 
 
-def _is_storeyed(path: Float64) -> bool:
-    """Whether the path comes back well above itself, not just here and there as at a bridge."""
+def is_storeyed(path: Float64) -> bool:
+    """Whether a path comes back well above itself, not just here and there as at a bridge.
+
+    Parameters
+    ----------
+    path : (V, 3) float64
+    """
     if not len(path) or np.ptp(path[:, 2]) < _HIGHER_M:
         return False
     _, which = np.unique(cells_of(path[:, :2], _CELL_M), axis=0, return_inverse=True)

@@ -14,8 +14,10 @@ from ..segmentation import Segmentation
 from ..types import Float32, Pose
 from .config import VerificationConfig
 
+_NEARLY_ALL, _MOST = (1.0, 99.0), 4000
+"""Percentiles of the heights of what is seen, and how many points they are taken of."""
 _BESIDE_M = 1.0
-"""Map points that are so far above or below all that is seen may still be judged."""
+"""Map points that are so far above or below these are still on the storey of the query."""
 
 
 class QueryView:
@@ -24,8 +26,7 @@ class QueryView:
     Attributes
     ----------
     low, high : float
-        All that it saw is between these heights, metres: what the map has on other storeys cannot
-        be judged.
+        Nearly all that it saw is between these heights, metres.
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
@@ -49,6 +50,7 @@ def judged(
     radius: float,
     range_m: float,
     sample: int,
+    storeyed: bool,
 ) -> tuple[int, int]:
     """How many map points the query sees, too, and how many were judged.
 
@@ -65,10 +67,13 @@ def judged(
         Map points this near are judged, metres.
     sample : int
         So many of them at most.
+    storeyed : bool
+        Whether the map has several storeys. Those of others than the query's cannot be seen, and
+        are left out: they would take the place of what can be judged.
     """
     x, y = float(T[0, 3]), float(T[1, 3])
-    low, high = view.low + T[2, 3], view.high + T[2, 3]
-    points = index.sample(x, y, range_m, sample, low - _BESIDE_M, high + _BESIDE_M)
+    low, high = (view.low - _BESIDE_M, view.high + _BESIDE_M) if storeyed else (-np.inf, np.inf)
+    points = index.sample(x, y, range_m, sample, low + T[2, 3], high + T[2, 3])
     T_local_map = np.ascontiguousarray(geometry.inverse(T))
     seen, violations = view.judged(points, T_local_map, radius)
     return seen, seen + violations
@@ -78,4 +83,5 @@ def _heights(scene: Segmentation) -> tuple[float, float]:
     z = np.concatenate([scene.structure[:, 2], scene.ground[:, 2]])
     if not len(z):
         return -np.inf, np.inf
-    return float(z.min()), float(z.max())
+    low, high = np.percentile(z[:: -(-len(z) // _MOST)], _NEARLY_ALL)
+    return float(low), float(high)

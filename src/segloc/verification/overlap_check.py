@@ -89,6 +89,8 @@ class MapCloud:
         ICP that moves a pose farther has run away.
     threads : int
         0: all cores. No result depends on it.
+    storeyed : bool
+        Whether the map has several storeys.
     """
 
     def __init__(
@@ -98,8 +100,10 @@ class MapCloud:
         config: VerificationConfig,
         separation: Separation,
         threads: int,
+        storeyed: bool,
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
+        self._storeyed = storeyed
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
@@ -194,7 +198,8 @@ class MapCloud:
 
     def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
         range_m = self._config.visibility_range
-        return judged(self._target.index, query.view, T, radius, range_m, sample)
+        index, storeyed = self._target.index, self._storeyed
+        return judged(index, query.view, T, radius, range_m, sample, storeyed)
 
     def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
         """The better of two alignments, which goes on until it holds still."""

@@ -50,6 +50,8 @@ class Verifier:
         The shipped one by default.
     threads : int
         0: all cores. No verdict depends on it.
+    storeyed : bool
+        Whether the map has several storeys.
     """
 
     def __init__(
@@ -61,11 +63,12 @@ class Verifier:
         separation: Separation | None = None,
         model: ConfidenceModel | None = None,
         threads: int = 0,
+        storeyed: bool = False,
     ) -> None:
         self.config = config or VerificationConfig()
         self.model = model or shipped_confidence()
         self._separation = separation or Separation()
-        self._map = MapCloud(cloud, origin, self.config, self._separation, threads)
+        self._map = MapCloud(cloud, origin, self.config, self._separation, threads, storeyed)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query's cloud, made ready to be compared with the map any number of times."""
