@@ -121,7 +121,7 @@ class Localizer:
             config.verification,
             separation=config.pose.separation,
             threads=threads,
-            storeyed=is_storeyed(prior_map.trajectory),
+            storeyed=is_storeyed(prior_map.trajectory[:, :3, 3] - prior_map.origin),
         )
         self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
         self._tile_search = None if self.tiles is None else self.tiles.search(self)
