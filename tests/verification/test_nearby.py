@@ -159,6 +159,18 @@ def test_where_a_place_repeats_itself_nothing_is_believed(inliers: int) -> None:
     assert verdict.confidence < 0.8 or verdict.reason is Reason.AMBIGUOUS
 
 
+def test_storeys_that_a_query_cannot_see_take_no_place_of_what_it_can() -> None:
+    floors = np.concatenate([hall() + np.float32([0, 0, 6.0 * k]) for k in range(5)])
+    counts = []
+    for cloud, storeyed in ((hall(), False), (floors, False), (floors, True)):
+        judge = Verifier(cloud, np.zeros(3), storeyed=storeyed)
+        score = judge.refined(Candidate(np.eye(4), 3), judge.query(scene(hall())))
+        assert score.seen is not None and score.seen > 0.95
+        counts.append(score.judged)
+    alone, among_all, among_own = counts
+    assert among_all < 0.4 * alone < 0.6 * alone < among_own
+
+
 def test_a_wall_that_is_off_counts_in_its_own_direction() -> None:
     rng = np.random.default_rng(5)
     long = rng.uniform([-15, 3, 0], [15, 3.02, 4], (4000, 3))
