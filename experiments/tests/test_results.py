@@ -142,3 +142,27 @@ def test_what_is_stored_can_be_read_and_says_what_made_it(path: Path) -> None:
     assert each.name == path.stem and each.rows and each.command and each.produced_by
     known = set(prints.STAGES)
     assert all(name in known or name.startswith("weights of ") for name in each.produced_by)
+
+
+def test_a_change_that_leaves_a_result_as_it_is_does_not_outdate_it(clone: Path) -> None:
+    each = result(clone)
+    pose = clone / prints.STAGES["pose"][0]
+    before = each.produced_by["pose"]
+    pose.write_text("x = 2\n")
+    after = prints.fingerprints(("pose",), (), clone)["pose"]
+    entry = f"""
+- stages: {{pose: [{before}, {after}]}}
+  concerns: maps on two sheets
+  may_change: [RESULT]
+  checked: All answers are the same.
+"""
+    named = clone / "docs" / "unaffected.yaml"
+    named.parent.mkdir(exist_ok=True)
+    named.write_text(entry.replace("RESULT", "another"))
+    assert "nothing that it depends on has changed" in status(each, clone)
+    assert "but what concerns only maps on two sheets.*" in status(each, clone)
+    named.write_text(entry.replace("RESULT", each.name))
+    assert "Outdated" in status(each, clone)
+    named.write_text(entry.replace("RESULT", "another"))
+    pose.write_text("x = 3\n")
+    assert "changed since: pose." in status(each, clone)

@@ -8,8 +8,11 @@ import io
 import re
 import tokenize
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+
+import yaml
 
 PROJECT = Path(__file__).resolve().parents[4]
 """The clone that this package is installed from."""
@@ -100,12 +103,63 @@ def fingerprints(
     return found
 
 
-def changed(before: Mapping[str, str], root: Path = PROJECT) -> list[str]:
-    """Of what a result names, what is no longer as it was."""
+def changed(
+    before: Mapping[str, str], root: Path = PROJECT, allowed: Iterable[Change] = ()
+) -> list[str]:
+    """Of what a result names, what is no longer as it was.
+
+    What only changes that are allowed have made of it counts as it was.
+    """
     stages = [name for name in before if name in STAGES]
     methods = [name.removeprefix("weights of ") for name in before if name not in STAGES]
     now = fingerprints(stages, methods, root)
-    return [name for name, value in before.items() if now.get(name) != value]
+    as_of_now = dict(before)
+    for change in allowed:
+        as_of_now |= change.applied(as_of_now)
+    return [name for name, value in as_of_now.items() if now.get(name) != value]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the code that leaves most results as they are.
+
+    Attributes
+    ----------
+    stages : dict of str to (str, str)
+        Fingerprints before and after.
+    concerns : str
+        What the results may depend on that it changes.
+    may_change : tuple of str
+        Names of these results.
+    checked : str
+        How it was checked that it leaves others as they are.
+    """
+
+    stages: Mapping[str, tuple[str, str]]
+    concerns: str
+    may_change: tuple[str, ...]
+    checked: str
+
+    def applied(self, before: Mapping[str, str]) -> dict[str, str]:
+        """Of fingerprints, what has become of those that it changes."""
+        found = {name: self.stages[name] for name in before if name in self.stages}
+        return {name: after for name, (old, after) in found.items() if before[name] == old}
+
+
+def changes_without_effect_on(name: str, root: Path = PROJECT) -> list[Change]:
+    """The changes of ``docs/unaffected.yaml`` that leave a result as it is, in their order."""
+    path = root / "docs" / "unaffected.yaml"
+    entries = yaml.safe_load(path.read_text("utf-8")) if path.exists() else ()
+    found = [
+        Change(
+            {stage: (old, new) for stage, (old, new) in entry["stages"].items()},
+            entry["concerns"],
+            tuple(entry["may_change"]),
+            entry["checked"],
+        )
+        for entry in entries
+    ]
+    return [change for change in found if name not in change.may_change]
 
 
 def _of(root: Path, paths: Iterable[Path]) -> str:

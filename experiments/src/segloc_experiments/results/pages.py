@@ -20,7 +20,7 @@ from pathlib import Path
 from segloc.batch.methods import METHODS
 
 from ..script import parser
-from .fingerprints import PROJECT, changed
+from .fingerprints import PROJECT, changed, changes_without_effect_on
 from .quotes import unsaid
 from .store import FOLDER, Cell, Result
 
@@ -70,10 +70,13 @@ def _shown(cell: Cell) -> str:
 
 def status(result: Result, root: Path = PROJECT) -> str:
     """One line: the commit, and what has changed since."""
-    gone = changed(result.produced_by, root)
+    allowed = changes_without_effect_on(result.name, root)
+    gone = changed(result.produced_by, root, allowed)
     if gone:
         return f"*Outdated: measured at {result.commit}; changed since: {', '.join(gone)}.*"
-    return f"*Measured at {result.commit}, and nothing that it depends on has changed since.*"
+    made = [c.concerns for c in allowed if c.applied(result.produced_by)]
+    but = f", but what concerns only {' and '.join(made)}" if made else ""
+    return f"*Measured at {result.commit}, and nothing that it depends on has changed since{but}.*"
 
 
 def written(page: str, folder: Path = FOLDER, root: Path = PROJECT) -> str:
