@@ -101,7 +101,7 @@ class PointIndex {
   ObservedHeight height_;
   std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
   std::vector<Block> blocks_;
-  std::vector<std::uint32_t> points_;  // of one tile after another
+  std::vector<std::uint32_t> points_;      // of one tile after another
   std::vector<float> x_of_, y_of_, z_of_;  // of those, to be read one after another
 };
 
