@@ -166,3 +166,7 @@ def test_a_change_that_leaves_a_result_as_it_is_does_not_outdate_it(clone: Path)
     named.write_text(entry.replace("RESULT", "another"))
     pose.write_text("x = 3\n")
     assert "changed since: pose." in status(each, clone)
+    last = prints.fingerprints(("pose",), (), clone)["pose"]
+    second = f"- {{stages: {{pose: [{after}, {last}]}}, concerns: ice, may_change: [], checked: x}}"
+    named.write_text(entry.replace("RESULT", "another") + second)
+    assert "but what concerns only maps on two sheets and ice.*" in status(each, clone)

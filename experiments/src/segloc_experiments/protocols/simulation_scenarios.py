@@ -194,9 +194,10 @@ def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
     return replace(_floors(0.5, "found", asked), map_name="building-rooms", world=_divided)
 
 
-def _one_floor(differ: float) -> Scenario:
-    asked = replace(_floors(differ, "refused"), map_name=f"storey-{differ:g}", storeys=(0,))
-    return replace(asked, query_storeys=_ALL[1:])
+def _one_floor(five: Scenario) -> Scenario:
+    """The lowest storey alone is mapped, and the others are asked."""
+    name = five.map_name.replace("building", "storey")
+    return replace(five, expected="refused", map_name=name, storeys=(0,), query_storeys=_ALL[1:])
 
 
 def scenarios() -> dict[str, Scenario]:
@@ -212,21 +213,15 @@ def scenarios() -> dict[str, Scenario]:
         "five storeys with rooms of their own, handheld Mid-360, 1 s": _own_rooms(
             Side("mid360", "handheld", 10)
         ),
-        "one storey, asked on others: rooms of their own": replace(
-            _own_rooms(),
-            expected="refused",
-            map_name="storey-rooms",
-            storeys=(0,),
-            query_storeys=_ALL[1:],
-        ),
+        "one storey, asked on others: rooms of their own": _one_floor(_own_rooms()),
         "five storeys that differ": _floors(0.5, "found"),
         "five storeys that differ, handheld Mid-360, 1 s": _floors(
             0.5, "found", Side("mid360", "handheld", 10)
         ),
         "five storeys that differ a little": _floors(0.15, "found"),
         "five equal storeys": _floors(0.0, "ambiguous"),
-        "one storey, asked on others: differ": _one_floor(0.5),
-        "one storey, asked on others: differ a little": _one_floor(0.15),
+        "one storey, asked on others: differ": _one_floor(_floors(0.5, "found")),
+        "one storey, asked on others: differ a little": _one_floor(_floors(0.15, "found")),
         "mine, quadruped OS0-128": Scenario("mine", pits, _OS0, _QUADRUPED, "any"),
         "low ceilings: OS0-128 in a VLP-16 map": Scenario(
             "low", rooms, Side("vlp16", "wheeled"), _HANDHELD

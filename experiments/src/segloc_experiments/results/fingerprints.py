@@ -103,20 +103,12 @@ def fingerprints(
     return found
 
 
-def changed(
-    before: Mapping[str, str], root: Path = PROJECT, allowed: Iterable[Change] = ()
-) -> list[str]:
-    """Of what a result names, what is no longer as it was.
-
-    What only changes that are allowed have made of it counts as it was.
-    """
+def changed(before: Mapping[str, str], root: Path = PROJECT) -> list[str]:
+    """Of what a result names, what is no longer as it was."""
     stages = [name for name in before if name in STAGES]
     methods = [name.removeprefix("weights of ") for name in before if name not in STAGES]
     now = fingerprints(stages, methods, root)
-    as_of_now = dict(before)
-    for change in allowed:
-        as_of_now |= change.applied(as_of_now)
-    return [name for name, value in as_of_now.items() if now.get(name) != value]
+    return [name for name, value in before.items() if now.get(name) != value]
 
 
 @dataclass(frozen=True)
@@ -144,6 +136,18 @@ class Change:
         """Of fingerprints, what has become of those that it changes."""
         found = {name: self.stages[name] for name in before if name in self.stages}
         return {name: after for name, (old, after) in found.items() if before[name] == old}
+
+
+def brought_forward(
+    before: Mapping[str, str], changes: Iterable[Change]
+) -> tuple[dict[str, str], list[Change]]:
+    """Fingerprints after changes, one after another; and those of the changes that apply."""
+    after, applied = dict(before), []
+    for change in changes:
+        if now := change.applied(after):
+            after |= now
+            applied.append(change)
+    return after, applied
 
 
 def changes_without_effect_on(name: str, root: Path = PROJECT) -> list[Change]:

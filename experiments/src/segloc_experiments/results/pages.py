@@ -20,7 +20,7 @@ from pathlib import Path
 from segloc.batch.methods import METHODS
 
 from ..script import parser
-from .fingerprints import PROJECT, changed, changes_without_effect_on
+from .fingerprints import PROJECT, brought_forward, changed, changes_without_effect_on
 from .quotes import unsaid
 from .store import FOLDER, Cell, Result
 
@@ -70,12 +70,13 @@ def _shown(cell: Cell) -> str:
 
 def status(result: Result, root: Path = PROJECT) -> str:
     """One line: the commit, and what has changed since."""
-    allowed = changes_without_effect_on(result.name, root)
-    gone = changed(result.produced_by, root, allowed)
+    harmless = changes_without_effect_on(result.name, root)
+    produced_by, made = brought_forward(result.produced_by, harmless)
+    gone = changed(produced_by, root)
     if gone:
         return f"*Outdated: measured at {result.commit}; changed since: {', '.join(gone)}.*"
-    made = [c.concerns for c in allowed if c.applied(result.produced_by)]
-    but = f", but what concerns only {' and '.join(made)}" if made else ""
+    concerned = " and ".join(change.concerns for change in made)
+    but = f", but what concerns only {concerned}" if made else ""
     return f"*Measured at {result.commit}, and nothing that it depends on has changed since{but}.*"
 
 
