@@ -195,7 +195,7 @@ def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
 
 
 def _one_floor(five: Scenario) -> Scenario:
-    """The lowest storey alone is mapped, and the others are asked."""
+    """The lowest storey alone is mapped, and queries are from the others."""
     name = five.map_name.replace("building", "storey")
     return replace(five, expected="refused", map_name=name, storeys=(0,), query_storeys=_ALL[1:])
 

@@ -134,8 +134,8 @@ class Change:
 
     def applied(self, before: Mapping[str, str]) -> dict[str, str]:
         """Of fingerprints, what has become of those that it changes."""
-        found = {name: self.stages[name] for name in before if name in self.stages}
-        return {name: after for name, (old, after) in found.items() if before[name] == old}
+        stages = self.stages.items()
+        return {name: after for name, (old, after) in stages if before.get(name) == old}
 
 
 def brought_forward(
