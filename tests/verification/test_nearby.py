@@ -15,7 +15,7 @@ from segloc.segmentation import Segmentation, Segmenter
 from segloc.types import Candidate, Float32, LocalCloud, Pose
 from segloc.verification import Verifier
 from segloc.verification.nearby import NearbyConfig, NearbySearch
-from segloc.verification.walls import SurfaceFit, surface_fit
+from segloc.verification.walls import close_surface, flush_share, ground_share
 
 LAYERS, BELOW, BETWEEN = 8, 3.0, 0.3
 
@@ -171,18 +171,38 @@ def test_storeys_that_a_query_cannot_see_take_no_place_of_what_it_can() -> None:
     assert among_all < 0.4 * alone < 0.6 * alone < among_own
 
 
-def test_a_wall_that_is_off_counts_in_its_own_direction() -> None:
-    rng = np.random.default_rng(5)
-    long = rng.uniform([-15, 3, 0], [15, 3.02, 4], (4000, 3))
-    across = rng.uniform([-8, -3, 0], [-7.98, 3, 4], (1500, 3))
-    room = np.concatenate([long, across]).astype(np.float32)
-    surface = _native.Surface(room, 1.5, 0.8)
-    fits = surface_fit(surface, surface, np.eye(4), 0.15).walls
-    shifted = geometry.yaw_transform(0.0, (0.6, 0.0, 0.0))
-    along = surface_fit(surface, surface, shifted, 0.15).walls
-    assert fits is not None and fits > 0.95 and along is not None and along < 0.2
-    few = _native.Surface(room[:20], 1.5, 0.8)
-    assert surface_fit(surface, few, np.eye(4), 0.15) == SurfaceFit()
+def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
+    """Rooms that are alike: nearly all points lie near a point of the other, few on its walls."""
+    room = np.concatenate([hall(), hall()[:, [1, 0, 2]]])
+    map_cloud = _native.voxel_grid(room, 0.3)
+    few = np.ascontiguousarray(room[::3])
+    surface, query = close_surface(map_cloud), close_surface(_native.voxel_grid(few, 0.3))
+    index = _native.PointIndex(map_cloud, 0.5)
+    shares = []
+    for metres in (0.0, 0.2):
+        T = geometry.yaw_transform(0.0, (metres, metres, 0.0))
+        share = flush_share(surface, query, T, 0.1)
+        assert share is not None
+        overlap, _ = index.overlap(few[:2000], T[None], 0.3, 0.0)
+        shares.append((share, float(overlap[0])))
+    (flush, fits), (off, still_fits) = shares
+    assert fits > 0.95 and still_fits > 0.85
+    assert flush > 0.85 and off < 0.35
+    assert flush_share(surface, close_surface(room[:20]), np.eye(4), 0.1) is None
+
+
+def test_a_like_place_is_no_equal_where_its_walls_stand_otherwise() -> None:
+    """Two halls, one 0.4 m wider: each scan is found in its own, whichever is asked first."""
+    narrow, wide = hall(), hall() * np.float32([1, 1 + 0.4 / 14, 1])
+    far = np.float32([0, 60, 0])
+    judge = verifier(np.concatenate([narrow, wide + far]))
+    places = [geometry.yaw_transform(0.0, (0.0, y, 0.0)) for y in (0.0, 60.0)]
+    for k, own in enumerate((narrow, wide)):
+        candidates = [Candidate(T, 4) for T in (places[1 - k], places[k])]
+        verdict = judge.verify(judge.query(scene(own)), candidates, lambda T: 4)
+        assert verdict.reason is None, verdict.message
+        assert verdict.best is not None
+        assert np.abs(verdict.best.T_map_local[:2, 3] - places[k][:2, 3]).max() < 0.1
 
 
 def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
@@ -192,7 +212,8 @@ def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
     half = _native.Surface(waves[x < 0], 1.5, 0.8)  # the rest lies beyond the map's end
     shifted = geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))
     for target, T, low, high in ((hills, np.eye(4), 0.99, 1), (half, np.eye(4), 0.95, 1)):
-        ground = surface_fit(target, hills, T, 0.15).ground
+        ground = ground_share(target, hills, T)
         assert ground is not None and low <= ground <= high
-    wrong = surface_fit(hills, hills, shifted, 0.15).ground
+    wrong = ground_share(hills, hills, shifted)
     assert wrong is not None and wrong < 0.4
+    assert ground_share(hills, _native.Surface(waves[:20], 1.5, 0.8), np.eye(4)) is None

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,12 +29,11 @@ from segloc.map.config import MappingConfig
 from segloc.matching import MatchingConfig
 from segloc.occupancy import OccupancyConfig
 from segloc.types import Candidate, Descriptors, Float32, Float64, Int64, Pose
-from segloc.verification import Evidence, Score, VerificationConfig, shipped_confidence
+from segloc.verification import Evidence, VerificationConfig, shipped_confidence
 from segloc.verification.candidates import CandidateScores
 from segloc.verification.confidence import load_confidence
 from segloc.verification.decision import confidence_needed, decide
 from segloc.verification.evidence import RankedCandidate, RefinedScore
-from segloc.verification.walls import SurfaceFit
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -90,7 +88,12 @@ def test_points_within_a_circle_between_heights(seed: int, count: int, radius: f
 
 
 def reference_visibility(
-    structure: Float32, ground: Float32, prior_map: Float32, T: Pose, reach: float, bin_deg: float
+    structure: Float32,
+    ground: Float32,
+    prior_map: Float32,
+    T: Pose,
+    reach: float,
+    bin_deg: float,
 ) -> tuple[int, int]:
     """What ``VisibilityCheck.count`` counts, with 0.4 m to be near and 0.7 m to be behind."""
     shape = round(360 / bin_deg), round(180 / bin_deg) + 1
@@ -158,10 +161,16 @@ def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_j
 MODEL = shipped_confidence()
 
 
-def score(inliers: int, overlap: float, seen: float | None) -> Score:
+def measured(flush: float | None = None) -> Any:
+    return SimpleNamespace(ground=None, flush=flush)
+
+
+def score(inliers: int, overlap: float, seen: float | None) -> RefinedScore:
     judged = 0 if seen is None else 2000
     confirmed = round(judged * (seen or 0.0))
-    return Score(np.eye(4), inliers, overlap, confirmed, judged, rmse=0.1)
+    return RefinedScore(
+        np.eye(4), inliers, overlap, confirmed, judged, 0.1, covariance=None, details=measured()
+    )
 
 
 def evidence(
@@ -176,39 +185,39 @@ def evidence(
 
 
 def test_confidence_rises_with_every_feature() -> None:
-    good = MODEL.probability(evidence(15, 0.85, 0.95, 3.0, (0.3, 0.5)))
-    assert 0.95 < good < 1
+    good = MODEL.probability(evidence(4, 0.6, 0.75, 1.3, (0.5, 0.6)))
+    assert 0.5 < good < 0.99
     for worse in (
-        evidence(15, 0.3, 0.95, 3.0, (0.3, 0.5)),
-        evidence(15, 0.85, 0.4, 3.0, (0.3, 0.5)),
-        evidence(15, 0.85, 0.95, 1.1, (0.3, 0.5)),
-        evidence(15, 0.85, 0.95, 3.0, (0.85, 0.5)),
-        evidence(15, 0.85, 0.95, 3.0, (0.3, 0.95)),
+        evidence(4, 0.4, 0.75, 1.3, (0.5, 0.6)),
+        evidence(4, 0.6, 0.5, 1.3, (0.5, 0.6)),
+        evidence(4, 0.6, 0.75, 1.1, (0.5, 0.6)),
+        evidence(4, 0.6, 0.75, 1.3, (0.6, 0.6)),
+        evidence(4, 0.6, 0.75, 1.3, (0.5, 0.75)),
     ):
         assert MODEL.probability(worse) < good
-    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2, (0.4, 0.6))) < 0.1
+    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2, (0.4, 0.6))) < 0.3
     # However many segments agree, clouds that agree no better than elsewhere outweigh them.
-    assert MODEL.probability(evidence(500, 0.4, 0.6, 100.0, (0.4, 0.6))) < 0.5
+    many = MODEL.probability(evidence(500, 0.4, 0.6, 100.0, (0.4, 0.6)))
+    assert many < VerificationConfig().min_confidence
 
 
 def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
-    good = MODEL.probability(evidence(15, 0.85, 0.95, 3.0, (0.1, 0.1)))
-    assert MODEL.probability(evidence(15, 0.85, 0.95, 3.0)) < good
+    good = MODEL.probability(evidence(4, 0.6, 0.7, 1.2, (0.2, 0.2)))
+    assert MODEL.probability(evidence(4, 0.6, 0.7, 1.2)) < good
     # Overlap stands in for what is seen, and for walls that are not there; much in view says more.
-    unseen, same = evidence(15, 0.85, None, 3.0), evidence(15, 0.85, 0.85, 3.0)
+    unseen, same = evidence(4, 0.6, None, 1.2), evidence(4, 0.6, 0.6, 1.2)
     assert MODEL.probability(unseen) < MODEL.probability(same)
-    values = {field.name: getattr(unseen.score, field.name) for field in fields(unseen.score)}
-    walls = RefinedScore(
-        **values, covariance=None, details=SimpleNamespace(fit=SurfaceFit(0.85), sectors=())
-    )
-    walled = replace(unseen, score=walls)
-    assert MODEL.probability(walled) == pytest.approx(MODEL.probability(unseen))
+
+    def p(details: Any) -> float:
+        return MODEL.probability(replace(unseen, score=replace(unseen.score, details=details)))
+
+    assert p(measured(flush=0.6)) == pytest.approx(MODEL.probability(unseen))
 
 
 def test_few_judged_points_say_little_and_no_step_lies_between() -> None:
     def p(judged: int) -> float:
-        seen = replace(score(6, 0.8, None), confirmed=0, judged=judged)
-        return MODEL.probability(Evidence(seen, 3.0, ()))
+        seen = replace(score(3, 0.45, None), confirmed=0, judged=judged)
+        return MODEL.probability(Evidence(seen, 1.0, ()))
 
     falling = [p(judged) for judged in range(0, 400, 5)]
     assert all(a > b for a, b in pairwise(falling)) and falling[0] > 1.5 * falling[-1]
@@ -222,9 +231,9 @@ def test_the_verdict_is_a_function_of_the_evidence() -> None:
     verdict = decide(sure, None, MODEL, config)
     assert verdict.reason is None and verdict.message == "" and not verdict.undecided
     assert verdict.confidence == MODEL.probability(sure) and verdict.best is sure.score
-    verdict = decide(evidence(15, 0.85, 0.95, 3.0, (0.8, 0.95)), None, MODEL, config)
+    verdict = decide(evidence(15, 0.85, 0.95, 3.0, (0.84, 0.95)), None, MODEL, config)
     assert verdict.reason is Reason.AMBIGUOUS and not verdict.undecided
-    verdict = decide(evidence(5, 0.4, 0.6, 1.2), None, MODEL, config)
+    verdict = decide(evidence(4, 0.4, 0.6, 1.2), None, MODEL, config)
     assert verdict.reason is Reason.TOO_UNCERTAIN and verdict.undecided
 
 
@@ -232,11 +241,10 @@ def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
     """Two that set out 1 m apart end on two storeys that look the same."""
     lower, upper = (geometry.yaw_transform(0.0, (0.0, 0.0, z)) for z in (0.0, 1.0))
     ends = {lower.tobytes(): 0.0, upper.tobytes(): 3.0}
-    details: Any = SimpleNamespace(fit=SurfaceFit(), sectors=())
 
     def refined(candidate: Candidate, *_: object) -> RefinedScore:
         T = geometry.yaw_transform(0.0, (0.0, 0.0, ends[candidate.T_map_local.tobytes()]))
-        return RefinedScore(T, 0, 0.98, 240, 246, 0.1, None, details)
+        return RefinedScore(T, 0, 0.98, 240, 246, 0.1, None, measured())
 
     def ranked(candidates: list[Candidate], _: object) -> list[RankedCandidate]:
         return [RankedCandidate(c, 0.9, 0.1) for c in candidates]
@@ -255,31 +263,35 @@ def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
     assert verdict.reason is Reason.AMBIGUOUS
 
 
-def test_where_places_look_alike_a_pose_must_be_all_but_sure_or_fit_wholly() -> None:
+def test_a_rival_whose_walls_are_less_flush_is_no_equal() -> None:
     config = VerificationConfig()
 
-    def root(
-        inliers: int,
-        overlap: float,
-        ratio: float,
-        rival: float,
-        judged: int = 2000,
-        rival_seen: float = 0.95,
-    ) -> float:
-        """The confidence that is needed, as a root of the one that suffices."""
-        found = evidence(inliers, overlap, 0.95, ratio, (rival, rival_seen))
-        seen = {"confirmed": round(0.95 * judged), "judged": judged}
-        found = replace(found, score=replace(found.score, **seen))
-        return math.log(config.min_confidence) / math.log(confidence_needed(found, MODEL, config))
+    def refined(flush: float, x: float) -> RefinedScore:
+        T = geometry.yaw_transform(0.0, (x, 0.0, 0.0))
+        return RefinedScore(T, 4, 0.97, 950, 1000, 0.1, None, measured(flush))
 
-    alike, few, many = root(4, 0.9, 1.3, 0.7), root(4, 0.9, 3.0, 0.5), root(9, 0.9, 3.0, 0.7)
-    assert alike > 5 * few and few > many == pytest.approx(1.0)
-    assert root(9, 0.9, 1.2, 0.7) == alike  # nearly as many segments agree elsewhere
-    assert root(4, 0.99, 1.3, 0.9) == few  # hardly a point is left that does not fit
-    assert root(4, 0.9, 1.3, 0.8, rival_seen=0.6) == few  # what the map holds there is not seen
-    assert root(4, 0.9, 1.3, 0.5, judged=100) == alike  # little is in view
-    small = root(4, 0.9, 1.3, 0.7, judged=100)
-    assert small > alike and root(4, 0.99, 1.3, 0.9, judged=100) == small
+    def reason(rival: float) -> Reason | None:
+        found = Evidence(refined(0.85, 0.0), 1.0, (refined(rival, 20.0),))
+        return decide(found, None, MODEL, config).reason
+
+    assert reason(0.85) is reason(0.8) is Reason.AMBIGUOUS
+    assert reason(0.4) is not Reason.AMBIGUOUS
+    less = [Evidence(refined(0.85, 0.0), 1.0, (refined(r, 20.0),)) for r in (0.8, 0.6, 0.4)]
+    rising = [MODEL.probability(each) for each in less]
+    assert rising == sorted(rising)
+
+
+def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
+    config = VerificationConfig()
+
+    def needed(inliers: int, ratio: float, judged: int) -> float:
+        found = evidence(inliers, 0.9, 0.95, ratio)
+        score = replace(found.score, judged=judged)
+        return confidence_needed(replace(found, score=score), config)
+
+    many, few, small = needed(9, 3.0, 2000), needed(4, 3.0, 2000), needed(4, 3.0, 100)
+    assert many == config.min_confidence == needed(9, 3.0, 100) < few < small < 1
+    assert needed(9, 1.1, 2000) == few and needed(9, 1.1, 100) == small  # as many elsewhere
 
 
 def test_no_score_makes_an_impossible_confidence() -> None:

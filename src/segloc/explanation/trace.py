@@ -166,21 +166,23 @@ def _measured(evidence: Evidence) -> dict[str, str]:
         seen = f"{score.seen:.0%} of the map in view is seen"
     overlaps = [rival.overlap for rival in rivals]
     rivals_seen = [rival.seen for rival in rivals if rival.seen is not None]
-    walls, ground = "no walls to compare", "no ground to compare"
-    if score.walls is not None:
-        walls = f"{score.walls:.0%} of the walls that fit worst lie on walls"
+    flush, ground = "no walls to compare", "no ground to compare"
+    if evidence.is_settled:
+        flush = "the segments leave no doubt"
+    elif score.flush is not None:
+        flush = f"{score.flush:.0%} of the walls is flush with the map's"
+    rivals_flush = [rival.flush for rival in rivals if rival.flush is not None]
     if score.ground is not None:
         ground = f"{score.ground:.0%} of the ground lies on the map's ground"
     lies = f"{score.overlap:.0%} of the cloud lies on the map"
     return {
-        "seen": seen,
         "in_view": f"{score.judged} points of the map are in view",
-        "overlap": lies,
         "inliers": f"{score.inliers} segments agree",
         "inliers_over_rival": f"{evidence.inlier_ratio:.1f} times as many as elsewhere",
         "overlap_over_rival": f"{lies}, {_elsewhere(overlaps)}",
         "seen_over_rival": f"{seen}, {_elsewhere(rivals_seen)}",
-        "walls": walls,
+        "flush": flush,
+        "flush_over_rival": f"{flush}, {_elsewhere(rivals_flush)}",
         "ground": ground,
     }
 

@@ -13,11 +13,11 @@ from pydantic import Field, ValidationError
 
 from ..errors import WeightsError
 from ..section import Section
-from .evidence import Evidence, Score
+from .evidence import Evidence, RefinedScore, Score
 
 FEATURES = (
-    *("seen", "in_view", "overlap", "walls", "ground"),
-    *("inliers", "inliers_over_rival", "overlap_over_rival", "seen_over_rival"),
+    *("in_view", "flush", "ground", "inliers", "inliers_over_rival"),
+    *("overlap_over_rival", "seen_over_rival", "flush_over_rival"),
 )
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 
@@ -34,6 +34,7 @@ class Chance(Section):
     most_inliers: int = Field(
         ge=1, description="more segments than this agree on no wrong pose: more say no more"
     )
+    flush: float = Field(ge=0, le=1, description="so much of the walls is flush somewhere")
     judged: float = Field(
         gt=0, description="the overlap counts as much as so many judged map points"
     )
@@ -55,6 +56,8 @@ class ConfidenceModel(Section):
     chance : Chance
     max_inlier_evidence : float
         However many segments agree, clouds that disagree outweigh them.
+    max_log_odds : float
+        So many candidates as the model was fitted to show nothing to be surer.
     settings : dict
         The configuration under which the model was fitted.
     card : dict
@@ -66,38 +69,52 @@ class ConfidenceModel(Section):
     weights: Mapping[str, float]
     chance: Chance
     max_inlier_evidence: float
+    max_log_odds: float = Field(gt=0)
     settings: Mapping[str, Any]
     card: Mapping[str, Any]
 
     def probability(self, evidence: Evidence) -> float:
-        """The confidence, in [0, 1]."""
-        score = self.constant
+        """The confidence, in [0, 1)."""
+        odds = min(self._log_odds(evidence), self.max_log_odds)
+        return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))  # beyond, it would overflow
+
+    def advantage(self, score: Score, rival: Score) -> float:
+        """How much likelier a pose is than a rival, in log-odds, each compared with the other."""
+        return self._against(score, rival) - self._against(rival, score)
+
+    def _against(self, score: Score, other: Score) -> float:
+        ratio = score.inliers / max(other.inliers, self.chance.inliers)
+        return self._log_odds(Evidence(score, ratio, (other,)))
+
+    def _log_odds(self, evidence: Evidence) -> float:
+        odds = self.constant
         for name, feature in zip(FEATURES, self.features(evidence), strict=True):
-            score += self.weights[name] * feature
-        return 1.0 / (1.0 + math.exp(min(-score, 700.0)))  # beyond, it would overflow
+            odds += self.weights[name] * feature
+        return odds
 
     def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
 
-        What is seen, and of how much: a small room is like others. How much of the cloud overlaps,
-        of the walls that fit worst, and of the ground. How many segments agree, and what that says
-        against those elsewhere; how much more the clouds overlap, and is seen, than at the rival at
-        which they agree best. What is not known says what chance would, or the overlap.
+        How much of the map is in view: a small room is like others. How much of the walls is flush,
+        and of the ground fits. How many segments agree, and what that says against those elsewhere;
+        how much more the clouds overlap, and is seen, than at the rival at which they agree best,
+        and how much more of the walls is flush than at any. What is not known says what chance
+        would, or the overlap.
         """
         score, chance = evidence.score, self.chance
-        seen = _logit(score.expected_seen(chance.judged))
+        seen = log_odds(score.expected_seen(chance.judged))
         rival_overlap, rival_seen = self._rival(evidence)
-        overlap = _logit(score.overlap)
+        overlap = log_odds(score.overlap)
+        flush, rival_flush = self._flush(evidence)
         return (
-            seen,
             math.log(chance.judged + min(score.judged, chance.most_judged)),
-            overlap,
-            overlap if score.walls is None else _logit(score.walls),
-            overlap if score.ground is None else _logit(score.ground),
+            flush,
+            overlap if score.ground is None else log_odds(score.ground),
             math.log1p(min(score.inliers, chance.most_inliers)),
             min(evidence.inlier_evidence, self.max_inlier_evidence),
             overlap - rival_overlap,
             seen - rival_seen,
+            flush - rival_flush,
         )
 
     def _rival(self, evidence: Evidence) -> tuple[float, float]:
@@ -107,12 +124,25 @@ class ConfidenceModel(Section):
         """
         chance = self.chance
         if not evidence.rivals:
-            return _logit(chance.overlap), _logit(max(chance.seen, chance.least_seen))
+            return log_odds(chance.overlap), log_odds(max(chance.seen, chance.least_seen))
         at = (
-            (_logit(r.overlap), _logit(max(r.expected_seen(chance.judged), chance.least_seen)))
+            (log_odds(r.overlap), log_odds(max(r.expected_seen(chance.judged), chance.least_seen)))
             for r in evidence.rivals
         )
         return max(at, key=sum)
+
+    def _flush(self, evidence: Evidence) -> tuple[float, float]:
+        """How much of the walls is flush, as log-odds, at the pose and at the rival of most.
+
+        It is known of refined ones, chance stands in for other rivals. Where segments leave no
+        doubt it is not measured, and where there are no walls it cannot be: then the overlap stands
+        in, at rivals, too.
+        """
+        score, chance = evidence.score, log_odds(self.chance.flush)
+        refined = [r for r in evidence.rivals if isinstance(r, RefinedScore)]
+        if evidence.is_settled or score.flush is None:
+            return log_odds(score.overlap), max([chance, *(log_odds(r.overlap) for r in refined)])
+        return flush_odds(score), max([chance, *map(flush_odds, refined)])
 
     def standalone(self, score: Score) -> float:
         """The confidence if nothing but chance were at any other place."""
@@ -148,6 +178,11 @@ def shipped_confidence() -> ConfidenceModel:
     return load_confidence(Path(__file__).resolve().parent.parent / "weights" / "confidence.json")
 
 
-def _logit(share: float) -> float:
+def flush_odds(score: Score) -> float:
+    """How much of the walls is flush, as log-odds; the overlap stands in where it is unknown."""
+    return log_odds(score.overlap if score.flush is None else score.flush)
+
+
+def log_odds(share: float) -> float:
     """The odds of a share on a logarithmic scale that ends at 0 and 1."""
     return math.log((share + 0.05) / (1.05 - share))

@@ -98,7 +98,7 @@ class VerificationConfig(Section):
     coarse_visibility_sample: int = Field(
         1000, ge=1, le=10**6, description="the same before a pose is refined"
     )
-    wall_offset: float = Field(
-        0.15, gt=0, le=10, description="a wall that is off by less fits, metres"
+    flush_offset: float = Field(
+        0.1, gt=0, le=10, description="a point that is off a wall by less is flush with it, metres"
     )
     nearby: NearbyConfig = NearbyConfig()

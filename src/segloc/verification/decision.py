@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from ..localization import Reason, ambiguous_with
-from .confidence import Chance, ConfidenceModel
+from .confidence import ConfidenceModel
 from .config import VerificationConfig
 from .evidence import (
     DECISIVE_INLIERS,
@@ -19,13 +17,9 @@ from .evidence import (
 RIVAL_STANDING = 0.5
 """A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best
 pose. Set by hand."""
-UNEXPLAINED_TIMES, UNEXPLAINED_MORE = 2.0, 0.02
-"""A direction speaks against a rival that leaves so many times as much of it unexplained, and so
-much more. Set by hand."""
-OUTDONE, AGAINST = 0.5, 0.25
-"""A rival is no equal where this share of all directions speaks against it, and no more than this
-share of those for it. One thing that has moved speaks in one direction. Set by hand."""
-
+OUTDONE = 5.0
+"""A rival is no equal where the pose is so much likelier, in log-odds, when the two are compared
+with each other alone. Chosen on the worlds of the calibration."""
 SUPPORTED_FIT = 0.7
 """However many segments agree with a rival, it is no equal where the clouds fit so much worse. Set
 by hand."""
@@ -34,17 +28,11 @@ GROUND_FITS = 0.4
 least half of it is. Set by hand."""
 FEW_INLIERS = 5
 """Fewer than these say little. Set by hand."""
-ALIKE, WHOLLY, SMALL_VIEW = 0.75, 0.98, 150
-"""Where segments say little, and the clouds fit so nearly as well elsewhere, the place repeats
-itself, unless this share of the cloud fits here, with at least so many map points in view. Chosen
-on simulated offices and warehouses."""
-FEW_ROOT, DOUBT_ROOT = 2.0, 20.0
-"""The confidence that is needed where few segments agree, and where, besides, the place repeats
-itself or little is in view (for both, twice the latter): these roots of the one that suffices.
-Chosen on the same."""
-WALLS_FIT, CLOUD_FITS = 0.05, 0.35
-"""A pose is wrong where walls of some direction fit nowhere, and less of the cloud than this does.
-Set by hand."""
+SMALL_VIEW = 150
+"""With fewer map points in view than these, little is in view. Set by hand."""
+UNDECIDED_ROOT, SMALL_ROOT = 11.0, 45.0
+"""The confidence that is needed where segments decide little, and where, besides, little is in
+view: these roots of the one that suffices. Chosen on the worlds of the calibration."""
 
 
 def decide(
@@ -64,10 +52,7 @@ def decide(
     elif (share := best.ground) is not None and share < GROUND_FITS:
         reason = Reason.TOO_UNCERTAIN
         message = f"the ground rises and falls otherwise there: {share:.0%} of it fits"
-    elif best.overlap < CLOUD_FITS and best.walls is not None and best.walls < WALLS_FIT:
-        reason = Reason.TOO_UNCERTAIN
-        message = f"walls stand elsewhere there: {best.walls:.0%} of those of one direction fit"
-    elif p < (needed := confidence_needed(evidence, model, config)):
+    elif p < (needed := confidence_needed(evidence, config)):
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, needed)}: {compared(evidence)}"
     else:
@@ -83,38 +68,21 @@ def too_few_inliers(
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
 
 
-def confidence_needed(
-    evidence: Evidence, model: ConfidenceModel, config: VerificationConfig
-) -> float:
-    """More where few segments agree, and most where other places look alike or little is in view.
-
-    All wrong poses of the calibration that look likely are such.
-    """
-    best = evidence.score
-    few = best.inliers < FEW_INLIERS
-    doubts = is_alike(evidence, model.chance) + (few and best.judged < SMALL_VIEW)
-    root = DOUBT_ROOT * doubts if doubts else FEW_ROOT if few else 1.0
-    return float(config.min_confidence ** (1.0 / root))
+def confidence_needed(evidence: Evidence, config: VerificationConfig) -> float:
+    """What suffices, or where there is less to go by a root of it."""
+    return float(config.min_confidence ** (1.0 / root_needed(evidence)))
 
 
-def is_alike(evidence: Evidence, chance: Chance) -> bool:
-    """Whether segments say little, and the clouds fit nearly as well at another place.
+def root_needed(evidence: Evidence) -> float:
+    """More where few segments agree, or nearly as many elsewhere; most where, besides, little is in
+    view.
 
-    A pose at which much overlaps is not like one at which, besides, what the map holds is seen.
-    Places that are built alike differ somewhere: where much is in view, and hardly a point is left
-    that does not fit, it is the right one.
+    All wrong poses of the calibration that look likely are such, but for a few in warehouses.
     """
     best = evidence.score
     if best.inliers >= FEW_INLIERS and evidence.inlier_evidence >= DECISIVE_INLIERS:
-        return False
-    if best.overlap >= WHOLLY and best.judged >= SMALL_VIEW:
-        return False
-    return any(_both(rival, chance) >= ALIKE * _both(best, chance) for rival in evidence.rivals)
-
-
-def _both(score: Score, chance: Chance) -> float:
-    """How well the query fits the map, and the map the query."""
-    return score.overlap * score.expected_seen(chance.judged)
+        return 1.0
+    return SMALL_ROOT if best.judged < SMALL_VIEW else UNDECIDED_ROOT
 
 
 def compared(evidence: Evidence) -> str:
@@ -150,28 +118,17 @@ def equal_rival(
         )
         fits = rival.overlap >= slack * config.rival_overlap_ratio * best.overlap
         stands = model.standalone(rival) >= RIVAL_STANDING * alone
-        if (supported or fits) and stands and not is_outdone(rival, best):
+        if (supported or fits) and stands and not is_outdone(rival, best, model):
             return rival
     return None
 
 
-def is_outdone(rival: Score, best: Score) -> bool:
-    """Whether the clouds fit better at the best pose all around.
+def is_outdone(rival: Score, best: Score, model: ConfidenceModel) -> bool:
+    """Whether a pose is much likelier than a rival, all that is measured of both taken together.
 
     Halls that repeat themselves differ a little everywhere; storeys may differ by one thing, and so
     does a place from what it was when it was mapped.
     """
     if not (isinstance(rival, RefinedScore) and isinstance(best, RefinedScore)):
         return False
-    pairs = [
-        p
-        for p in zip(best.details.sectors, rival.details.sectors, strict=True)
-        if not any(map(math.isnan, p))
-    ]
-    against = sum(_speaks_against(b, a) for a, b in pairs)
-    for_it = sum(_speaks_against(a, b) for a, b in pairs)
-    return bool(pairs) and against >= OUTDONE * len(pairs) and for_it <= AGAINST * against
-
-
-def _speaks_against(overlap: float, other: float) -> bool:
-    return 1.0 - overlap > UNEXPLAINED_TIMES * (1.0 - other) + UNEXPLAINED_MORE
+    return model.advantage(best, rival) >= OUTDONE

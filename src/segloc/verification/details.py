@@ -2,70 +2,72 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
-
-import numpy as np
 
 from .. import _native
 from ..registration import Target
-from ..types import Float32, Pose
+from ..types import Pose
 from .config import VerificationConfig
-from .walls import SurfaceFit, surface_fit
-
-_SECTORS, _FEWEST = 12, 40
-"""Directions that are compared by themselves, and the points that each must have."""
+from .walls import flush_share, ground_share
 
 
 class Query(Protocol):
-    """What is compared with the map: a surface, and a sample of the cloud by direction."""
+    """What is compared with the map."""
 
     @property
     def surface(self) -> _native.Surface: ...
     @property
-    def sectors(self) -> list[Float32]: ...
+    def close_surface(self) -> _native.Surface: ...
 
 
-class MeasuredDetails:
-    """How walls and directions fit at a pose; each is measured once, when it is needed.
+@dataclass(frozen=True)
+class ComparedMap:
+    """What a query is compared with.
 
-    Parameters
+    Attributes
     ----------
     target : Target
         The map's cloud.
+    close : Surface
+        Of the same, of :func:`segloc.verification.walls.close_surface`.
+    """
+
+    target: Target
+    close: _native.Surface
+
+
+class MeasuredDetails:
+    """How walls and ground fit at a pose; each is measured once, when it is needed.
+
+    Parameters
+    ----------
+    compared : ComparedMap
     query : Query
     T : (4, 4) float64
         Takes the query to the frame of the map's cloud.
     config : VerificationConfig
     """
 
-    def __init__(self, target: Target, query: Query, T: Pose, config: VerificationConfig) -> None:
-        self._target, self._query, self._T, self._config = target, query, T, config
-        self._fit: SurfaceFit | None = None
-        self._sectors: tuple[float, ...] | None = None
+    def __init__(
+        self, compared: ComparedMap, query: Query, T: Pose, config: VerificationConfig
+    ) -> None:
+        self._map, self._query, self._T, self._config = compared, query, T, config
+        self._ground: tuple[float | None] | None = None
+        self._flush: tuple[float | None] | None = None
 
     @property
-    def fit(self) -> SurfaceFit:
-        """How well walls and ground fit."""
-        if self._fit is None:
-            surface, offset = self._query.surface, self._config.wall_offset
-            self._fit = surface_fit(self._target.surface, surface, self._T, offset)
-        return self._fit
+    def ground(self) -> float | None:
+        """The share of the ground that lies on the map's."""
+        if self._ground is None:
+            surface = self._map.target.surface
+            self._ground = (ground_share(surface, self._query.surface, self._T),)
+        return self._ground[0]
 
     @property
-    def sectors(self) -> tuple[float, ...]:
-        """The overlap of each direction by itself; NaN where there is too little."""
-        if self._sectors is None:
-            radius = self._config.overlap_radius
-            self._sectors = tuple(
-                self._target.overlap(part, self._T, radius)[0] if len(part) else np.nan
-                for part in self._query.sectors
-            )
-        return self._sectors
-
-
-def by_sector(points: Float32) -> list[Float32]:
-    """(N, 3) points in each direction about the sensor; none where there are too few."""
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
-    which = np.floor((azimuth / (2.0 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
-    parts = [np.ascontiguousarray(points[which == k]) for k in range(_SECTORS)]
-    return [part if len(part) >= _FEWEST else part[:0] for part in parts]
+    def flush(self) -> float | None:
+        """The share of wall points that are flush with the map's surfaces, of those near them."""
+        if self._flush is None:
+            source, offset = self._query.close_surface, self._config.flush_offset
+            self._flush = (flush_share(self._map.close, source, self._T, offset),)
+        return self._flush[0]

@@ -14,7 +14,6 @@ from typing import Protocol
 
 from ..localization import Reason
 from ..types import Candidate, Float64, Pose
-from .walls import SurfaceFit
 
 SETTLED_INLIERS, SETTLED_EVIDENCE = 15, 15.0
 """So many inliers, which say so much against those of the best different place, are no chance, and
@@ -91,14 +90,14 @@ class Score:
     rmse: float
 
     @property
-    def walls(self) -> float | None:
-        """Share of the query's walls that lie on walls of the map, in [0, 1], among those that face
-        the direction in which it is least; None where no walls were compared."""
+    def ground(self) -> float | None:
+        """Share of the query's ground that lies on the map's, in [0, 1]; None where unknown."""
         return None
 
     @property
-    def ground(self) -> float | None:
-        """Share of the query's ground that lies on the map's, in [0, 1]; None where unknown."""
+    def flush(self) -> float | None:
+        """Share of the query's wall points, of those near the map's points, that are flush with its
+        surfaces, in [0, 1]; None where unknown."""
         return None
 
     @property
@@ -131,12 +130,12 @@ class Details(Protocol):
     """What is measured at a pose only if the verdict asks for it."""
 
     @property
-    def fit(self) -> SurfaceFit:
-        """How well walls and ground fit."""
+    def ground(self) -> float | None:
+        """The share of the ground that lies on the map's."""
 
     @property
-    def sectors(self) -> tuple[float, ...]:
-        """The overlap of each direction by itself; NaN where there is too little."""
+    def flush(self) -> float | None:
+        """The share of wall points that are flush with the map's walls."""
 
 
 @dataclass(frozen=True)
@@ -154,12 +153,18 @@ class RefinedScore(Score):
     details: Details
 
     @property
-    def walls(self) -> float | None:
-        return self.details.fit.walls
+    def coarse(self) -> CoarseScore:
+        """The same as if nothing had been measured but what is measured of coarse ones."""
+        counts = self.inliers, self.overlap, self.confirmed, self.judged
+        return CoarseScore(self.T_map_local, *counts, self.rmse)
 
     @property
     def ground(self) -> float | None:
-        return self.details.fit.ground
+        return self.details.ground
+
+    @property
+    def flush(self) -> float | None:
+        return self.details.flush
 
 
 def inlier_evidence(inliers: int, ratio: float) -> float:

@@ -14,10 +14,11 @@ from ..registration import Aligner, Registered, Target, thinned
 from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .details import MeasuredDetails, by_sector
+from .details import ComparedMap, MeasuredDetails
 from .evidence import CoarseScore, RankedCandidate, RefinedScore
 from .free_space_check import QueryView, judged
 from .nearby import NearbySearch, Surroundings
+from .walls import close_surface
 
 _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
 """Map points that are judged while candidates are ranked; the overlap counts as so many of them."""
@@ -28,6 +29,8 @@ _STILL_M, _MOST_AGAIN = 1.0, 2
 at most so often."""
 _STOREY_SAMPLE = 200
 """Points of the query that other storeys are looked for with."""
+_CLOSE_VOXEL_M = 0.3
+"""A query's walls are thinned to this, as maps are."""
 
 _HERE = np.eye(4)
 
@@ -49,14 +52,7 @@ class QueryCloud:
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
-        self._sectors: list[Float32] | None = None
-
-    @property
-    def sectors(self) -> list[Float32]:
-        """The sample by direction about the sensor, (M, 3) each; nothing where it is too little."""
-        if self._sectors is None:
-            self._sectors = by_sector(self.sample)
-        return self._sectors
+        self._close_surface: _native.Surface | None = None
 
     @property
     def view(self) -> QueryView:
@@ -73,6 +69,14 @@ class QueryCloud:
             near = [_native.moved_crop(p, _HERE, radius) for p in (scene.structure, scene.ground)]
             self._surface = self._aligner.surface(np.concatenate(near))
         return self._surface
+
+    @property
+    def close_surface(self) -> _native.Surface:
+        """What stands, as densely as a map has it; made once."""
+        if self._close_surface is None:
+            near = _native.moved_crop(self._scene.structure, _HERE, self._config.icp_radius)
+            self._close_surface = close_surface(_native.voxel_grid(near, _CLOSE_VOXEL_M))
+        return self._close_surface
 
 
 class MapCloud:
@@ -108,6 +112,7 @@ class MapCloud:
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
         self._nearby = NearbySearch(index, config.nearby, separation)
+        self._compared = ComparedMap(self._target, close_surface(cloud))
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query cloud to compare with this one."""
@@ -193,7 +198,7 @@ class MapCloud:
             T, covariance = found.T_target_source, found.covariance
             overlap, rmse = found.overlap, found.rmse
         seen = self._judged(query, T, config.seen_radius, config.visibility_sample)
-        details = MeasuredDetails(self._target, query, T, config)
+        details = MeasuredDetails(self._compared, query, T, config)
         return RefinedScore(self._absolute(T), inliers, overlap, *seen, rmse, covariance, details)
 
     def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:

@@ -29,6 +29,9 @@ HOPELESS = 0.02
 UNLIKELY = 0.3
 """The rivals of a candidate that is less likely than this once it is refined are not. Set by hand,
 below what trackers keep."""
+FEWEST_REFINED = 2
+"""So many rivals are refined, if there are as many, before a pose is believed of which the segments
+leave doubt."""
 CERTAIN = 0.9
 """The rivals of a candidate more likely than this are not refined. Set by hand, above the
 threshold."""
@@ -125,7 +128,7 @@ class Verifier:
         nor those of a certain one, unless one of them might become its equal: their coarse overlap
         stands in for the refined one, with a slack for what ICP may add. Where segments settle it,
         no rivals are looked for nearby. Only what may be believed is aligned with all of its
-        points.
+        points, and the rivals that fit about as well: centimetres count between them.
         """
         config, chance = self.config, self.model.chance.inliers
         others = scores.elsewhere(scores.ranked[k].T_map_local)[: config.max_rivals]
@@ -134,7 +137,11 @@ class Verifier:
         if self._is_below(HOPELESS, evidence):
             return evidence
         start, nearby = (None, []) if evidence.is_settled else scores.around(k)
-        score, near = self._best_around(scores, scores.refined(k, start), nearby)
+        refined = scores.refined(k, start)
+        evidence = scores.evidence(refined.coarse, rivals, chance)
+        if self._is_below(HOPELESS, evidence):
+            return evidence
+        score, near = self._best_around(scores, refined, nearby)
         rough = scores.rough_overlap(score)
         narrowed = scores.narrowing(score, rough)
         rivals = [narrowed(rival) for rival in (*near, *rivals)]
@@ -147,15 +154,19 @@ class Verifier:
             weak = [scores.coarse(j) for j in others if j not in strong]
             rivals = [narrowed(rival) for rival in (*near, *map(scores.refined, strong), *weak)]
         rivals = [self._closer(scores, score, rival) for rival in rivals]
+        if not evidence.is_settled:
+            rivals = self._at_least_some_refined(scores, rivals)
         evidence = scores.evidence(score, rivals, chance)
         if self._is_below(UNLIKELY, evidence):
             return evidence
+        least = config.rival_overlap_ratio * score.overlap
+        rivals = [self._finished(scores, rival, least) for rival in rivals]
         return scores.evidence(scores.finished(score), rivals, chance)
 
     def _best_around(
         self, scores: CandidateScores, score: RefinedScore, nearby: Sequence[RankedCandidate]
     ) -> tuple[RefinedScore, list[Score]]:
-        """The pose that is likelier by itself, and its rivals near it.
+        """The likeliest pose, and its rivals near it.
 
         A rival is refined where the clouds roughly fit nearly as well; of a pose that is unlikely
         by itself only where they fit better, since it is refused unless one of those is likelier;
@@ -169,7 +180,7 @@ class Verifier:
                 rivals.append(scores.roughly(each))
                 continue
             rival = scores.closely(each.candidate)
-            if self.model.standalone(rival) > self.model.standalone(score):
+            if self.model.advantage(rival, score) > 0.0:
                 score, rival = rival, score
                 rough = max(rough, each.overlap)
             rivals.append(rival)
@@ -180,6 +191,26 @@ class Verifier:
         alone = Evidence(best, 1.0, (rival,))
         if isinstance(rival, CoarseScore) and equal_rival(alone, self.model, self.config):
             return scores.closely(Candidate(rival.T_map_local, rival.inliers))
+        return rival
+
+    @staticmethod
+    def _at_least_some_refined(scores: CandidateScores, rivals: Sequence[Score]) -> list[Score]:
+        """The rivals, best first, and the first of them refined: only there is it known how much of
+        the walls is flush."""
+        best_first = sorted(rivals, key=lambda rival: -rival.overlap)
+        first, others = best_first[:FEWEST_REFINED], best_first[FEWEST_REFINED:]
+        refined = [
+            r
+            if isinstance(r, RefinedScore)
+            else scores.closely(Candidate(r.T_map_local, r.inliers))
+            for r in first
+        ]
+        return [*refined, *others]
+
+    @staticmethod
+    def _finished(scores: CandidateScores, rival: Score, least: float) -> Score:
+        if isinstance(rival, RefinedScore) and rival.overlap >= least:
+            return scores.finished(rival)
         return rival
 
     def _is_below(self, probability: float, evidence: Evidence) -> bool:

@@ -2,12 +2,13 @@
 
 Every world is mapped by one sensor in one session and gone through by several in another, with a
 fifth of the things replaced: outdoors on a car, in autumn; in halls and offices in a hand that
-tilts up to 35 degrees. Queries of these are localized in the map alone, in the map of the first
-half of its path, and in it padded with the world before. The same queries in the mirror image of
-that map and in the map of the world before are negatives (of a hall that may be its own mirror
-image, only the latter). Each query is made with accumulated scans
-and with a single one of which nothing tells how it stands, every second of them thinned; the gates
-of verification are open, so that the best candidate is always refined. A logistic model
+tilts up to 35 degrees. The poses of every second world err by centimetres, as those of real maps
+do, so that its walls are less sharp. Queries of these are localized in the map alone, in the map of
+the first half of its path, and in it padded with the world before. The same queries in the mirror
+image of that map and in the map of the world before are negatives (of a hall that may be its own
+mirror image, only the latter). Each query is made with accumulated scans and with a single one of
+which nothing tells how it stands, every second of them thinned; the gates of verification are open,
+so that the best candidate is always refined. A logistic model
 (``segloc.verification.confidence``) is then fitted to the candidates' features -> right or wrong.
 The figure shows each world judged by the model that was fitted to all the others. Real recordings
 take no part: they judge the model (``segloc_experiments.protocols.real``).
@@ -24,6 +25,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.batch.negative_maps import mirrored
@@ -43,7 +45,7 @@ from segloc.simulation import (
 from segloc.stage_times import StageTimes
 from segloc.types import Pose
 from segloc.verification import Evidence, VerificationConfig, shipped_confidence
-from segloc.verification.decision import equal_rival
+from segloc.verification.decision import equal_rival, root_needed
 
 from ..padding import padded
 from ..script import parser
@@ -57,6 +59,8 @@ LENGTH_M = 110.0
 OPEN = {"min_inliers": 0, "min_confidence": 0.0}
 LATER = Conditions(foliage=0.6, replaced=0.2)
 RIGHT_M = 1.0
+UNSHARP_M, UNSHARP_DEG = 0.04, 0.15
+"""By how much the poses of every second world err, standard deviations of each axis."""
 SCANS_IN_MEMORY = 64
 Row = tuple[float, ...]
 
@@ -112,7 +116,21 @@ def worlds(first_seed: int, each: int, chosen: list[str]) -> Iterator[SimulatedW
             sensor: drive(SENSORS[sensor](900), [Conditions(), LATER], platform=kind.platform)[1]
             for sensor in kind.sensors
         }
+        if seed % 2:
+            mapped = unsharp(mapped, seed)
+            queries = {sensor: unsharp(each, seed) for sensor, each in queries.items()}
         yield SimulatedWorld(f"{name} {seed}", kind.alike, mapped, queries)
+
+
+def unsharp(drive: SimulatedSequence, seed: int) -> SimulatedSequence:
+    """A drive whose poses err, each by itself."""
+    rng = np.random.default_rng([seed, 7])
+    assert drive.poses is not None
+    off = np.stack([np.eye(4)] * len(drive))
+    off[:, :3, 3] = rng.normal(0.0, UNSHARP_M, (len(drive), 3))
+    turns = rng.normal(0.0, np.radians(UNSHARP_DEG), (len(drive), 3))
+    off[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+    return replace(drive, poses=drive.poses @ off)
 
 
 def thinned(scan: Scan, seed: int) -> Scan:
@@ -139,7 +157,7 @@ def views(
 
 
 def candidates(places: list[Place], drive: Sequence) -> list[Row]:
-    """Rows (features, inliers, equal, right) of queries along a drive, in several maps."""
+    """Rows (features, root, equal, right) of queries along a drive, in several maps."""
     local = places[0][0].config.local_cloud
     poses = drive.poses
     assert poses is not None
@@ -174,11 +192,11 @@ def _row(evidence: Evidence, query: Query, truth: Pose | None) -> Row:
         right = bool(np.linalg.norm(delta[:3, 3]) < RIGHT_M)
     model = shipped_confidence()
     equal = equal_rival(evidence, model, VerificationConfig()) is not None
-    return (*model.features(evidence), float(best.inliers), float(equal), float(right))
+    return (*model.features(evidence), root_needed(evidence), float(equal), float(right))
 
 
 class Calibration:
-    """Gathers rows (features, inliers, equal, right, world); they are kept in ``out``."""
+    """Gathers rows (features, root, equal, right, world); they are kept in ``out``."""
 
     def __init__(self, out: Path) -> None:
         self.config = Config.preset("profile")

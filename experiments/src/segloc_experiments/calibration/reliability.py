@@ -12,11 +12,11 @@ from scipy.special import expit
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import FEATURES
-from segloc.verification.decision import FEW_INLIERS, FEW_ROOT
 
-COLUMNS = (*FEATURES, "inliers")
-INLIERS, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
-"""Columns of a row: the features come first. EQUAL: whether a rival explains the query as well."""
+COLUMNS = (*FEATURES, "root")
+ROOT, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
+"""Columns of a row: the features come first. ROOT: of the confidence that suffices, as much is
+needed. EQUAL: whether a rival explains the query as well."""
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
@@ -38,7 +38,7 @@ def fit(rows: np.ndarray) -> np.ndarray:
 
 
 def _features(rows: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.ones(len(rows)), rows[:, :INLIERS]])
+    return np.column_stack([np.ones(len(rows)), rows[:, :ROOT]])
 
 
 def probability(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -57,14 +57,9 @@ def held_out(rows: np.ndarray) -> np.ndarray:
 
 
 def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
-    """Reliability in bins of confidence, and the gap between right and wrong.
-
-    More is asked where other places look alike, which the rows do not tell: fewer are believed.
-    """
+    """Reliability in bins of confidence, and the gap between right and wrong."""
     right = rows[:, RIGHT] > 0
-    config = VerificationConfig()
-    few = rows[:, INLIERS] < FEW_INLIERS
-    needed = config.min_confidence ** np.where(few, 1.0 / FEW_ROOT, 1.0)
+    needed = VerificationConfig().min_confidence ** (1.0 / rows[:, ROOT])
     print(f"{len(rows)} candidates, {int(right.sum())} right; weights {np.round(weights, 2)}")
     print("| confidence, model of the other worlds | candidates | right |\n|---|---|---|")
     for low, high in pairwise(BINS):

@@ -118,7 +118,7 @@ def missing(localizer: Localizer, scans: list[Scan], truth: Pose) -> Row:
         "rank": rank[:1],
         "candidates": len(search.candidates),
         "by_segments": search.by_segments,
-        "at_truth": [at_truth.overlap, at_truth.seen, at_truth.judged, at_truth.walls],
+        "at_truth": [at_truth.overlap, at_truth.seen, at_truth.judged, at_truth.flush],
         "best_is_right": best is not None and is_right(best.T_map_local, T_map_local),
         "message": search.verdict.message,
         "features": _features(localizer, search.verdict.evidence),
