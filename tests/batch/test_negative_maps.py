@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc.batch.negative_maps import mirrored, shuffled
@@ -34,6 +35,19 @@ def test_mirrored_and_shuffled_maps_of_real_scans(kitti: Path, method: str) -> N
         if result.T_map_sensor is not None:
             delta = geometry.inverse(queries.poses[scans[-1]]) @ result.T_map_sensor
             assert np.linalg.norm(delta[:3, 3]) < 3
+
+
+def test_a_mirrored_map_has_its_path_where_the_cloud_is() -> None:
+    config = Config.preset("geo")
+    before = build_map(PlazaSequence(Plaza(3), steps=4), config)
+    after = mirrored(before)
+    path, rotations = after.trajectory[:, :3, 3], after.trajectory[:, :3, :3]
+    assert np.allclose(np.linalg.det(rotations), 1.0, atol=1e-3)
+    assert np.allclose(path * (1, -1, 1), before.trajectory[:, :3, 3])
+    ahead = [T[:3, 0] * (1, -1, 1) for T in after.trajectory]  # where the sensor looked
+    assert np.allclose(ahead, before.trajectory[:, :3, 0])
+    near = [cKDTree(m.cloud + m.origin).query(m.trajectory[:, :3, 3])[0] for m in (before, after)]
+    assert np.allclose(*near, atol=1e-3)
 
 
 def boxes(positions: Float64, rng: np.random.Generator) -> Float64:

@@ -16,7 +16,9 @@ def mirrored(prior_map: SegmentMap) -> SegmentMap:
     """
     flip = np.array([1.0, -1.0, 1.0])
     cloud = (prior_map.cloud + prior_map.origin) * flip
-    return _remade(prior_map, prior_map.centroids * flip, prior_map.vectors, cloud)
+    across = np.diag([*flip, 1.0])
+    path = across @ prior_map.trajectory @ across
+    return _remade(prior_map, prior_map.centroids * flip, prior_map.vectors, cloud, path)
 
 
 def shuffled(prior_map: SegmentMap, seed: int = 0) -> SegmentMap:
@@ -24,14 +26,17 @@ def shuffled(prior_map: SegmentMap, seed: int = 0) -> SegmentMap:
 
     Here a right pose can still be found, where centroids alone suffice.
     """
-    order = np.random.default_rng(seed).permutation(len(prior_map))
-    return _remade(
-        prior_map, prior_map.centroids, prior_map.vectors[order], prior_map.cloud + prior_map.origin
-    )
+    vectors = prior_map.vectors[np.random.default_rng(seed).permutation(len(prior_map))]
+    cloud = prior_map.cloud + prior_map.origin
+    return _remade(prior_map, prior_map.centroids, vectors, cloud, prior_map.trajectory)
 
 
 def _remade(
-    prior_map: SegmentMap, centroids: Float64, vectors: Float32, cloud: Float64
+    prior_map: SegmentMap,
+    centroids: Float64,
+    vectors: Float32,
+    cloud: Float64,
+    trajectory: Float64,
 ) -> SegmentMap:
     other = SegmentMap.empty(
         prior_map.descriptor,
@@ -42,4 +47,5 @@ def _remade(
     )
     described = Descriptors(vectors, prior_map.quality)
     other.add(described, centroids, prior_map.sizes, session=0, stamp=0.0, cloud=cloud)
+    other.add_trajectory(trajectory)
     return other
