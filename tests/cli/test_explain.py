@@ -13,8 +13,9 @@ from samples.walk import POINTS_ASIDE, Site, run, walked_site
 from segloc import Localizer, SegmentMap
 from segloc.explanation import steps, trace, verdict
 from segloc.explanation.page import page
+from segloc.explanation.trace import BEYOND
 from segloc.types import Scan
-from segloc.verification.confidence import FEATURES
+from segloc.verification.confidence import FEATURES, shipped_confidence
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,11 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
         if found.parts:
             score = found.constant + sum(part.log_odds for part in found.parts)
             assert 1 / (1 + np.exp(-score)) == pytest.approx(plain.confidence)
-            assert [part.name for part in found.parts] == list(FEATURES)
+            names = [part.name for part in found.parts]
+            capped = plain.confidence == pytest.approx(
+                1 / (1 + np.exp(-shipped_confidence().max_log_odds))
+            )
+            assert names == [*FEATURES, *([BEYOND] if capped else [])]
             assert all(" " in part.words for part in found.parts)  # no bare name of a feature
         if plain.localized:
             assert found.T_map_local is not None

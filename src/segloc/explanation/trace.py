@@ -43,6 +43,10 @@ class Part:
     words: str
 
 
+BEYOND = "beyond"
+"""The part of a confidence that is as high as any: what the others say more than that."""
+
+
 @dataclass(frozen=True)
 class Trace:
     """One query, stage by stage. Points are in the local frame, float32, metres.
@@ -152,10 +156,14 @@ def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> 
 
 def _parts(model: ConfidenceModel, evidence: Evidence) -> tuple[Part, ...]:
     words = _measured(evidence)
-    return tuple(
+    parts = [
         Part(name, model.weights[name] * feature, words[name])
         for name, feature in zip(FEATURES, model.features(evidence), strict=True)
-    )
+    ]
+    beyond = model.constant + sum(part.log_odds for part in parts) - model.max_log_odds
+    if beyond > 0:
+        parts.append(Part(BEYOND, -beyond, "no confidence is higher: the model has seen no more"))
+    return tuple(parts)
 
 
 def _measured(evidence: Evidence) -> dict[str, str]:

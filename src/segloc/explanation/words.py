@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import geometry
 from ..localization import Reason
-from .trace import Trace
+from .trace import BEYOND, Trace
 
 _NOWHERE = 0.1
 _ADVICE = {
@@ -88,5 +88,6 @@ def _uncertain(trace: Trace) -> str:
         return "too little speaks for any pose"
     if trace.result.confidence < _NOWHERE:
         return "no place of the map fits; it was probably taken elsewhere, or shows too little"
-    least = min(trace.parts, key=lambda part: part.log_odds)
+    measured = [part for part in trace.parts if part.name != BEYOND]
+    least = min(measured, key=lambda part: part.log_odds)
     return f"a place may fit, but more scans of the way must tell; weakest is: {least.words}"
