@@ -192,7 +192,7 @@ def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
 
 
 def test_a_like_place_is_no_equal_where_its_walls_stand_otherwise() -> None:
-    """Two halls, one 0.4 m wider: each scan is found in its own, whichever is asked first."""
+    """Two halls, one 0.4 m wider: each scan is found in its own, whichever is tried first."""
     narrow, wide = hall(), hall() * np.float32([1, 1 + 0.4 / 14, 1])
     far = np.float32([0, 60, 0])
     judge = verifier(np.concatenate([narrow, wide + far]))
