@@ -171,6 +171,21 @@ def test_storeys_that_a_query_cannot_see_take_no_place_of_what_it_can() -> None:
     assert among_all < 0.4 * alone < 0.6 * alone < among_own
 
 
+def test_of_storeys_the_likeliest_is_judged_once_it_is_refined() -> None:
+    """The query fits two storeys roughly better than its own place, where it stands beside it."""
+    wider = hall(marked=False) * np.float32([1, 1 + 0.6 / 14, 1])
+    cloud = np.concatenate([hall(), *(wider + np.float32([0, 60, z]) for z in (0.0, 6.0))])
+    own = Candidate(geometry.yaw_transform(np.radians(5.0), (1.3, 0.9, 0.0)), 0, 0.0)
+    like = [Candidate(geometry.yaw_transform(0.0, (0.0, 60.0, z)), 0, 0.0) for z in (0.0, 6.0)]
+    answers = []
+    for storeyed in (False, True):
+        judge = Verifier(cloud, np.zeros(3), storeyed=storeyed)
+        answers.append(judge.verify(judge.query(scene(hall())), [*like, own]))
+    assert answers[0].reason is not None
+    assert answers[1].reason is None and answers[1].best is not None
+    assert np.abs(answers[1].best.T_map_local - np.eye(4)).max() < 0.1
+
+
 def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
     """Rooms that are alike: nearly all points lie near a point of the other, few on its walls."""
     room = np.concatenate([hall(), hall()[:, [1, 0, 2]]])

@@ -28,8 +28,9 @@ from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.matching import MatchingConfig
 from segloc.occupancy import OccupancyConfig
-from segloc.types import Candidate, Descriptors, Float32, Float64, Int64, Pose
-from segloc.verification import Evidence, VerificationConfig, shipped_confidence
+from segloc.segmentation import Segmentation
+from segloc.types import Candidate, Descriptors, Float32, Float64, Int64, Pose, Segments
+from segloc.verification import Evidence, VerificationConfig, Verifier, shipped_confidence
 from segloc.verification.candidates import CandidateScores
 from segloc.verification.confidence import load_confidence
 from segloc.verification.decision import confidence_needed, decide
@@ -251,7 +252,7 @@ def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
 
     cloud: Any = SimpleNamespace(ranked=ranked, refined=refined)
     config, candidates = VerificationConfig(), [Candidate(T, 0, 0.5) for T in (lower, upper)]
-    query: Any = None
+    query: Any = SimpleNamespace(extent=40)
     scores = CandidateScores(candidates, cloud, query, config, Separation(), lambda _: 0)
     assert scores.elsewhere(lower) == []  # so neither is a rival of the other by where it starts
     first = scores.refined(0)
@@ -284,14 +285,46 @@ def test_a_rival_whose_walls_are_less_flush_is_no_equal() -> None:
 def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
     config = VerificationConfig()
 
-    def needed(inliers: int, ratio: float, judged: int) -> float:
-        found = evidence(inliers, 0.9, 0.95, ratio)
-        score = replace(found.score, judged=judged)
-        return confidence_needed(replace(found, score=score), config)
+    def needed(inliers: int, ratio: float, extent: int | None = None) -> float:
+        found = replace(evidence(inliers, 0.9, 0.95, ratio), extent=extent)
+        return confidence_needed(found, config)
 
-    many, few, small = needed(9, 3.0, 2000), needed(4, 3.0, 2000), needed(4, 3.0, 100)
-    assert many == config.min_confidence == needed(9, 3.0, 100) < few < small < 1
-    assert needed(9, 1.1, 2000) == few and needed(9, 1.1, 100) == small  # as many elsewhere
+    many, few = needed(9, 3.0), needed(4, 3.0)
+    assert many == config.min_confidence < few < 1
+    assert needed(9, 1.1) == few == needed(4, 3.0, 40)  # as many elsewhere
+
+
+def test_a_view_as_small_as_a_room_is_not_believed_unless_segments_decide() -> None:
+    """Rooms are like other rooms, whatever the clouds say."""
+    config = VerificationConfig()
+    alike = replace(evidence(4, 1.0, 1.0, 4.0, (0.3, 0.3)), extent=40)
+    assert decide(alike, None, MODEL, config).reason is None
+    verdict = decide(replace(alike, extent=12), None, MODEL, config)
+    assert verdict.reason is Reason.TOO_UNCERTAIN and "12 squares" in verdict.message
+    assert verdict.confidence == MODEL.probability(alike)
+    told = replace(evidence(9, 1.0, 1.0, 3.0, (0.3, 0.3)), extent=12)
+    assert decide(told, None, MODEL, config).reason is None
+    # Whoever asks for no confidence is given any pose.
+    anything = config.model_copy(update={"min_confidence": 0.0})
+    assert decide(replace(alike, extent=12), None, MODEL, anything).reason is None
+
+
+def test_the_extent_is_what_stands_around_the_sensor() -> None:
+    """A wall of 40 m; neither the ground counts, nor a wall that is out of range."""
+    along = np.arange(-20.0, 20.0, 0.25)
+    wall = np.stack([along, np.full_like(along, 5.0), np.full_like(along, 1.5)], axis=1)
+    ground = np.stack([along, along, np.zeros_like(along)], axis=1).astype(np.float32)
+    judge = Verifier(wall.astype(np.float32), np.zeros(3))
+    no_points = np.zeros((0, 3), np.float32)
+
+    def extent(*walls: Float64) -> int:
+        none = Segments(no_points, np.zeros(1, np.int64), np.zeros((0, 3)), np.zeros(0))
+        structure = np.concatenate([no_points, *walls], dtype=np.float32)
+        return judge.query(Segmentation(none, structure, ground)).extent
+
+    assert extent() == 0
+    assert extent(wall) == extent(wall, wall) == extent(wall, wall + [0.0, 60.0, 0.0]) == 10
+    assert extent(wall, wall + [0.0, 9.0, 0.0]) == 20
 
 
 def test_no_score_makes_an_impossible_confidence() -> None:

@@ -110,6 +110,23 @@ class CandidateScores:
         fits = max(range(len(self.ranked)), key=lambda k: self.ranked[k].overlap)
         return chosen if fits in chosen else [*chosen, fits]
 
+    def widely(self, but: Sequence[int], most: int) -> list[int]:
+        """Other candidates, no two of one place, where the clouds roughly fit best."""
+        apart, chosen = self._separation.apart, list[int]()
+        for k in sorted(range(len(self.ranked)), key=lambda k: -self.ranked[k].overlap):
+            T = self.ranked[k].T_map_local
+            if k not in but and all(apart(T, self.ranked[j].T_map_local) for j in chosen):
+                chosen.append(k)
+            if len(chosen) == most:
+                break
+        return chosen
+
+    def moved(self, k: int) -> int:
+        """The number of another candidate: k where the clouds fit best."""
+        there = replace(self.ranked[k].candidate, T_map_local=self.refined(k).T_map_local)
+        self.ranked += self._map.ranked([there], self._query)
+        return len(self.ranked) - 1
+
     def elsewhere(self, T_map_local: Pose) -> list[int]:
         """Candidates at other places: that of most segments, then those where clouds fit best."""
         apart = self._separation.apart
@@ -128,4 +145,4 @@ class CandidateScores:
         rivals = [r for r in known if apart(r.T_map_local, score.T_map_local)]
         others = [c.inliers for c in self.ranked if apart(c.T_map_local, score.T_map_local)]
         most = max([*others, *(rival.inliers for rival in rivals), chance_inliers])
-        return Evidence(score, score.inliers / most, tuple(rivals))
+        return Evidence(score, score.inliers / most, tuple(rivals), self._query.extent)

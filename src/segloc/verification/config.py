@@ -19,7 +19,7 @@ class VerificationConfig(Section):
         0.8,
         ge=0,
         le=1,
-        description="calibrated probability needed; its root where fewer than 5 segments agree",
+        description="calibrated probability needed; more where segments decide little",
     )
     min_inliers: int = Field(
         0, ge=0, le=10**6, description="distinct segments that must agree, whatever the clouds say"

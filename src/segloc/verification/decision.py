@@ -28,11 +28,12 @@ GROUND_FITS = 0.4
 least half of it is. Set by hand."""
 FEW_INLIERS = 5
 """Fewer than these say little. Set by hand."""
-SMALL_VIEW = 150
-"""With fewer map points in view than these, little is in view. Set by hand."""
-UNDECIDED_ROOT, SMALL_ROOT = 11.0, 45.0
-"""The confidence that is needed where segments decide little, and where, besides, little is in
-view: these roots of the one that suffices. Chosen on the worlds of the calibration."""
+CONFINED = 20
+"""What stands on fewer squares of 4 m may be one room, and rooms are like others. Chosen on 14
+simulated floors of offices that the calibration does not have."""
+UNDECIDED_ROOT, CONFINED_ROOT = 11.0, 10_000.0
+"""The confidence that is needed where segments decide little, and where, besides, the view is
+confined: these roots of the one that suffices. The second is more than any confidence."""
 
 
 def decide(
@@ -55,6 +56,8 @@ def decide(
     elif p < (needed := confidence_needed(evidence, config)):
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, needed)}: {compared(evidence)}"
+        if is_confined(evidence):
+            message += f"; what is in view covers {evidence.extent} squares of 4 m, as a room does"
     else:
         return Verdict(None, "", p, best, evidence, runner_up)
     return Verdict(reason, message, p, best, evidence, runner_up)
@@ -74,15 +77,25 @@ def confidence_needed(evidence: Evidence, config: VerificationConfig) -> float:
 
 
 def root_needed(evidence: Evidence) -> float:
-    """More where few segments agree, or nearly as many elsewhere; most where, besides, little is in
-    view.
+    """More where segments decide little; most where, besides, no more is in view than a room.
 
-    All wrong poses of the calibration that look likely are such, but for a few in warehouses.
+    All wrong poses that look likely are such, but for a few in warehouses.
     """
-    best = evidence.score
-    if best.inliers >= FEW_INLIERS and evidence.inlier_evidence >= DECISIVE_INLIERS:
-        return 1.0
-    return SMALL_ROOT if best.judged < SMALL_VIEW else UNDECIDED_ROOT
+    if is_confined(evidence):
+        return CONFINED_ROOT
+    return UNDECIDED_ROOT if decide_little(evidence) else 1.0
+
+
+def decide_little(evidence: Evidence) -> bool:
+    """Whether few segments agree, or nearly as many elsewhere."""
+    few = evidence.score.inliers < FEW_INLIERS
+    return few or evidence.inlier_evidence < DECISIVE_INLIERS
+
+
+def is_confined(evidence: Evidence) -> bool:
+    """Whether segments decide little, and what is in view may be one room."""
+    little = evidence.extent is not None and evidence.extent < CONFINED
+    return little and decide_little(evidence)
 
 
 def compared(evidence: Evidence) -> str:

@@ -185,11 +185,15 @@ class Evidence:
         How many times as many inliers as the best candidate at a different place, or as chance.
     rivals : tuple of Score
         The best candidates at different places.
+    extent : int or None
+        On how many squares of 4 m something stands, as far as the query sees; None where that is
+        not judged.
     """
 
     score: Score
     inlier_ratio: float
     rivals: tuple[Score, ...]
+    extent: int | None = None
 
     @property
     def inlier_evidence(self) -> float:

@@ -31,6 +31,8 @@ _STOREY_SAMPLE = 200
 """Points of the query that other storeys are looked for with."""
 _CLOSE_VOXEL_M = 0.3
 """A query's walls are thinned to this, as maps are."""
+_SQUARE_M = 4.0
+"""What is in view is counted in squares of this."""
 
 _HERE = np.eye(4)
 
@@ -42,12 +44,15 @@ class QueryCloud:
     ----------
     sample : (N, 3) float32
         What overlap is computed from.
+    extent : int
+        On how many squares, of 4 m and within the range that is judged, something stands.
     aligned : dict
         The alignments with the map so far, by where they set out from.
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
+        self.extent = _extent(scene.structure, config.visibility_range)
         self.aligned: dict[bytes, Registered | None] = {}
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
@@ -95,6 +100,11 @@ class MapCloud:
         0: all cores. No result depends on it.
     storeyed : bool
         Whether the map has several storeys.
+
+    Attributes
+    ----------
+    storeyed : bool
+        As given.
     """
 
     def __init__(
@@ -107,7 +117,7 @@ class MapCloud:
         storeyed: bool,
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
-        self._storeyed = storeyed
+        self.storeyed = storeyed
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
@@ -203,7 +213,7 @@ class MapCloud:
 
     def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
         range_m = self._config.visibility_range
-        index, storeyed = self._target.index, self._storeyed
+        index, storeyed = self._target.index, self.storeyed
         return judged(index, query.view, T, radius, range_m, sample, storeyed)
 
     def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
@@ -245,3 +255,13 @@ class MapCloud:
 
     def _absolute(self, T: Pose) -> Pose:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
+
+
+def _extent(points: Float32, range_m: float) -> int:
+    """How many squares of a grid about the sensor the points within a range lie on."""
+    near = points[np.hypot(points[:, 0], points[:, 1]) < range_m, :2]
+    half = int(np.ceil(range_m / _SQUARE_M))
+    taken = np.zeros((2 * half, 2 * half), dtype=bool)
+    x, y = np.floor(near / _SQUARE_M).astype(np.int64).T + half
+    taken[y, x] = True
+    return int(taken.sum())

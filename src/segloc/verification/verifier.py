@@ -32,6 +32,8 @@ below what trackers keep."""
 FEWEST_REFINED = 2
 """So many rivals are refined, if there are as many, before a pose is believed of which the segments
 leave doubt."""
+MOST_STOREYS = 16
+"""Of a map of several storeys so many more candidates are refined. Set by hand."""
 CERTAIN = 0.9
 """The rivals of a candidate more likely than this are not refined. Set by hand, above the
 threshold."""
@@ -93,19 +95,25 @@ class Verifier:
         """Rank the candidates, judge the best, and believe one or none.
 
         The first candidate that is believed is the answer. If none is, the verdict on the best
-        supported one says why. ``inliers`` counts the segments that agree with a pose that is no
-        candidate; no such pose is a rival that is not ``allowed``.
+        supported one says why. Storeys fit roughly alike: of several, the candidate that is
+        likeliest once it is refined is judged, too. ``inliers`` counts the segments that agree with
+        a pose that is no candidate; no such pose is a rival that is not ``allowed``.
         """
         if not candidates:
             return Verdict(Reason.NO_CONSISTENT_MATCHES, "no consistent matches")
         scores = CandidateScores(
             candidates, self._map, query, self.config, self._separation, inliers, allowed
         )
-        verdicts = []
-        for k in scores.worth_judging():
+        verdicts, judged = [], scores.worth_judging()
+        for k in judged:
             verdicts.append(self._judge(scores, k))
             if verdicts[-1].reason is None:
                 return verdicts[-1]
+        if self._map.storeyed and (others := scores.widely(judged, MOST_STOREYS)):
+            likeliest = max(others, key=lambda k: self.model.standalone(scores.refined(k)))
+            verdict = self._judge(scores, scores.moved(likeliest))
+            if verdict.reason is None:
+                return verdict
         return verdicts[0]
 
     def refined(self, candidate: Candidate, query: QueryCloud) -> RefinedScore:
