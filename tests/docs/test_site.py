@@ -49,7 +49,7 @@ def test_every_verb_and_key_has_its_place(site: ModuleType) -> None:
     for name in ("segloc map build", "segloc localize", "segloc train extract", "segloc view"):
         assert f"\n## {name}\n" in pages
     assert "| its own |" in pages
-    assert "min_confidence: 0.8  # calibrated probability needed; its root" in site.configuration()
+    assert "min_confidence: 0.8  # calibrated probability needed; more" in site.configuration()
 
 
 def test_a_link_that_is_named_after_its_file_takes_the_name_of_the_page(site: ModuleType) -> None:
