@@ -145,4 +145,5 @@ class CandidateScores:
         rivals = [r for r in known if apart(r.T_map_local, score.T_map_local)]
         others = [c.inliers for c in self.ranked if apart(c.T_map_local, score.T_map_local)]
         most = max([*others, *(rival.inliers for rival in rivals), chance_inliers])
-        return Evidence(score, score.inliers / most, tuple(rivals), self._query.extent)
+        found = Evidence(score, score.inliers / most, tuple(rivals))
+        return found if found.is_settled else replace(found, extent=self._query.extent)

@@ -7,6 +7,7 @@ from .confidence import ConfidenceModel
 from .config import VerificationConfig
 from .evidence import (
     DECISIVE_INLIERS,
+    SQUARE_M,
     Evidence,
     RankedCandidate,
     RefinedScore,
@@ -29,7 +30,7 @@ least half of it is. Set by hand."""
 FEW_INLIERS = 5
 """Fewer than these say little. Set by hand."""
 CONFINED = 20
-"""What stands on fewer squares of 4 m may be one room, and rooms are like others. Chosen on 14
+"""What stands on fewer squares may be one room, and rooms are like others. Chosen on 14
 simulated floors of offices that the calibration does not have."""
 UNDECIDED_ROOT, CONFINED_ROOT = 11.0, 10_000.0
 """The confidence that is needed where segments decide little, and where, besides, the view is
@@ -57,7 +58,8 @@ def decide(
         reason = Reason.TOO_UNCERTAIN
         message = f"{reason.below(p, needed)}: {compared(evidence)}"
         if is_confined(evidence):
-            message += f"; what is in view covers {evidence.extent} squares of 4 m, as a room does"
+            squares = f"{evidence.extent} squares of {SQUARE_M:g} m"
+            message += f"; what is in view covers {squares}, as a room does"
     else:
         return Verdict(None, "", p, best, evidence, runner_up)
     return Verdict(reason, message, p, best, evidence, runner_up)

@@ -23,6 +23,9 @@ DECISIVE_INLIERS = 3.0
 """Inliers that say less than this against those of the best different place may be chance: six
 against four are about as much. Set by hand."""
 
+SQUARE_M = 4.0
+"""How much is in view is counted in squares of this, seen from above."""
+
 
 @dataclass(frozen=True)
 class RankedCandidate:
@@ -186,8 +189,8 @@ class Evidence:
     rivals : tuple of Score
         The best candidates at different places.
     extent : int or None
-        On how many squares of 4 m something stands, as far as the query sees; None where that is
-        not judged.
+        On how many squares of :data:`SQUARE_M` something stands, as far as the query sees; None
+        where segments settle it.
     """
 
     score: Score

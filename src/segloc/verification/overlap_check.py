@@ -15,7 +15,7 @@ from ..segmentation import Segmentation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
 from .details import ComparedMap, MeasuredDetails
-from .evidence import CoarseScore, RankedCandidate, RefinedScore
+from .evidence import SQUARE_M, CoarseScore, RankedCandidate, RefinedScore
 from .free_space_check import QueryView, judged
 from .nearby import NearbySearch, Surroundings
 from .walls import close_surface
@@ -31,8 +31,6 @@ _STOREY_SAMPLE = 200
 """Points of the query that other storeys are looked for with."""
 _CLOSE_VOXEL_M = 0.3
 """A query's walls are thinned to this, as maps are."""
-_SQUARE_M = 4.0
-"""What is in view is counted in squares of this."""
 
 _HERE = np.eye(4)
 
@@ -44,20 +42,25 @@ class QueryCloud:
     ----------
     sample : (N, 3) float32
         What overlap is computed from.
-    extent : int
-        On how many squares, of 4 m and within the range that is judged, something stands.
     aligned : dict
         The alignments with the map so far, by where they set out from.
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
-        self.extent = _extent(scene.structure, config.visibility_range)
         self.aligned: dict[bytes, Registered | None] = {}
         self._scene, self._config, self._aligner = scene, config, aligner
+        self._extent: int | None = None
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
         self._close_surface: _native.Surface | None = None
+
+    @property
+    def extent(self) -> int:
+        """On how many squares, within the range that is judged, something stands; counted once."""
+        if self._extent is None:
+            self._extent = _squares(self._scene.structure, self._config.visibility_range)
+        return self._extent
 
     @property
     def view(self) -> QueryView:
@@ -257,11 +260,9 @@ class MapCloud:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
 
 
-def _extent(points: Float32, range_m: float) -> int:
-    """How many squares of a grid about the sensor the points within a range lie on."""
-    near = points[np.hypot(points[:, 0], points[:, 1]) < range_m, :2]
-    half = int(np.ceil(range_m / _SQUARE_M))
-    taken = np.zeros((2 * half, 2 * half), dtype=bool)
-    x, y = np.floor(near / _SQUARE_M).astype(np.int64).T + half
-    taken[y, x] = True
-    return int(taken.sum())
+def _squares(points: Float32, range_m: float) -> int:
+    """On how many squares of a grid about the sensor the points within a range lie."""
+    near = points[np.hypot(points[:, 0], points[:, 1]) < range_m]
+    x, y = (np.floor(near[:, axis] / SQUARE_M).astype(np.int64) for axis in (0, 1))
+    half = int(np.ceil(range_m / SQUARE_M))
+    return int(np.count_nonzero(np.bincount(2 * half * (y + half) + x + half)))
