@@ -7,11 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_experiments.journal import keep
-from segloc_experiments.protocols import change, reliability, simulation_queries, wrong_maps
+from segloc_experiments.protocols import (
+    change,
+    reliability,
+    simulation_queries,
+    storeys_in_view,
+    wrong_maps,
+)
 from segloc_experiments.protocols.simulation_scenarios import scenarios
 from segloc_experiments.recordings import kept
 from segloc_experiments.results.store import Result
 
+from segloc.datasets import Selection
 from segloc.simulation import Conditions, building, simulate_sessions, vlp16
 
 
@@ -89,3 +96,26 @@ def test_scans_of_worlds_that_differ_are_kept_apart(tmp_path: Path) -> None:
     folders = {kept(drive, tmp_path).folder for drive in (alike, own)}
     assert len(folders) == 2
     assert kept(alike, tmp_path).folder in folders
+
+
+def test_storeys_differ_in_view_by_what_stands_otherwise(tmp_path: Path) -> None:
+    pytest.importorskip("embreex", reason="simulation needs the extra sim")
+    shares = []
+    for own_rooms in (False, True):
+        world = building(4, size_m=40.0, storeys=2, differ=0.0, own_rooms=own_rooms)
+        (drive,) = simulate_sessions(world, vlp16(450), [Conditions()], length_m=20.0, storey=1)
+        each = [drive.select(Selection(((int(i), int(i)),))) for i in drive.indices[::5]]
+        found = [storeys_in_view.differs(one, tmp_path) for one in each]
+        assert found == [storeys_in_view.differs(one, tmp_path) for one in each]
+        shares.append(float(np.mean(found)))
+    alike, divided = shares
+    assert abs(alike) < 0.02 < 0.05 < divided
+
+
+def test_answers_are_told_apart_by_what_differs_in_view() -> None:
+    low, high = storeys_in_view.BOUNDS
+    found = [(low / 2, "refused"), (low, "wrong floor"), (high, "found"), (0.5, "refused")]
+    rows = storeys_in_view.rows(found)
+    assert [row[1] for row in rows] == [1, 1, 2]
+    assert [row[3:] for row in rows] == [(0, 0, 1), (1, 0, 0), (0, 0, 1)]
+    assert str(rows[2][2]).startswith("1 of 2")

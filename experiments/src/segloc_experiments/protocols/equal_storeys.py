@@ -21,7 +21,7 @@ from segloc.batch.score import Tolerance, pose_errors
 from segloc.simulation import Conditions, SimulatedSequence, building, simulate_sessions, vlp16
 from segloc.types import Float64, Pose
 
-from ..recordings import Unposed
+from ..recordings import Kept, Unposed
 from ..results.store import Result
 from ..script import storing
 
@@ -52,7 +52,7 @@ def drives(seed: int, differ: float) -> tuple[list[SimulatedSequence], Simulated
     return [lower, upper], later
 
 
-def cloud(drive: SimulatedSequence) -> Float64:
+def cloud(drive: SimulatedSequence | Kept) -> Float64:
     """All points of a drive, world frame."""
     clouds = [geometry.transform(drive.poses[i], drive.scan(i).points) for i in range(len(drive))]
     return np.concatenate(clouds)

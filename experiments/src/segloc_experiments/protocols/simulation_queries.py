@@ -33,6 +33,8 @@ from ..stages import processor_clock
 from .simulation_scenarios import Scenario, scenarios, tilt_deg, within_a_second
 
 METRES, DEGREES, HEIGHT_M = 3.0, 5.0, 1.5
+SCANS = "scans"
+"""The folder in WORK where scans are kept."""
 ATTITUDE_DEG = 3.0
 Row = dict[str, Any]
 
@@ -50,9 +52,16 @@ def prior_map(scenario: Scenario, seed: int, work: Path) -> SegmentMap:
     return SegmentMap.load(path)
 
 
+def localizer_of(scenario: Scenario, seed: int, work: Path) -> Localizer:
+    """Of one thread, in the map of a scenario."""
+    localizer = Localizer(prior_map(scenario, seed, work))
+    config = localizer.config.model_copy(update={"threads": 1})
+    return Localizer(localizer.prior_map, config)
+
+
 def cloud_of(drive: SimulatedSequence, work: Path) -> list[Scan]:
     """The scans of one query: with odometry where there are several, and else without a pose."""
-    cast = kept(drive, work / "scans")
+    cast = kept(drive, work / SCANS)
     scans = [cast.scan(i) for i in range(len(drive))]
     if len(scans) == 1:
         return [Scan(scans[0].points)]
@@ -133,9 +142,7 @@ def _features(localizer: Localizer, evidence: Any) -> list[float]:
 
 def piece(scenario: Scenario, seed: int, work: Path, count: int) -> Iterator[Row]:
     """The answers to the queries of one seed."""
-    localizer = Localizer(prior_map(scenario, seed, work))
-    config = localizer.config.model_copy(update={"threads": 1})
-    localizer = Localizer(localizer.prior_map, config)
+    localizer = localizer_of(scenario, seed, work)
     within = scenario.expected != "refused"
     for drive, where in scenario.queries(seed, count):
         truth = drive.truth[-1]

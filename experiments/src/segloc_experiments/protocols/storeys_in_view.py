@@ -20,27 +20,21 @@ import numpy as np
 from rich.progress import track
 from scipy.spatial import cKDTree
 
-from segloc import Localizer, geometry
 from segloc.batch.intervals import share
 from segloc.simulation import Conditions, SimulatedSequence
 from segloc.types import Float64
 
+from ..recordings import kept
 from ..results.store import Result
 from ..script import storing
-from .simulation_queries import HEIGHT_M, cloud_of, errors, is_right, prior_map
+from .equal_storeys import cloud
+from .simulation_queries import HEIGHT_M, SCANS, cloud_of, errors, is_right, localizer_of
 from .simulation_scenarios import Scenario, scenarios, storey_of
 
 WITHIN_M = 0.3
 BOUNDS = (0.01, 0.03)
 """Shares of points between which the lines of the table lie."""
 COLUMNS = ("points that differ", "queries", "found", "wrong floor", "false on the floor", "refused")
-
-
-def cloud(drive: SimulatedSequence) -> Float64:
-    """All points of a query, world frame."""
-    return np.concatenate(
-        [geometry.transform(T, drive.scan(i).points) for i, T in enumerate(drive.truth)]
-    )
 
 
 def when_mapped(drive: SimulatedSequence, up_m: float) -> Float64:
@@ -51,11 +45,11 @@ def when_mapped(drive: SimulatedSequence, up_m: float) -> Float64:
     return cloud(there) - [0.0, 0.0, up_m]
 
 
-def differs(drive: SimulatedSequence) -> float:
+def differs(drive: SimulatedSequence, work: Path | None = None) -> float:
     """By what share of its points a query tells its storey from the most similar other one."""
     assert drive.world.interior is not None
     floors = np.array(drive.world.interior.storeys)
-    own, points = storey_of(drive.world, drive.truth[-1]), cloud(drive)
+    own, points = storey_of(drive.world, drive.truth[-1]), cloud(kept(drive, work))
     off = []
     for z in floors - floors[own]:
         gaps = cKDTree(when_mapped(drive, float(z))).query(points, distance_upper_bound=WITHIN_M)[0]
@@ -66,12 +60,11 @@ def differs(drive: SimulatedSequence) -> float:
 def answers(scenario: Scenario, work: Path, count: int) -> Iterator[tuple[float, str]]:
     """Of each query by how much the storeys differ in view, and a word for its answer."""
     for seed in scenario.seeds:
-        localizer = Localizer(prior_map(scenario, seed, work))
-        config = localizer.config.model_copy(update={"threads": 1})
-        localizer = Localizer(localizer.prior_map, config)
+        localizer = localizer_of(scenario, seed, work)
         for drive, _ in track(scenario.queries(seed, count), f"{scenario.map_name}, {seed}"):
             T = localizer.localize(cloud_of(drive, work)).T_map_sensor
-            yield differs(drive), "refused" if T is None else outcome(T, drive.truth[-1])
+            differ = differs(drive, work / SCANS)
+            yield differ, "refused" if T is None else outcome(T, drive.truth[-1])
 
 
 def outcome(T: Float64, truth: Float64) -> str:
@@ -116,7 +109,7 @@ def main() -> None:
         "most similar other storey when that was mapped, less those that have changed on its own; "
         "in brackets 95 % by Wilson."
     )
-    kept = {"answers": [f"{value:.4f} {word}" for value, word in found]}
+    counts = {"answers": [f"{value:.4f} {word}" for value, word in found]}
     Result.measured(
         "storeys-in-view",
         command,
@@ -124,7 +117,7 @@ def main() -> None:
         rows(found),
         methods=("profile",),
         note=note,
-        counts=kept,
+        counts=counts,
     ).tell(args.store)
 
 
