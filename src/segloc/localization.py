@@ -28,8 +28,12 @@ class Reason(str, Enum):
         return self.value
 
     def below(self, value: float, least: float) -> str:
-        """The sentence for a share or a probability that falls short."""
-        return f"{self} ({value:.2f} < {least:.2f})"
+        """The sentence for a share or a probability that falls short, with enough digits to tell
+        them apart, and what is needed from 1."""
+        digits = 2
+        while digits < 6 and round(least, digits) in (round(value, digits), 1.0):
+            digits += 1
+        return f"{self} ({value:.{digits}f} < {least:.{digits}f})"
 
 
 def ambiguous_with(T_map_other: Pose) -> str:

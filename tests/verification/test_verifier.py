@@ -33,7 +33,7 @@ from segloc.types import Candidate, Descriptors, Float32, Float64, Int64, Pose, 
 from segloc.verification import Evidence, VerificationConfig, Verifier, shipped_confidence
 from segloc.verification.candidates import CandidateScores
 from segloc.verification.confidence import load_confidence
-from segloc.verification.decision import confidence_needed, decide
+from segloc.verification.decision import CAUTIOUSLY, confidence_needed, decide
 from segloc.verification.evidence import RankedCandidate, RefinedScore
 
 
@@ -86,6 +86,9 @@ def test_points_within_a_circle_between_heights(seed: int, count: int, radius: f
     some = index.sample(x, y, radius, 50, low, high)
     assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
     assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
+
+
+LACKING = {"constant": 0.0, "weights": {"flush": 1.0}}
 
 
 def reference_visibility(
@@ -162,8 +165,8 @@ def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_j
 MODEL = shipped_confidence()
 
 
-def measured(flush: float | None = None) -> Any:
-    return SimpleNamespace(ground=None, flush=flush)
+def measured(flush: float | None = None, ground: float | None = None) -> Any:
+    return SimpleNamespace(ground=ground, flush=flush)
 
 
 def score(inliers: int, overlap: float, seen: float | None) -> RefinedScore:
@@ -287,7 +290,7 @@ def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
 
     def needed(inliers: int, ratio: float, extent: int | None = None) -> float:
         found = replace(evidence(inliers, 0.9, 0.95, ratio), extent=extent)
-        return confidence_needed(found, config)
+        return confidence_needed(found, MODEL, config)
 
     many, few = needed(9, 3.0), needed(4, 3.0)
     assert many == config.min_confidence < few < 1
@@ -297,16 +300,45 @@ def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
 def test_a_view_as_small_as_a_room_is_not_believed_unless_segments_decide() -> None:
     """Rooms are like other rooms, whatever the clouds say."""
     config = VerificationConfig()
-    alike = replace(evidence(4, 1.0, 1.0, 4.0, (0.3, 0.3)), extent=40)
+    alike = replace(evidence(4, 0.9, 0.95, 4.0, (0.8, 0.9)), extent=40)
     assert decide(alike, None, MODEL, config).reason is None
     verdict = decide(replace(alike, extent=12), None, MODEL, config)
     assert verdict.reason is Reason.TOO_UNCERTAIN and "12 squares" in verdict.message
+    needed = confidence_needed(replace(alike, extent=12), MODEL, config)
+    assert "(0.99954 < 0.99996)" in verdict.message and needed > MODEL.probability(alike)
     assert verdict.confidence == MODEL.probability(alike)
+    # Where nothing at all fits elsewhere, a narrow view of a near wall is enough.
+    unlike = replace(evidence(4, 1.0, 1.0, 4.0, (0.3, 0.3)), extent=12)
+    assert decide(unlike, None, MODEL, config).reason is None
+    assert decide(unlike, None, MODEL, config).confidence < needed
     told = replace(evidence(9, 1.0, 1.0, 3.0, (0.3, 0.3)), extent=12)
     assert decide(told, None, MODEL, config).reason is None
     # Whoever asks for no confidence is given any pose.
     anything = config.model_copy(update={"min_confidence": 0.0})
     assert decide(replace(alike, extent=12), None, MODEL, anything).reason is None
+
+
+def test_a_pose_is_doubted_that_is_likely_only_because_others_are_worse() -> None:
+    """So is the best bay of a hall for a query of another hall."""
+    config = VerificationConfig()
+
+    def found(judged: int, overlap: float, seen: float = 0.99) -> Evidence:
+        best = replace(score(1, overlap, None), confirmed=round(seen * judged), judged=judged)
+        best = replace(best, details=measured(0.76, ground=0.62))
+        poor = replace(score(0, 0.6, 0.55), details=measured(0.5))
+        return Evidence(best, 0.4, (poor,))
+
+    bay, fits = found(200, 0.74), found(200, 0.95)
+    assert MODEL.cautiously(bay) < CAUTIOUSLY < MODEL.cautiously(fits)
+    verdict = decide(bay, None, MODEL, config)
+    assert verdict.reason is Reason.TOO_UNCERTAIN and "others are but worse" in verdict.message
+    assert MODEL.probability(bay) > confidence_needed(fits, MODEL, config)
+    assert decide(fits, None, MODEL, config).reason is None
+    # How much less is seen elsewhere is what the cautious model does not count.
+    assert MODEL.cautiously(bay) == MODEL.cautiously(found(200, 0.74, 0.9))
+    assert MODEL.probability(bay) > MODEL.probability(found(200, 0.74, 0.9))
+    # Where much of the map is in view, more would differ at another place.
+    assert decide(found(800, 0.74), None, MODEL, config).reason is None
 
 
 def test_the_extent_is_what_stands_around_the_sensor() -> None:
@@ -348,7 +380,8 @@ def test_the_confidence_was_fitted_under_the_default_configuration() -> None:
         ("{}", "Field required"),
         (json.dumps({**MODEL.model_dump(mode="json"), "constant": "x"}), "constant"),
         (json.dumps({**MODEL.model_dump(mode="json"), "weights": {"seen": 1.0}}), "weights must"),
-        (json.dumps({**MODEL.model_dump(mode="json"), "format": 2}), "format"),
+        (json.dumps({**MODEL.model_dump(mode="json"), "format": 1}), "format"),
+        (json.dumps({**MODEL.model_dump(mode="json"), "cautious": LACKING}), "weights must"),
     ],
 )
 def test_a_damaged_model_is_refused(tmp_path: Path, text: str, said: str) -> None:

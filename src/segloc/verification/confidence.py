@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ FEATURES = (
     *("overlap_over_rival", "seen_over_rival", "flush_over_rival"),
 )
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
+CAUTIOUS_FEATURES = FEATURES[:6]
+"""Those of the cautious model."""
 
 
 class Chance(Section):
@@ -41,6 +43,16 @@ class Chance(Section):
     most_judged: int = Field(ge=1, description="more judged map points than this say no more")
 
 
+class Cautious(Section):
+    """A model that does not count how much less is seen, or is flush, at other places.
+
+    A map that lacks a place has none that is like it: that others are worse tells little there.
+    """
+
+    constant: float
+    weights: Mapping[str, float]
+
+
 class ConfidenceModel(Section):
     """Probability that a candidate is right.
 
@@ -53,6 +65,8 @@ class ConfidenceModel(Section):
     constant : float
     weights : dict of str to float
         By the names of :data:`FEATURES`.
+    cautious : Cautious
+        A second opinion, of :data:`CAUTIOUS_FEATURES`.
     chance : Chance
     max_inlier_evidence : float
         However many segments agree, clouds that disagree outweigh them.
@@ -64,9 +78,10 @@ class ConfidenceModel(Section):
         Data, command and figures of the fit.
     """
 
-    format: int = Field(ge=1, le=1)
+    format: int = Field(ge=2, le=2)
     constant: float
     weights: Mapping[str, float]
+    cautious: Cautious
     chance: Chance
     max_inlier_evidence: float
     max_log_odds: float = Field(gt=0)
@@ -75,8 +90,15 @@ class ConfidenceModel(Section):
 
     def probability(self, evidence: Evidence) -> float:
         """The confidence, in [0, 1)."""
-        odds = min(self._log_odds(evidence), self.max_log_odds)
-        return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))  # beyond, it would overflow
+        return _logistic(min(self._log_odds(evidence), self.max_log_odds))
+
+    def unbounded(self, evidence: Evidence) -> float:
+        """The same, where it may be surer than the model's candidates can show, in [0, 1]."""
+        return _logistic(self._log_odds(evidence))
+
+    def cautiously(self, evidence: Evidence) -> float:
+        """The probability by the cautious model, in [0, 1]."""
+        return _logistic(_weighed(self.cautious, self.features(evidence)))
 
     def advantage(self, score: Score, rival: Score) -> float:
         """How much likelier a pose is than a rival, in log-odds, each compared with the other."""
@@ -87,10 +109,7 @@ class ConfidenceModel(Section):
         return self._log_odds(Evidence(score, ratio, (other,)))
 
     def _log_odds(self, evidence: Evidence) -> float:
-        odds = self.constant
-        for name, feature in zip(FEATURES, self.features(evidence), strict=True):
-            odds += self.weights[name] * feature
-        return odds
+        return _weighed(self, self.features(evidence))
 
     def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
@@ -167,8 +186,9 @@ def load_confidence(path: Path) -> ConfidenceModel:
         raise WeightsError(f"{path}: {key}: {first['msg']}") from error
     except ValueError as error:
         raise WeightsError(f"{path}: damaged ({error})") from error
-    if set(model.weights) != set(FEATURES):
-        raise WeightsError(f"{path}: weights must be those of {', '.join(FEATURES)}")
+    for part, features in ((model, FEATURES), (model.cautious, CAUTIOUS_FEATURES)):
+        if set(part.weights) != set(features):
+            raise WeightsError(f"{path}: weights must be those of {', '.join(features)}")
     return model
 
 
@@ -176,6 +196,18 @@ def load_confidence(path: Path) -> ConfidenceModel:
 def shipped_confidence() -> ConfidenceModel:
     """The model that comes with the package."""
     return load_confidence(Path(__file__).resolve().parent.parent / "weights" / "confidence.json")
+
+
+def _weighed(model: ConfidenceModel | Cautious, features: Sequence[float]) -> float:
+    """The log-odds of a logistic model, which may leave out the last features."""
+    odds = model.constant
+    for name, feature in zip(FEATURES, features, strict=True):
+        odds += model.weights.get(name, 0.0) * feature
+    return odds
+
+
+def _logistic(log_odds: float) -> float:
+    return 1.0 / (1.0 + math.exp(min(-log_odds, 700.0)))  # beyond, it would overflow
 
 
 def flush_odds(score: Score) -> float:

@@ -49,7 +49,7 @@ from segloc.verification.decision import equal_rival, root_needed
 
 from ..padding import padded
 from ..script import parser
-from .reliability import RIGHT, draw, fit, held_out, joined, report
+from .reliability import RIGHT, draw, fit, held_out, joined, report, report_cautious
 
 EVERY_M = 10.0
 ELSEWHERE_EVERY_M = 20.0
@@ -192,7 +192,7 @@ def _row(evidence: Evidence, query: Query, truth: Pose | None) -> Row:
         right = bool(np.linalg.norm(delta[:3, 3]) < RIGHT_M)
     model = shipped_confidence()
     equal = equal_rival(evidence, model, VerificationConfig()) is not None
-    return (*model.features(evidence), root_needed(evidence), float(equal), float(right))
+    return (*model.features(evidence), root_needed(evidence, model), float(equal), float(right))
 
 
 class Calibration:
@@ -258,6 +258,7 @@ def main() -> None:
         rows = joined([np.load(path)["rows"] for path in args.rows])
     p = held_out(rows)
     report(rows, fit(rows), p)
+    report_cautious(rows)
     if args.figure is not None:
         draw(rows, p, args.figure)
 

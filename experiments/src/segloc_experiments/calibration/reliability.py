@@ -11,12 +11,14 @@ from scipy.special import expit
 
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
-from segloc.verification.confidence import FEATURES
+from segloc.verification.confidence import CAUTIOUS_FEATURES, FEATURES
+from segloc.verification.decision import CAUTIOUSLY
 
 COLUMNS = (*FEATURES, "root")
 ROOT, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
 """Columns of a row: the features come first. ROOT: of the confidence that suffices, as much is
 needed. EQUAL: whether a rival explains the query as well."""
+LIKELY = 0.98
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
@@ -35,6 +37,14 @@ def fit(rows: np.ndarray) -> np.ndarray:
         return float(np.logaddexp(0, against).sum() + (modest**2).sum()), slope
 
     return np.asarray(minimize(loss, np.zeros(features.shape[1]), jac=True, method="BFGS").x)
+
+
+def fit_cautious(rows: np.ndarray) -> np.ndarray:
+    """The same of the cautious model, of which others features have no weight: it is fitted to what
+    it judges, candidates that segments say little of."""
+    doubtful = rows[(rows[:, ROOT] > 1) & (rows[:, EQUAL] == 0)]
+    doubtful[:, len(CAUTIOUS_FEATURES) : ROOT] = 0.0
+    return fit(doubtful)
 
 
 def _features(rows: np.ndarray) -> np.ndarray:
@@ -82,6 +92,16 @@ def report(rows: np.ndarray, weights: np.ndarray, p: np.ndarray) -> None:
         for column, label in enumerate(COLUMNS):
             q = np.nanpercentile(part[:, column], [0, 1, 50, 99, 100])
             print(f"  {name} {label}: " + " ".join(f"{v:.2f}" for v in q))
+
+
+def report_cautious(rows: np.ndarray) -> None:
+    """The cautious model, and what it says of candidates that the shipped one takes for likely."""
+    weights, shipped = fit_cautious(rows), probability(rows, _shipped())
+    print(f"cautious model: weights {np.round(weights[: len(CAUTIOUS_FEATURES) + 1], 2)}")
+    likely = (rows[:, ROOT] > 1) & (rows[:, EQUAL] == 0) & (shipped >= LIKELY)
+    for name, chosen in (("right", rows[:, RIGHT] > 0), ("wrong", rows[:, RIGHT] == 0)):
+        q = probability(rows[likely & chosen], weights)
+        print(f"  {name} and likely: {len(q)}, of these cautiously: {(q >= CAUTIOUSLY).sum()}")
 
 
 def _shipped() -> np.ndarray:
