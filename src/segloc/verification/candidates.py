@@ -121,9 +121,13 @@ class CandidateScores:
                 break
         return chosen
 
-    def moved(self, k: int) -> int:
-        """The number of another candidate: k where the clouds fit best."""
-        there = replace(self.ranked[k].candidate, T_map_local=self.refined(k).T_map_local)
+    def likeliest(self, by: Callable[[Score], float]) -> RefinedScore | None:
+        """The best of all that were refined."""
+        return max(self._all_refined, key=by, default=None)
+
+    def moved(self, score: RefinedScore) -> int:
+        """The number of another candidate: where a refined one is."""
+        there = Candidate(score.T_map_local, score.inliers)
         self.ranked += self._map.ranked([there], self._query)
         return len(self.ranked) - 1
 

@@ -165,7 +165,11 @@ class ConfidenceModel(Section):
 
     def standalone(self, score: Score) -> float:
         """The confidence if nothing but chance were at any other place."""
-        return self.probability(Evidence(score, score.inliers / self.chance.inliers, ()))
+        return _logistic(min(self.standing(score), self.max_log_odds))
+
+    def standing(self, score: Score) -> float:
+        """The same in log-odds, which are not cut."""
+        return self._log_odds(Evidence(score, score.inliers / self.chance.inliers, ()))
 
 
 def load_confidence(path: Path) -> ConfidenceModel:

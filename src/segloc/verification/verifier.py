@@ -95,9 +95,10 @@ class Verifier:
         """Rank the candidates, judge the best, and believe one or none.
 
         The first candidate that is believed is the answer. If none is, the verdict on the best
-        supported one says why. Storeys fit roughly alike: of several, the candidate that is
-        likeliest once it is refined is judged, too. ``inliers`` counts the segments that agree with
-        a pose that is no candidate; no such pose is a rival that is not ``allowed``.
+        supported one says why. Storeys fit roughly alike: of several, more candidates are refined,
+        and the likeliest of all that were, rivals among them, is judged, too. ``inliers`` counts
+        the segments that agree with a pose that is no candidate; no such pose is a rival that is
+        not ``allowed``.
         """
         if not candidates:
             return Verdict(Reason.NO_CONSISTENT_MATCHES, "no consistent matches")
@@ -109,11 +110,13 @@ class Verifier:
             verdicts.append(self._judge(scores, k))
             if verdicts[-1].reason is None:
                 return verdicts[-1]
-        if self._map.storeyed and (others := scores.widely(judged, MOST_STOREYS)):
-            likeliest = max(others, key=lambda k: self.model.standalone(scores.refined(k)))
-            verdict = self._judge(scores, scores.moved(likeliest))
-            if verdict.reason is None:
-                return verdict
+        if self._map.storeyed:
+            for k in scores.widely(judged, MOST_STOREYS):
+                scores.refined(k)
+            if likeliest := scores.likeliest(self.model.standing):
+                verdict = self._judge(scores, scores.moved(likeliest))
+                if verdict.reason is None:
+                    return verdict
         return verdicts[0]
 
     def refined(self, candidate: Candidate, query: QueryCloud) -> RefinedScore:
