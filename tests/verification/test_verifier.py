@@ -288,13 +288,18 @@ def test_a_rival_whose_walls_are_less_flush_is_no_equal() -> None:
 def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
     config = VerificationConfig()
 
-    def needed(inliers: int, ratio: float, extent: int | None = None) -> float:
-        found = replace(evidence(inliers, 0.9, 0.95, ratio), extent=extent)
-        return confidence_needed(found, MODEL, config)
+    def needed(inliers: int, ratio: float, judged: int = 2000) -> float:
+        found = evidence(inliers, 0.9, 0.95, ratio)
+        best = replace(found.score, confirmed=round(0.95 * judged), judged=judged)
+        return confidence_needed(replace(found, score=best, extent=40), MODEL, config)
 
-    many, few = needed(9, 3.0), needed(4, 3.0)
+    many, few = needed(20, 3.0), needed(4, 3.0)
     assert many == config.min_confidence < few < 1
-    assert needed(9, 1.1) == few == needed(4, 3.0, 40)  # as many elsewhere
+    assert needed(9, 1.1) == few == needed(4, 3.0, 200)  # as many elsewhere
+    # With much in view, segments of another part of a place that repeats itself agree as well.
+    repeated = needed(9, 2.0)
+    assert few < repeated < 1 and needed(19, 1.5) == repeated
+    assert needed(9, 2.0, 200) == needed(12, 3.0) == many
 
 
 def test_a_view_as_small_as_a_room_is_not_believed_unless_segments_decide() -> None:

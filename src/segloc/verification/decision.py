@@ -35,10 +35,14 @@ simulated floors of offices that the calibration does not have."""
 CAUTIOUSLY = 0.97
 """Where segments decide little and not much is in view, a pose is doubted that is less likely than
 this by the cautious model. Chosen on 52 simulated worlds that the calibration does not have."""
-UNDECIDED_ROOT, DOUBTED_ROOT, CONFINED_ROOT = 11.0, 250.0, 5000.0
-"""The confidence that is needed where segments decide little; where, besides, the pose is doubted;
-and where the view is confined: these roots of the one that suffices (of 0.8: 0.98, 0.9991 and
-0.99996). Chosen on the same worlds as what they stand for."""
+REPEATED_EVIDENCE = 10.0
+"""Inliers that say less than this against those of the best different place may agree on another
+part of a place that repeats itself. Chosen on the same worlds."""
+UNDECIDED_ROOT, REPEATED_ROOT, DOUBTED_ROOT, CONFINED_ROOT = 11.0, 33.0, 250.0, 5000.0
+"""The confidence that is needed where segments decide little; where they decide, but may do so for
+another part of a place that repeats itself; where the pose is doubted; and where the view is
+confined: these roots of the one that suffices (of 0.8: 0.98, 0.993, 0.9991 and 0.99996). Chosen on
+the same worlds as what they stand for."""
 
 
 def decide(
@@ -85,15 +89,15 @@ def confidence_needed(
 
 
 def root_needed(evidence: Evidence, model: ConfidenceModel) -> float:
-    """More where segments decide little, and most where, besides, no more is in view than a room.
-
-    All wrong poses that look likely are such.
-    """
+    """More where segments decide little, or may do so for a part of the map that is like another;
+    most where no more is in view than a room."""
     if is_confined(evidence):
         return CONFINED_ROOT
     if is_doubted(evidence, model):
         return DOUBTED_ROOT
-    return UNDECIDED_ROOT if decide_little(evidence) else 1.0
+    if decide_little(evidence):
+        return UNDECIDED_ROOT
+    return REPEATED_ROOT if may_be_repeated(evidence, model) else 1.0
 
 
 def decide_little(evidence: Evidence) -> bool:
@@ -114,8 +118,21 @@ def is_doubted(evidence: Evidence, model: ConfidenceModel) -> bool:
     So is the best pose in a map of another place of the same kind: bays of a hall are like those of
     another hall. Where much of the map is in view, there is enough to be seen that would differ.
     """
-    little = decide_little(evidence) and evidence.score.judged < model.chance.most_judged
+    little = decide_little(evidence) and not sees_much(evidence, model)
     return little and model.cautiously(evidence) < CAUTIOUSLY
+
+
+def may_be_repeated(evidence: Evidence, model: ConfidenceModel) -> bool:
+    """Whether much is in view, and yet segments hardly tell this place from the best other one.
+
+    Where the map ends within a place that repeats itself, they agree on another part of it.
+    """
+    return sees_much(evidence, model) and evidence.inlier_evidence < REPEATED_EVIDENCE
+
+
+def sees_much(evidence: Evidence, model: ConfidenceModel) -> bool:
+    """Whether as many points of the map are in view as say anything."""
+    return evidence.score.judged >= model.chance.most_judged
 
 
 def doubts(evidence: Evidence, model: ConfidenceModel) -> str:
