@@ -342,6 +342,10 @@ def test_a_pose_is_doubted_that_is_likely_only_because_others_are_worse() -> Non
     # How much less is seen elsewhere is what the cautious model does not count.
     assert MODEL.cautiously(bay) == MODEL.cautiously(found(200, 0.74, 0.9))
     assert MODEL.probability(bay) > MODEL.probability(found(200, 0.74, 0.9))
+    # Nor are poses of which few walls are flush, or unknown: wrong ones are not so likely.
+    for flush in (None, 0.5):
+        hedge = replace(bay, score=replace(bay.score, details=measured(flush, ground=0.62)))
+        assert confidence_needed(hedge, MODEL, config) == confidence_needed(fits, MODEL, config)
     # Where much of the map is in view, more would differ at another place.
     assert decide(found(800, 0.74), None, MODEL, config).reason is None
 
