@@ -59,20 +59,25 @@ def decide(
     probability is high enough.
     """
     best, p = evidence.score, model.probability(evidence)
-    sure, needed = model.unbounded(evidence), confidence_needed(evidence, model, config)
     if rival := equal_rival(evidence, model, config):
         reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
     elif (share := best.ground) is not None and share < GROUND_FITS:
         reason = Reason.TOO_UNCERTAIN
         message = f"the ground rises and falls otherwise there: {share:.0%} of it fits"
-    elif (sure := model.unbounded(evidence)) < (
-        needed := confidence_needed(evidence, model, config)
-    ):
-        reason = Reason.TOO_UNCERTAIN
-        message = f"{reason.below(sure, needed)}: {compared(evidence)}{doubts(evidence, model)}"
+    elif lacks := lacking(evidence, model, config):
+        reason, message = Reason.TOO_UNCERTAIN, lacks
     else:
         return Verdict(None, "", p, best, evidence, runner_up)
     return Verdict(reason, message, p, best, evidence, runner_up)
+
+
+def lacking(evidence: Evidence, model: ConfidenceModel, config: VerificationConfig) -> str:
+    """What is missing for a pose to be believed; "" where nothing is."""
+    sure, needed = model.unbounded(evidence), confidence_needed(evidence, model, config)
+    if sure >= needed:
+        return ""
+    below = Reason.TOO_UNCERTAIN.below(sure, needed)
+    return f"{below}: {compared(evidence)}{doubts(evidence, model)}"
 
 
 def too_few_inliers(

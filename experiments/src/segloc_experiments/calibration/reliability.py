@@ -19,6 +19,7 @@ ROOT, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
 """Columns of a row: the features come first. ROOT: of the confidence that suffices, as much is
 needed. EQUAL: whether a rival explains the query as well."""
 LIKELY = 0.98
+"""A pose that segments say little of is believed from here on, unless it is doubted."""
 BINS = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0 + 1e-9)
 
 
@@ -40,8 +41,8 @@ def fit(rows: np.ndarray) -> np.ndarray:
 
 
 def fit_cautious(rows: np.ndarray) -> np.ndarray:
-    """The same of the cautious model, of which others features have no weight: it is fitted to what
-    it judges, candidates that segments say little of."""
+    """The same of the cautious model: other features than its own have no weight, and it is fitted
+    to what it judges, candidates that segments say little of."""
     doubtful = rows[(rows[:, ROOT] > 1) & (rows[:, EQUAL] == 0)]
     doubtful[:, len(CAUTIOUS_FEATURES) : ROOT] = 0.0
     return fit(doubtful)
