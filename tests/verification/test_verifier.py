@@ -316,6 +316,8 @@ def test_a_view_as_small_as_a_room_is_not_believed_unless_segments_decide() -> N
     unlike = replace(evidence(4, 1.0, 1.0, 4.0, (0.3, 0.3)), extent=12)
     assert decide(unlike, None, MODEL, config).reason is None
     assert decide(unlike, None, MODEL, config).confidence < needed
+    all_of_it = config.model_copy(update={"min_confidence": 1.0})  # no confidence is as high
+    assert decide(unlike, None, MODEL, all_of_it).reason is Reason.TOO_UNCERTAIN
     told = replace(evidence(9, 1.0, 1.0, 3.0, (0.3, 0.3)), extent=12)
     assert decide(told, None, MODEL, config).reason is None
     # Whoever asks for no confidence is given any pose.

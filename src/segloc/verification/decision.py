@@ -72,8 +72,13 @@ def decide(
 
 
 def lacking(evidence: Evidence, model: ConfidenceModel, config: VerificationConfig) -> str:
-    """What is missing for a pose to be believed; "" where nothing is."""
+    """What is missing for a pose to be believed; "" where nothing is.
+
+    No pose is whose confidence, which is cut, is below the one that suffices.
+    """
     sure, needed = model.unbounded(evidence), confidence_needed(evidence, model, config)
+    if sure >= needed:
+        sure, needed = model.probability(evidence), config.min_confidence
     if sure >= needed:
         return ""
     below = Reason.TOO_UNCERTAIN.below(sure, needed)
