@@ -2,13 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-from itertools import pairwise, product
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,21 +13,14 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
-from segloc.config import differences
-from segloc.errors import WeightsError
-from segloc.geometry import Separation
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.matching import MatchingConfig
 from segloc.occupancy import OccupancyConfig
 from segloc.segmentation import Segmentation
-from segloc.types import Candidate, Descriptors, Float32, Float64, Int64, Pose, Segments
-from segloc.verification import Evidence, VerificationConfig, Verifier, shipped_confidence
-from segloc.verification.candidates import CandidateScores
-from segloc.verification.confidence import load_confidence
-from segloc.verification.decision import CAUTIOUSLY, confidence_needed, decide
-from segloc.verification.evidence import RankedCandidate, RefinedScore
+from segloc.types import Descriptors, Float32, Float64, Int64, Pose, Segments
+from segloc.verification import VerificationConfig, Verifier
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -86,9 +72,6 @@ def test_points_within_a_circle_between_heights(seed: int, count: int, radius: f
     some = index.sample(x, y, radius, 50, low, high)
     assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
     assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
-
-
-LACKING = {"constant": 0.0, "weights": {"flush": 1.0}}
 
 
 def reference_visibility(
@@ -162,196 +145,6 @@ def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_j
     assert seen == 0 and through > 0.5 * len(y)
 
 
-MODEL = shipped_confidence()
-
-
-def measured(flush: float | None = None, ground: float | None = None) -> Any:
-    return SimpleNamespace(ground=ground, flush=flush)
-
-
-def score(inliers: int, overlap: float, seen: float | None) -> RefinedScore:
-    judged = 0 if seen is None else 2000
-    confirmed = round(judged * (seen or 0.0))
-    return RefinedScore(
-        np.eye(4), inliers, overlap, confirmed, judged, 0.1, covariance=None, details=measured()
-    )
-
-
-def evidence(
-    inliers: int,
-    overlap: float,
-    seen: float | None,
-    ratio: float,
-    rival: tuple[float, float | None] | None = None,
-) -> Evidence:
-    rivals = () if rival is None else (score(3, *rival),)
-    return Evidence(score(inliers, overlap, seen), ratio, rivals)
-
-
-def test_confidence_rises_with_every_feature() -> None:
-    good = MODEL.probability(evidence(4, 0.6, 0.75, 1.3, (0.5, 0.6)))
-    assert 0.5 < good < 0.99
-    for worse in (
-        evidence(4, 0.4, 0.75, 1.3, (0.5, 0.6)),
-        evidence(4, 0.6, 0.5, 1.3, (0.5, 0.6)),
-        evidence(4, 0.6, 0.75, 1.1, (0.5, 0.6)),
-        evidence(4, 0.6, 0.75, 1.3, (0.6, 0.6)),
-        evidence(4, 0.6, 0.75, 1.3, (0.5, 0.75)),
-    ):
-        assert MODEL.probability(worse) < good
-    assert MODEL.probability(evidence(5, 0.4, 0.6, 1.2, (0.4, 0.6))) < 0.3
-    # However many segments agree, clouds that agree no better than elsewhere outweigh them.
-    many = MODEL.probability(evidence(500, 0.4, 0.6, 100.0, (0.4, 0.6)))
-    assert many < VerificationConfig().min_confidence
-
-
-def test_what_is_not_known_does_not_speak_for_a_pose() -> None:
-    good = MODEL.probability(evidence(4, 0.6, 0.7, 1.2, (0.2, 0.2)))
-    assert MODEL.probability(evidence(4, 0.6, 0.7, 1.2)) < good
-    # Overlap stands in for what is seen, and for walls that are not there; much in view says more.
-    unseen, same = evidence(4, 0.6, None, 1.2), evidence(4, 0.6, 0.6, 1.2)
-    assert MODEL.probability(unseen) < MODEL.probability(same)
-
-    def p(details: Any) -> float:
-        return MODEL.probability(replace(unseen, score=replace(unseen.score, details=details)))
-
-    assert p(measured(flush=0.6)) == pytest.approx(MODEL.probability(unseen))
-
-
-def test_few_judged_points_say_little_and_no_step_lies_between() -> None:
-    def p(judged: int) -> float:
-        seen = replace(score(3, 0.45, None), confirmed=0, judged=judged)
-        return MODEL.probability(Evidence(seen, 1.0, ()))
-
-    falling = [p(judged) for judged in range(0, 400, 5)]
-    assert all(a > b for a, b in pairwise(falling)) and falling[0] > 1.5 * falling[-1]
-    assert max(a - b for a, b in pairwise(falling)) < 0.1
-    assert MODEL.standalone(score(0, 0.0, None)) < 0.01
-
-
-def test_the_verdict_is_a_function_of_the_evidence() -> None:
-    config = VerificationConfig()
-    sure = evidence(15, 0.85, 0.95, 3.0, (0.3, 0.5))
-    verdict = decide(sure, None, MODEL, config)
-    assert verdict.reason is None and verdict.message == "" and not verdict.undecided
-    assert verdict.confidence == MODEL.probability(sure) and verdict.best is sure.score
-    verdict = decide(evidence(15, 0.85, 0.95, 3.0, (0.84, 0.95)), None, MODEL, config)
-    assert verdict.reason is Reason.AMBIGUOUS and not verdict.undecided
-    verdict = decide(evidence(4, 0.4, 0.6, 1.2), None, MODEL, config)
-    assert verdict.reason is Reason.TOO_UNCERTAIN and verdict.undecided
-
-
-def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
-    """Two that set out 1 m apart end on two storeys that look the same."""
-    lower, upper = (geometry.yaw_transform(0.0, (0.0, 0.0, z)) for z in (0.0, 1.0))
-    ends = {lower.tobytes(): 0.0, upper.tobytes(): 3.0}
-
-    def refined(candidate: Candidate, *_: object) -> RefinedScore:
-        T = geometry.yaw_transform(0.0, (0.0, 0.0, ends[candidate.T_map_local.tobytes()]))
-        return RefinedScore(T, 0, 0.98, 240, 246, 0.1, None, measured())
-
-    def ranked(candidates: list[Candidate], _: object) -> list[RankedCandidate]:
-        return [RankedCandidate(c, 0.9, 0.1) for c in candidates]
-
-    cloud: Any = SimpleNamespace(ranked=ranked, refined=refined)
-    config, candidates = VerificationConfig(), [Candidate(T, 0, 0.5) for T in (lower, upper)]
-    query: Any = SimpleNamespace(extent=40)
-    scores = CandidateScores(candidates, cloud, query, config, Separation(), lambda _: 0)
-    assert scores.elsewhere(lower) == []  # so neither is a rival of the other by where it starts
-    first = scores.refined(0)
-    assert scores.evidence(first, [], 3).rivals == ()
-    second = scores.refined(1)
-    found = scores.evidence(second, [first], 3)
-    assert found.rivals == (first,) == scores.evidence(second, [], 3).rivals
-    verdict = decide(found, None, MODEL, config)
-    assert verdict.reason is Reason.AMBIGUOUS
-
-
-def test_a_rival_whose_walls_are_less_flush_is_no_equal() -> None:
-    config = VerificationConfig()
-
-    def refined(flush: float, x: float) -> RefinedScore:
-        T = geometry.yaw_transform(0.0, (x, 0.0, 0.0))
-        return RefinedScore(T, 4, 0.97, 950, 1000, 0.1, None, measured(flush))
-
-    def reason(rival: float) -> Reason | None:
-        found = Evidence(refined(0.85, 0.0), 1.0, (refined(rival, 20.0),))
-        return decide(found, None, MODEL, config).reason
-
-    assert reason(0.85) is reason(0.8) is Reason.AMBIGUOUS
-    assert reason(0.4) is not Reason.AMBIGUOUS
-    less = [Evidence(refined(0.85, 0.0), 1.0, (refined(r, 20.0),)) for r in (0.8, 0.6, 0.4)]
-    rising = [MODEL.probability(each) for each in less]
-    assert rising == sorted(rising)
-
-
-def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
-    config = VerificationConfig()
-
-    def needed(inliers: int, ratio: float, judged: int = 2000) -> float:
-        found = evidence(inliers, 0.9, 0.95, ratio)
-        best = replace(found.score, confirmed=round(0.95 * judged), judged=judged)
-        return confidence_needed(replace(found, score=best, extent=40), MODEL, config)
-
-    many, few = needed(20, 3.0), needed(4, 3.0)
-    assert many == config.min_confidence < few < 1
-    assert needed(9, 1.1) == few == needed(4, 3.0, 200)  # as many elsewhere
-    # With much in view, segments of another part of a place that repeats itself agree as well.
-    repeated = needed(9, 2.0)
-    assert few < repeated < 1 and needed(19, 1.5) == repeated
-    assert needed(9, 2.0, 200) == needed(12, 3.0) == many
-
-
-def test_a_view_as_small_as_a_room_is_not_believed_unless_segments_decide() -> None:
-    """Rooms are like other rooms, whatever the clouds say."""
-    config = VerificationConfig()
-    alike = replace(evidence(4, 0.9, 0.95, 4.0, (0.8, 0.9)), extent=40)
-    assert decide(alike, None, MODEL, config).reason is None
-    verdict = decide(replace(alike, extent=12), None, MODEL, config)
-    assert verdict.reason is Reason.TOO_UNCERTAIN and "12 squares" in verdict.message
-    needed = confidence_needed(replace(alike, extent=12), MODEL, config)
-    assert "(0.99954 < 0.99996)" in verdict.message and needed > MODEL.probability(alike)
-    assert verdict.confidence == MODEL.probability(alike)
-    # Where nothing at all fits elsewhere, a narrow view of a near wall is enough.
-    unlike = replace(evidence(4, 1.0, 1.0, 4.0, (0.3, 0.3)), extent=12)
-    assert decide(unlike, None, MODEL, config).reason is None
-    assert decide(unlike, None, MODEL, config).confidence < needed
-    all_of_it = config.model_copy(update={"min_confidence": 1.0})  # no confidence is as high
-    assert decide(unlike, None, MODEL, all_of_it).reason is Reason.TOO_UNCERTAIN
-    told = replace(evidence(9, 1.0, 1.0, 3.0, (0.3, 0.3)), extent=12)
-    assert decide(told, None, MODEL, config).reason is None
-    # Whoever asks for no confidence is given any pose.
-    anything = config.model_copy(update={"min_confidence": 0.0})
-    assert decide(replace(alike, extent=12), None, MODEL, anything).reason is None
-
-
-def test_a_pose_is_doubted_that_is_likely_only_because_others_are_worse() -> None:
-    """So is the best bay of a hall for a query of another hall."""
-    config = VerificationConfig()
-
-    def found(judged: int, overlap: float, seen: float = 0.99) -> Evidence:
-        best = replace(score(1, overlap, None), confirmed=round(seen * judged), judged=judged)
-        best = replace(best, details=measured(0.76, ground=0.62))
-        poor = replace(score(0, 0.6, 0.55), details=measured(0.5))
-        return Evidence(best, 0.4, (poor,))
-
-    bay, fits = found(200, 0.74), found(200, 0.95)
-    assert MODEL.cautiously(bay) < CAUTIOUSLY < MODEL.cautiously(fits)
-    verdict = decide(bay, None, MODEL, config)
-    assert verdict.reason is Reason.TOO_UNCERTAIN and "others are but worse" in verdict.message
-    assert MODEL.probability(bay) > confidence_needed(fits, MODEL, config)
-    assert decide(fits, None, MODEL, config).reason is None
-    # How much less is seen elsewhere is what the cautious model does not count.
-    assert MODEL.cautiously(bay) == MODEL.cautiously(found(200, 0.74, 0.9))
-    assert MODEL.probability(bay) > MODEL.probability(found(200, 0.74, 0.9))
-    # Nor are poses of which few walls are flush, or unknown: wrong ones are not so likely.
-    for flush in (None, 0.5):
-        hedge = replace(bay, score=replace(bay.score, details=measured(flush, ground=0.62)))
-        assert confidence_needed(hedge, MODEL, config) == confidence_needed(fits, MODEL, config)
-    # Where much of the map is in view, more would differ at another place.
-    assert decide(found(800, 0.74), None, MODEL, config).reason is None
-
-
 def test_the_extent_is_what_stands_around_the_sensor() -> None:
     """A wall of 40 m; neither the ground counts, nor a wall that is out of range."""
     along = np.arange(-20.0, 20.0, 0.25)
@@ -368,38 +161,6 @@ def test_the_extent_is_what_stands_around_the_sensor() -> None:
     assert extent() == 0
     assert extent(wall) == extent(wall, wall) == extent(wall, wall + [0.0, 60.0, 0.0]) == 10
     assert extent(wall, wall + [0.0, 9.0, 0.0]) == 20
-
-
-def test_no_score_makes_an_impossible_confidence() -> None:
-    for inliers, overlap, seen, ratio in product(
-        (0, 3, 10**6), (0.0, 1.0), (None, 0.0, 1.0), (0.0, 1e9)
-    ):
-        for rival in (None, (0.0, None), (1.0, 1.0)):
-            assert 0 <= MODEL.probability(evidence(inliers, overlap, seen, ratio, rival)) <= 1
-
-
-def test_the_confidence_was_fitted_under_the_default_configuration() -> None:
-    assert differences(Config().model_dump(mode="json"), MODEL.settings) == []
-    whole = {"segmentation", "mapping", "matching", "pose", "occupancy", "verification"}
-    assert set(MODEL.settings) == whole and MODEL.card["command"]
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{", "damaged"),
-        ("{}", "Field required"),
-        (json.dumps({**MODEL.model_dump(mode="json"), "constant": "x"}), "constant"),
-        (json.dumps({**MODEL.model_dump(mode="json"), "weights": {"seen": 1.0}}), "weights must"),
-        (json.dumps({**MODEL.model_dump(mode="json"), "format": 1}), "format"),
-        (json.dumps({**MODEL.model_dump(mode="json"), "cautious": LACKING}), "weights must"),
-    ],
-)
-def test_a_damaged_model_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    path = tmp_path / "confidence.json"
-    path.write_text(text)
-    with pytest.raises(WeightsError, match=said):
-        load_confidence(path)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ FEATURES = (
 )
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 CAUTIOUS_FEATURES = FEATURES[:6]
-"""Those of the cautious model."""
+"""Those that the cautious model weighs."""
 
 
 class Chance(Section):
@@ -43,17 +43,28 @@ class Chance(Section):
     most_judged: int = Field(ge=1, description="more judged map points than this say no more")
 
 
-class Cautious(Section):
-    """A model that does not count how much less is seen, or is flush, at other places.
+class Logistic(Section):
+    """Features that are weighed; those that have no weight do not count.
 
-    A map that lacks a place has none that is like it: that others are worse tells little there.
+    Attributes
+    ----------
+    constant : float
+    weights : dict of str to float
+        By the names of :data:`FEATURES`.
     """
 
     constant: float
     weights: Mapping[str, float]
 
+    def weighed(self, features: Sequence[float]) -> float:
+        """The log-odds of all features, in their order."""
+        odds = self.constant
+        for name, feature in zip(FEATURES, features, strict=True):
+            odds += self.weights.get(name, 0.0) * feature
+        return odds
 
-class ConfidenceModel(Section):
+
+class ConfidenceModel(Logistic):
     """Probability that a candidate is right.
 
     The features compare a candidate with the best ones at other places of the same map: they say
@@ -62,11 +73,10 @@ class ConfidenceModel(Section):
 
     Attributes
     ----------
-    constant : float
-    weights : dict of str to float
-        By the names of :data:`FEATURES`.
-    cautious : Cautious
-        A second opinion, of :data:`CAUTIOUS_FEATURES`.
+    cautious : Logistic
+        A second opinion, of :data:`CAUTIOUS_FEATURES`: it does not count how much less is seen, or
+        is flush, at other places. A map that lacks a place has none that is like it: that others
+        are worse tells little there.
     chance : Chance
     max_inlier_evidence : float
         However many segments agree, clouds that disagree outweigh them.
@@ -79,9 +89,7 @@ class ConfidenceModel(Section):
     """
 
     format: int = Field(ge=2, le=2)
-    constant: float
-    weights: Mapping[str, float]
-    cautious: Cautious
+    cautious: Logistic
     chance: Chance
     max_inlier_evidence: float
     max_log_odds: float = Field(gt=0)
@@ -98,7 +106,7 @@ class ConfidenceModel(Section):
 
     def cautiously(self, evidence: Evidence) -> float:
         """The probability by the cautious model, in [0, 1]."""
-        return _logistic(_weighed(self.cautious, self.features(evidence)))
+        return _logistic(self.cautious.weighed(self.features(evidence)))
 
     def advantage(self, score: Score, rival: Score) -> float:
         """How much likelier a pose is than a rival, in log-odds, each compared with the other."""
@@ -109,7 +117,7 @@ class ConfidenceModel(Section):
         return self._log_odds(Evidence(score, ratio, (other,)))
 
     def _log_odds(self, evidence: Evidence) -> float:
-        return _weighed(self, self.features(evidence))
+        return self.weighed(self.features(evidence))
 
     def features(self, evidence: Evidence) -> tuple[float, ...]:
         """What the model weighs.
@@ -165,11 +173,14 @@ class ConfidenceModel(Section):
 
     def standalone(self, score: Score) -> float:
         """The confidence if nothing but chance were at any other place."""
-        return _logistic(min(self.standing(score), self.max_log_odds))
+        return self.probability(self._alone(score))
 
     def standing(self, score: Score) -> float:
         """The same in log-odds, which are not cut."""
-        return self._log_odds(Evidence(score, score.inliers / self.chance.inliers, ()))
+        return self._log_odds(self._alone(score))
+
+    def _alone(self, score: Score) -> Evidence:
+        return Evidence(score, score.inliers / self.chance.inliers, ())
 
 
 def load_confidence(path: Path) -> ConfidenceModel:
@@ -200,14 +211,6 @@ def load_confidence(path: Path) -> ConfidenceModel:
 def shipped_confidence() -> ConfidenceModel:
     """The model that comes with the package."""
     return load_confidence(Path(__file__).resolve().parent.parent / "weights" / "confidence.json")
-
-
-def _weighed(model: ConfidenceModel | Cautious, features: Sequence[float]) -> float:
-    """The log-odds of a logistic model, which may leave out the last features."""
-    odds = model.constant
-    for name, feature in zip(FEATURES, features, strict=True):
-        odds += model.weights.get(name, 0.0) * feature
-    return odds
 
 
 def _logistic(log_odds: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from ..localization import Reason, ambiguous_with
 from .confidence import ConfidenceModel
 from .config import VerificationConfig
@@ -76,13 +78,14 @@ def lacking(evidence: Evidence, model: ConfidenceModel, config: VerificationConf
 
     No pose is whose confidence, which is cut, is below the one that suffices.
     """
-    sure, needed = model.unbounded(evidence), confidence_needed(evidence, model, config)
+    demanded = demand(evidence, model)
+    sure, needed = model.unbounded(evidence), demanded.confidence(config)
     if sure >= needed:
         sure, needed = model.probability(evidence), config.min_confidence
     if sure >= needed:
         return ""
     below = Reason.TOO_UNCERTAIN.below(sure, needed)
-    return f"{below}: {compared(evidence)}{doubts(evidence, model)}"
+    return f"{below}: {compared(evidence)}{demanded.why}"
 
 
 def too_few_inliers(
@@ -93,71 +96,52 @@ def too_few_inliers(
     return Verdict(Reason.TOO_FEW_INLIERS, message, 0.0, best, None, runner_up)
 
 
-def confidence_needed(
-    evidence: Evidence, model: ConfidenceModel, config: VerificationConfig
-) -> float:
-    """What suffices, or where there is less to go by a root of it."""
-    return float(config.min_confidence ** (1.0 / root_needed(evidence, model)))
+class Demand(NamedTuple):
+    """How much confidence is needed.
+
+    Attributes
+    ----------
+    root : float
+        This root of the confidence that suffices.
+    why : str
+        The end of a sentence that says so.
+    """
+
+    root: float
+    why: str = ""
+
+    def confidence(self, config: VerificationConfig) -> float:
+        """What is needed, in [0, 1]."""
+        return float(config.min_confidence ** (1.0 / self.root))
 
 
-def root_needed(evidence: Evidence, model: ConfidenceModel) -> float:
+def demand(evidence: Evidence, model: ConfidenceModel) -> Demand:
     """More where segments decide little, or may do so for a part of the map that is like another;
     most where no more is in view than a room."""
-    if is_confined(evidence):
-        return CONFINED_ROOT
-    if is_doubted(evidence, model):
-        return DOUBTED_ROOT
-    if decide_little(evidence):
-        return UNDECIDED_ROOT
-    return REPEATED_ROOT if may_be_repeated(evidence, model) else 1.0
+    much = evidence.score.judged >= model.chance.most_judged
+    if not decide_little(evidence):
+        if much and evidence.inlier_evidence < REPEATED_EVIDENCE:
+            # Where a map ends within a place that repeats itself, they agree on another part of it.
+            why = "; of so much in view, few more segments agree than at other places"
+            return Demand(REPEATED_ROOT, why)
+        return Demand(1.0)
+    if evidence.extent is not None and evidence.extent < CONFINED:
+        squares = f"{evidence.extent} squares of {SQUARE_M:g} m"
+        return Demand(CONFINED_ROOT, f"; what is in view covers {squares}, as a room does")
+    # Bays of a hall are like those of another hall: in its map the best pose is likely only because
+    # others are worse. Where much of the map is in view, there is enough that would differ.
+    if not much and (evidence.score.flush or 0.0) >= MOSTLY_FLUSH:
+        p = model.cautiously(evidence)
+        if p < CAUTIOUSLY:
+            why = f"; by what fits there it is {p:.2f}, others are but worse"
+            return Demand(DOUBTED_ROOT, why)
+    return Demand(UNDECIDED_ROOT)
 
 
 def decide_little(evidence: Evidence) -> bool:
     """Whether few segments agree, or nearly as many elsewhere."""
     few = evidence.score.inliers < FEW_INLIERS
     return few or evidence.inlier_evidence < DECISIVE_INLIERS
-
-
-def is_confined(evidence: Evidence) -> bool:
-    """Whether segments decide little, and what is in view may be one room."""
-    little = evidence.extent is not None and evidence.extent < CONFINED
-    return little and decide_little(evidence)
-
-
-def is_doubted(evidence: Evidence, model: ConfidenceModel) -> bool:
-    """Whether segments decide little, and a pose is likely only because others are worse.
-
-    So is the best pose in a map of another place of the same kind: bays of a hall are like those of
-    another hall. Where much of the map is in view, there is enough to be seen that would differ.
-    """
-    if not decide_little(evidence) or sees_much(evidence, model):
-        return False
-    flush = evidence.score.flush
-    built = flush is not None and flush >= MOSTLY_FLUSH
-    return built and model.cautiously(evidence) < CAUTIOUSLY
-
-
-def may_be_repeated(evidence: Evidence, model: ConfidenceModel) -> bool:
-    """Whether much is in view, and yet segments hardly tell this place from the best other one.
-
-    Where the map ends within a place that repeats itself, they agree on another part of it.
-    """
-    return sees_much(evidence, model) and evidence.inlier_evidence < REPEATED_EVIDENCE
-
-
-def sees_much(evidence: Evidence, model: ConfidenceModel) -> bool:
-    """Whether as many points of the map are in view as say anything."""
-    return evidence.score.judged >= model.chance.most_judged
-
-
-def doubts(evidence: Evidence, model: ConfidenceModel) -> str:
-    """Why more confidence is needed than where segments decide."""
-    if is_confined(evidence):
-        squares = f"{evidence.extent} squares of {SQUARE_M:g} m"
-        return f"; what is in view covers {squares}, as a room does"
-    if is_doubted(evidence, model):
-        return f"; by what fits there it is {model.cautiously(evidence):.2f}, others are but worse"
-    return ""
 
 
 def compared(evidence: Evidence) -> str:

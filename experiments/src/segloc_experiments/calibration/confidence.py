@@ -45,7 +45,7 @@ from segloc.simulation import (
 from segloc.stage_times import StageTimes
 from segloc.types import Pose
 from segloc.verification import Evidence, VerificationConfig, shipped_confidence
-from segloc.verification.decision import equal_rival, root_needed
+from segloc.verification.decision import demand, equal_rival
 
 from ..padding import padded
 from ..script import parser
@@ -192,7 +192,7 @@ def _row(evidence: Evidence, query: Query, truth: Pose | None) -> Row:
         right = bool(np.linalg.norm(delta[:3, 3]) < RIGHT_M)
     model = shipped_confidence()
     equal = equal_rival(evidence, model, VerificationConfig()) is not None
-    return (*model.features(evidence), root_needed(evidence, model), float(equal), float(right))
+    return (*model.features(evidence), demand(evidence, model).root, float(equal), float(right))
 
 
 class Calibration:

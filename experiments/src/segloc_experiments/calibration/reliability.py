@@ -12,7 +12,7 @@ from scipy.special import expit
 from segloc.pictures import GREEN, PATH, RED
 from segloc.verification import VerificationConfig, shipped_confidence
 from segloc.verification.confidence import CAUTIOUS_FEATURES, FEATURES
-from segloc.verification.decision import CAUTIOUSLY
+from segloc.verification.decision import CAUTIOUSLY, REPEATED_ROOT
 
 COLUMNS = (*FEATURES, "root")
 ROOT, EQUAL, RIGHT, WORLD = range(len(FEATURES), len(FEATURES) + 4)
@@ -43,9 +43,16 @@ def fit(rows: np.ndarray) -> np.ndarray:
 def fit_cautious(rows: np.ndarray) -> np.ndarray:
     """The same of the cautious model: other features than its own have no weight, and it is fitted
     to what it judges, candidates that segments say little of."""
-    doubtful = rows[(rows[:, ROOT] > 1) & (rows[:, EQUAL] == 0)]
+    doubtful = rows[_undecided(rows)]
     doubtful[:, len(CAUTIOUS_FEATURES) : ROOT] = 0.0
     return fit(doubtful)
+
+
+def _undecided(rows: np.ndarray) -> np.ndarray:
+    """Which candidates have no equal, and segments say little of."""
+    decided = np.isin(rows[:, ROOT], (1.0, REPEATED_ROOT))
+    undecided: np.ndarray = ~decided & (rows[:, EQUAL] == 0)
+    return undecided
 
 
 def _features(rows: np.ndarray) -> np.ndarray:
@@ -99,7 +106,7 @@ def report_cautious(rows: np.ndarray) -> None:
     """The cautious model, and what it says of candidates that the shipped one takes for likely."""
     weights, shipped = fit_cautious(rows), probability(rows, _shipped())
     print(f"cautious model: weights {np.round(weights[: len(CAUTIOUS_FEATURES) + 1], 2)}")
-    likely = (rows[:, ROOT] > 1) & (rows[:, EQUAL] == 0) & (shipped >= LIKELY)
+    likely = _undecided(rows) & (shipped >= LIKELY)
     for name, chosen in (("right", rows[:, RIGHT] > 0), ("wrong", rows[:, RIGHT] == 0)):
         q = probability(rows[likely & chosen], weights)
         print(f"  {name} and likely: {len(q)}, of these cautiously: {(q >= CAUTIOUSLY).sum()}")
