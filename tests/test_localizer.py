@@ -346,6 +346,17 @@ def test_where_segments_say_little_all_that_was_tried_is_judged_at_once(
     assert all(c.inliers == agree(c.T_map_local) for c in judged[0])
 
 
+def test_segments_of_a_place_that_repeats_itself_are_not_believed_alone() -> None:
+    """Twelve that agree say little where eight do at another place."""
+
+    def thin(inliers: int, ratio: float) -> bool:
+        found = Evidence(Score(np.eye(4), inliers, 0.9, 900, 1000, 0.1), ratio, ())
+        return Verdict(None, "", 0.99, found.score, found).is_thin
+
+    assert thin(12, 12 / 8) and thin(4, 2.0)
+    assert not thin(12, 12 / 4) and not thin(30, 30 / 20)
+
+
 def test_of_two_attempts_the_decisive_one_counts() -> None:
     def search(verdict: Verdict, *inliers: int) -> Search:
         nothing = np.empty(0, np.int64)

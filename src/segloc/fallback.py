@@ -122,7 +122,8 @@ class Fallback:
                 for c in (*proposed, *tried.candidates)
             ]
         if tried.verdict.is_judged and (best := tried.verdict.best) is not None:
-            candidates.append(Candidate(best.T_map_local, best.inliers, fit=best.overlap))
+            fit = None if tried.verdict.is_decided else best.overlap  # what segments say counts
+            candidates.append(Candidate(best.T_map_local, best.inliers, fit=fit))
         with times("verification"):
             verdict = self._verifier.verify(cloud, candidates, inliers, allowed(near))
         return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)

@@ -115,13 +115,15 @@ class Localizer:
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
+        path = prior_map.trajectory[:, :3, 3]
         self.verifier = Verifier(
             prior_map.cloud,
             prior_map.origin,
             config.verification,
             separation=config.pose.separation,
             threads=threads,
-            storeyed=is_storeyed(prior_map.trajectory[:, :3, 3] - prior_map.origin),
+            storeyed=is_storeyed(path - prior_map.origin),
+            path=path,
         )
         self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
         self._tile_search = None if self.tiles is None else self.tiles.search(self)

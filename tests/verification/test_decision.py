@@ -116,7 +116,7 @@ def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
     def ranked(candidates: list[Candidate], _: object) -> list[RankedCandidate]:
         return [RankedCandidate(c, 0.9, 0.1) for c in candidates]
 
-    cloud: Any = SimpleNamespace(ranked=ranked, refined=refined)
+    cloud: Any = SimpleNamespace(ranked=ranked, refined=refined, off_path=lambda _: 0.0)
     config, candidates = VerificationConfig(), [Candidate(T, 0, 0.5) for T in (lower, upper)]
     query: Any = SimpleNamespace(extent=40)
     scores = CandidateScores(candidates, cloud, query, config, Separation(), lambda _: 0)
@@ -151,18 +151,19 @@ def test_a_rival_whose_walls_are_less_flush_is_no_equal() -> None:
 def test_more_confidence_is_needed_where_there_is_less_to_go_by() -> None:
     config = VerificationConfig()
 
-    def needed(inliers: int, ratio: float, judged: int = 2000) -> float:
+    def needed(inliers: int, ratio: float, judged: int = 2000, flush: float = 0.5) -> float:
         found = evidence(inliers, 0.9, 0.95, ratio)
         best = replace(found.score, confirmed=round(0.95 * judged), judged=judged)
+        best = replace(best, details=measured(flush))
         return demand(replace(found, score=best, extent=40), MODEL).confidence(config)
 
     many, few = needed(20, 3.0), needed(4, 3.0)
     assert many == config.min_confidence < few < 1
     assert needed(9, 1.1) == few == needed(4, 3.0, 200)  # as many elsewhere
-    # With much in view, segments of another part of a place that repeats itself agree as well.
+    # Segments of another part of a place that repeats itself agree as well.
     repeated = needed(9, 2.0)
-    assert few < repeated < 1 and needed(19, 1.5) == repeated
-    assert needed(9, 2.0, 200) == needed(12, 3.0) == many
+    assert few < repeated < 1 and needed(19, 1.5) == repeated == needed(9, 2.0, 200, flush=0.7)
+    assert needed(9, 2.0, 200) == needed(12, 3.0) == many  # little in view, and no walls
 
 
 def test_a_view_as_small_as_a_room_is_not_believed_unless_segments_decide() -> None:
@@ -213,6 +214,22 @@ def test_a_pose_is_doubted_that_is_likely_only_because_others_are_worse() -> Non
         assert demand(hedge, MODEL).confidence(config) == demand(fits, MODEL).confidence(config)
     # Where much of the map is in view, more would differ at another place.
     assert decide(found(800, 0.74), None, MODEL, config).reason is None
+
+
+def test_a_pose_far_from_the_path_of_the_map_is_doubted() -> None:
+    """What is there was mapped from one side: the far end of a hall is like that of another."""
+
+    def found(off_path: float | None, flush: float = 0.8, inliers: int = 1) -> Evidence:
+        best = replace(score(inliers, 0.9, 0.98), details=measured(flush, ground=0.9))
+        rival = replace(score(0, 0.75, 0.9), details=measured(0.65, ground=0.9))
+        return Evidence(best, 3.0, (rival,), extent=80, off_path=off_path)
+
+    verdict = decide(found(32.0), None, MODEL, VerificationConfig())
+    assert verdict.reason is Reason.TOO_UNCERTAIN
+    assert verdict.message.endswith("it is 32 m from the path of the map")
+    for near in (found(10.0), found(None), found(32.0, flush=0.5), found(32.0, inliers=15)):
+        assert not demand(near, MODEL).why
+    assert decide(found(10.0), None, MODEL, VerificationConfig()).reason is None
 
 
 def test_no_score_makes_an_impossible_confidence() -> None:

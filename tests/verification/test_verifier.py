@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
+from segloc.geometry import Separation
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
@@ -21,6 +22,7 @@ from segloc.occupancy import OccupancyConfig
 from segloc.segmentation import Segmentation
 from segloc.types import Descriptors, Float32, Float64, Int64, Pose, Segments
 from segloc.verification import VerificationConfig, Verifier
+from segloc.verification.overlap_check import MapCloud
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -161,6 +163,19 @@ def test_the_extent_is_what_stands_around_the_sensor() -> None:
     assert extent() == 0
     assert extent(wall) == extent(wall, wall) == extent(wall, wall + [0.0, 60.0, 0.0]) == 10
     assert extent(wall, wall + [0.0, 9.0, 0.0]) == 20
+
+
+def test_how_far_a_pose_is_from_the_path_is_measured_from_above() -> None:
+    def off_path(path: Float64) -> float | None:
+        origin = np.array([1000.0, 0.0, 0.0])
+        cloud = MapCloud(
+            np.zeros((1, 3), np.float32), origin, VerificationConfig(), Separation(), 1, False, path
+        )
+        return cloud.off_path(geometry.yaw_transform(1.0, (1003.0, 24.0, 50.0)))
+
+    along = np.array([[1000.0, 0.0, 1.0], [1000.0, 20.0, 1.0], [1010.0, 0.0, 1.0]])
+    assert off_path(along) == pytest.approx(5.0)
+    assert off_path(np.empty((0, 3))) is None
 
 
 @pytest.mark.parametrize(

@@ -150,4 +150,7 @@ class CandidateScores:
         others = [c.inliers for c in self.ranked if apart(c.T_map_local, score.T_map_local)]
         most = max([*others, *(rival.inliers for rival in rivals), chance_inliers])
         found = Evidence(score, score.inliers / most, tuple(rivals))
-        return found if found.is_settled else replace(found, extent=self._query.extent)
+        if found.is_settled:
+            return found
+        off_path = self._map.off_path(score.T_map_local)
+        return replace(found, extent=self._query.extent, off_path=off_path)

@@ -9,6 +9,7 @@ from .confidence import ConfidenceModel
 from .config import VerificationConfig
 from .evidence import (
     DECISIVE_INLIERS,
+    REPEATED_EVIDENCE,
     SQUARE_M,
     Evidence,
     RankedCandidate,
@@ -31,17 +32,17 @@ GROUND_FITS = 0.4
 least half of it is. Set by hand."""
 FEW_INLIERS = 5
 """Fewer than these say little. Set by hand."""
-CONFINED = 20
-"""What stands on fewer squares may be one room, and rooms are like others. Chosen on 14
+CONFINED = 21
+"""What stands on fewer squares may be one room, and rooms are like others. Chosen on 22
 simulated floors of offices that the calibration does not have."""
+FAR_OFF_PATH_M = 15.0
+"""What lies farther from the path of the map is mapped from one side, and thinly. Chosen on 16
+simulated halls and floors that the calibration does not have, with KITTI 00 in view."""
 CAUTIOUSLY, MOSTLY_FLUSH = 0.97, 0.6
 """Where segments decide little and not much is in view, a pose is doubted that is less likely than
 the first by the cautious model, if at least the second of its walls is flush: all wrong poses that
 look likely have such walls, while hedges and facades further off have not. Chosen on 52 simulated
 worlds that the calibration does not have; the second also with KITTI 00 in view."""
-REPEATED_EVIDENCE = 10.0
-"""Inliers that say less than this against those of the best different place may agree on another
-part of a place that repeats itself. Chosen on the same worlds."""
 UNDECIDED_ROOT, REPEATED_ROOT, DOUBTED_ROOT, CONFINED_ROOT = 11.0, 33.0, 250.0, 5000.0
 """The confidence that is needed where segments decide little; where they decide, but may do so for
 another part of a place that repeats itself; where the pose is doubted; and where the view is
@@ -118,24 +119,52 @@ class Demand(NamedTuple):
 def demand(evidence: Evidence, model: ConfidenceModel) -> Demand:
     """More where segments decide little, or may do so for a part of the map that is like another;
     most where no more is in view than a room."""
-    much = evidence.score.judged >= model.chance.most_judged
     if not decide_little(evidence):
-        if much and evidence.inlier_evidence < REPEATED_EVIDENCE:
-            # Where a map ends within a place that repeats itself, they agree on another part of it.
-            why = "; of so much in view, few more segments agree than at other places"
-            return Demand(REPEATED_ROOT, why)
+        if may_be_repeated(evidence, model):
+            return Demand(REPEATED_ROOT, "; hardly more segments agree than elsewhere")
         return Demand(1.0)
     if evidence.extent is not None and evidence.extent < CONFINED:
         squares = f"{evidence.extent} squares of {SQUARE_M:g} m"
         return Demand(CONFINED_ROOT, f"; what is in view covers {squares}, as a room does")
-    # Bays of a hall are like those of another hall: in its map the best pose is likely only because
-    # others are worse. Where much of the map is in view, there is enough that would differ.
-    if not much and (evidence.score.flush or 0.0) >= MOSTLY_FLUSH:
+    if is_built(evidence) and (why := doubt(evidence, model)):
+        return Demand(DOUBTED_ROOT, why)
+    return Demand(UNDECIDED_ROOT)
+
+
+def doubt(evidence: Evidence, model: ConfidenceModel) -> str:
+    """Why a pose is doubted at which walls are flush, as the end of a sentence; "" if it is not.
+
+    Bays of a hall are like those of another hall: in its map the best pose is likely only because
+    others are worse. Where much of the map is in view, there is enough that would differ, unless it
+    was mapped from far off.
+    """
+    if (off := evidence.off_path) is not None and off > FAR_OFF_PATH_M:
+        return f"; it is {off:.0f} m from the path of the map"
+    if not sees_much(evidence, model):
         p = model.cautiously(evidence)
         if p < CAUTIOUSLY:
-            why = f"; by what fits there it is {p:.2f}, others are but worse"
-            return Demand(DOUBTED_ROOT, why)
-    return Demand(UNDECIDED_ROOT)
+            return f"; by what fits there it is {p:.2f}, others are but worse"
+    return ""
+
+
+def may_be_repeated(evidence: Evidence, model: ConfidenceModel) -> bool:
+    """Whether the segments may agree on another part of a place that repeats itself.
+
+    They do where the map ends within it.
+    """
+    if evidence.inlier_evidence >= REPEATED_EVIDENCE:
+        return False
+    return sees_much(evidence, model) or is_built(evidence)
+
+
+def sees_much(evidence: Evidence, model: ConfidenceModel) -> bool:
+    """Whether as many points of the map are in view as say anything."""
+    return evidence.score.judged >= model.chance.most_judged
+
+
+def is_built(evidence: Evidence) -> bool:
+    """Whether most of the walls are flush, as people build them."""
+    return (evidence.score.flush or 0.0) >= MOSTLY_FLUSH
 
 
 def decide_little(evidence: Evidence) -> bool:

@@ -22,6 +22,9 @@ beyond all wrong poses of the calibration."""
 DECISIVE_INLIERS = 3.0
 """Inliers that say less than this against those of the best different place may be chance: six
 against four are about as much. Set by hand."""
+REPEATED_EVIDENCE = 10.0
+"""Inliers that say less than this may agree on another part of a place that repeats itself. Chosen
+on 52 simulated worlds that the calibration does not have."""
 
 SQUARE_M = 4.0
 """How much is in view is counted in squares of this, seen from above."""
@@ -191,12 +194,16 @@ class Evidence:
     extent : int or None
         On how many squares of :data:`SQUARE_M` something stands, as far as the query sees; None
         where segments settle it.
+    off_path : float or None
+        How far the pose is from the path of the map, seen from above, metres; None where segments
+        settle it, or the map has no path.
     """
 
     score: Score
     inlier_ratio: float
     rivals: tuple[Score, ...]
     extent: int | None = None
+    off_path: float | None = None
 
     @property
     def inlier_evidence(self) -> float:
@@ -255,14 +262,22 @@ class Verdict:
         return self.reason is not None and self.reason is not Reason.AMBIGUOUS
 
     @property
-    def is_thin(self) -> bool:
-        """Whether the segments say little for or against any pose, so that the clouds must.
+    def is_decided(self) -> bool:
+        """Whether segments decide for a pose that is believed, if only against what they found."""
+        if self.reason is not None or self.evidence is None:
+            return False
+        return self.evidence.inlier_evidence >= DECISIVE_INLIERS
 
-        Where they speak for two, they do: neither need be the right one.
+    @property
+    def is_thin(self) -> bool:
+        """Whether the segments say too little for or against any pose, so that the clouds must.
+
+        Where they speak for two, they do: neither need be the right one. So they do where one may
+        be another part of a place that repeats itself.
         """
         if self.reason is not None or self.evidence is None:
             return True
-        return self.evidence.inlier_evidence < DECISIVE_INLIERS
+        return self.evidence.inlier_evidence < REPEATED_EVIDENCE
 
     @property
     def rank(self) -> tuple[bool, float, int]:

@@ -103,6 +103,8 @@ class MapCloud:
         0: all cores. No result depends on it.
     storeyed : bool
         Whether the map has several storeys.
+    path : (M, 3) float64
+        Where the sensor was when the map was made, in map coordinates.
 
     Attributes
     ----------
@@ -118,9 +120,10 @@ class MapCloud:
         separation: Separation,
         threads: int,
         storeyed: bool,
+        path: Float64,
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
-        self.storeyed = storeyed
+        self.storeyed, self._path = storeyed, path[:, :2]
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
@@ -170,6 +173,12 @@ class MapCloud:
         config, T = self._config, self._relative(ranked.T_map_local)
         seen = self._judged(query, T, config.coarse_radius, config.coarse_visibility_sample)
         return CoarseScore(ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse)
+
+    def off_path(self, T_map_local: Pose) -> float | None:
+        """How far a pose is from the path of the map, seen from above, metres; None without one."""
+        if not len(self._path):
+            return None
+        return float(np.hypot(*(self._path - T_map_local[:2, 3]).T).min())
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..geometry import Separation
 from ..localization import Reason
 from ..segmentation import Segmentation
@@ -57,6 +59,8 @@ class Verifier:
         0: all cores. No verdict depends on it.
     storeyed : bool
         Whether the map has several storeys.
+    path : (M, 3) float64, optional
+        Where the sensor was when the map was made, in map coordinates.
     """
 
     def __init__(
@@ -69,11 +73,13 @@ class Verifier:
         model: ConfidenceModel | None = None,
         threads: int = 0,
         storeyed: bool = False,
+        path: Float64 | None = None,
     ) -> None:
         self.config = config or VerificationConfig()
         self.model = model or shipped_confidence()
         self._separation = separation or Separation()
-        self._map = MapCloud(cloud, origin, self.config, self._separation, threads, storeyed)
+        path = np.empty((0, 3)) if path is None else path
+        self._map = MapCloud(cloud, origin, self.config, self._separation, threads, storeyed, path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query's cloud, made ready to be compared with the map any number of times."""
