@@ -3,6 +3,7 @@
 
 #include "bindings/bindings.h"
 #include "verification/correlation.h"
+#include "verification/intrusion.h"
 #include "verification/point_index.h"
 #include "verification/visibility.h"
 
@@ -53,6 +54,26 @@ auto correlate_(const PointIndex& index, const In2<float>& points, const In2<dou
   const std::size_t width = found.width;
   return std::make_tuple(to_numpy(std::move(found.counts), {headings.size(), width, width}),
                          to_numpy(std::move(found.used)));
+}
+
+auto intrusion_(const PointIndex& index, const In2<float>& points,
+                const In2<double>& T_map_local, const In2<double>& viewpoints, double range,
+                double bin_deg, double radius, double margin, double half_width) {
+  require_points(points);
+  require_transform(T_map_local, "T_map_local");
+  require(viewpoints.shape(1) == 3, "viewpoints must have shape (V, 3)");
+  require_between(range, kShortest, 1000.0, "range");
+  require_between(bin_deg, 0.1, 10.0, "bin_deg");
+  require_between(radius, kShortest, index.radius(), "radius");
+  require_between(margin, 0.0, kLongest, "margin");
+  require_between(half_width, 0.0, 1.0, "half_width");
+  nb::gil_scoped_release release;
+  require_usable(points.data(), points.size(), "points");
+  require_usable(viewpoints.data(), viewpoints.size(), "viewpoints");
+  const Intrusion found =
+      intrusion(index, points.data(), points.shape(0), T_map_local.data(), viewpoints.data(),
+                viewpoints.shape(0), {range, bin_deg, radius, margin, half_width});
+  return std::make_tuple(found.used, found.intruding);
 }
 
 auto count_visible(const VisibilityCheck& check, const In2<float>& map,
@@ -107,6 +128,9 @@ void bind_verification(nb::module_& m) {
       .def("correlate", &correlate_, nb::arg("points").noconvert(),
            nb::arg("T_map_local").noconvert(), nb::arg("headings"), nb::arg("cell"),
            nb::arg("half_width"), nb::arg("range"))
+      .def("intrusion", &intrusion_, nb::arg("points").noconvert(),
+           nb::arg("T_map_local").noconvert(), nb::arg("viewpoints").noconvert(), nb::arg("range"),
+           nb::arg("bin_deg"), nb::arg("radius"), nb::arg("margin"), nb::arg("half_width"))
       .def(
           "sample",
           [](const PointIndex& index, double x, double y, double radius, std::size_t count,

@@ -3,6 +3,7 @@
 
 #include "tests/check.h"
 #include "verification/correlation.h"
+#include "verification/intrusion.h"
 #include "verification/point_index.h"
 #include "verification/visibility.h"
 
@@ -38,6 +39,24 @@ void visibility() {
   }
 }
 
+void intruding() {
+  const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+  const double views[6] = {0, 0, 0, 3, -2, 1};
+  for (const std::size_t n : kSizes) {
+    const auto points = random_floats(3 * n, -20.0f, 20.0f, 4);
+    const PointIndex index(points.data(), n, 0.5);
+    const Intrusion own = intrusion(index, points.data(), n, identity, views, 2, {});
+    CHECK(own.intruding == 0 && own.used <= n);
+    const double away[16] = {1, 0, 0, 1e9, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+    CHECK(intrusion(index, points.data(), n, away, views, 2, {}).intruding == 0);
+    const auto others = random_floats(3 * n, -5.0f, 5.0f, 5);
+    const Intrusion found = intrusion(index, others.data(), n, identity, views, 2, {});
+    CHECK(found.used == n);
+    CHECK(found.intruding >= intrusion(index, others.data(), n, identity, views, 1, {}).intruding);
+    CHECK(intrusion(index, others.data(), n, identity, views, 0, {}).intruding == 0);
+  }
+}
+
 void correlation() {
   const double here[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
   const double shifted[16] = {1, 0, 0, 2, 0, 1, 0, -1, 0, 0, 1, 0, 0, 0, 0, 1};
@@ -68,5 +87,6 @@ void correlation() {
 void verification_tests() {
   segloc::point_index();
   segloc::visibility();
+  segloc::intruding();
   segloc::correlation();
 }

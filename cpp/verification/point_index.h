@@ -47,6 +47,10 @@ class PointIndex {
     each(parts(column), column, 1, [&](std::uint32_t i) { visit(grid_[i]); });
   }
 
+  // Whether any point is within a radius, no larger than that of the index.
+  bool is_near(const PointGrid::Point& p, double radius) const {
+    return grid_.is_near(p, static_cast<float>(radius * radius));
+  }
   // Whether there are any points around, at any height.
   bool is_mapped(float x, float y) const { return height_.is_mapped(x, y); }
 

@@ -13,6 +13,8 @@ constexpr float kFar = std::numeric_limits<float>::infinity();
 constexpr double kBeyond = 1.01;     // radii that a point may lie beyond the range and be near
 constexpr double kGroundCell = 3.0;  // metres
 constexpr float kAbove = 0.5f;       // map points lower above the ground are not judged, metres
+constexpr double kNearest = 0.05;    // points nearer than this are no wider, metres
+constexpr double kSteepest = 0.1;    // nor are those that are steeper: the cosine of the elevation
 constexpr double kSlant = 0.05;      // surfaces met at a slant spread over a pixel by their range
 
 double range_squared(const float* p) {
@@ -62,6 +64,21 @@ RangeImage::RangeImage(double bin_deg)
 void RangeImage::add(const float* point) {
   float& pixel = nearest_[at(point)];
   pixel = std::min(pixel, static_cast<float>(std::sqrt(range_squared(point))));
+}
+
+void RangeImage::add(const float* point, double half_width) {
+  const double range = std::max(std::sqrt(range_squared(point)), kNearest);
+  const int up = static_cast<int>(half_width / range * kDegrees / bin_ + 0.5);
+  const double level = std::max(std::hypot(point[0], point[1]) / range, kSteepest);
+  const int aside = std::min(static_cast<int>(std::ceil(up / level)), columns_ / 2);
+  const std::size_t pixel = at(point);
+  const int column = static_cast<int>(pixel) / rows_, row = static_cast<int>(pixel) % rows_;
+  for (int dc = -aside; dc <= aside; ++dc) {
+    float* of = &nearest_[static_cast<std::size_t>((column + dc + columns_) % columns_) * rows_];
+    for (int r = std::max(row - up, 0); r <= std::min(row + up, rows_ - 1); ++r) {
+      of[r] = std::min(of[r], static_cast<float>(range));
+    }
+  }
 }
 
 RangeImage RangeImage::eroded() const {

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "segmentation/point_grid.h"
@@ -15,10 +16,15 @@ class RangeImage {
  public:
   explicit RangeImage(double bin_deg);
   void add(const float* point);
+  // A point that stands for all within `half_width` metres of it.
+  void add(const float* point, double half_width);
   // The least of each pixel and the eight about it.
   RangeImage eroded() const;
   std::size_t at(const float* point) const;
   float operator[](std::size_t pixel) const { return nearest_[pixel]; }
+  bool is_measured(std::size_t pixel) const {
+    return nearest_[pixel] < std::numeric_limits<float>::infinity();
+  }
 
  private:
   int bin_of(double y, double x, double first_deg) const;

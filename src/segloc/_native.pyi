@@ -146,6 +146,17 @@ class PointIndex:
         half_width: float,
         range: float,
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]: ...
+    def intrusion(
+        self,
+        points: NDArray[np.float32],
+        T_map_local: NDArray[np.float64],
+        viewpoints: NDArray[np.float64],
+        range: float,
+        bin_deg: float,
+        radius: float,
+        margin: float,
+        half_width: float,
+    ) -> tuple[int, int]: ...
     def sample(
         self,
         x: float,

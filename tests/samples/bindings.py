@@ -153,6 +153,9 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     correlate = {"points": points, "T_map_local": eye, "headings": [0.0, 1.0]}
     correlate |= {"cell": 0.5, "half_width": 3.0, "range": 20.0}
     yield "PointIndex.correlate", Call(index.correlate, correlate)
+    intrusion = {"points": points, "T_map_local": eye, "viewpoints": np.zeros((2, 3))}
+    intrusion |= {"range": 20.0, "bin_deg": 2.0, "radius": 0.5, "margin": 0.7, "half_width": 0.2}
+    yield "PointIndex.intrusion", Call(index.intrusion, intrusion)
     view = {"structure": points, "ground": points, "range": 30.0, "bin_deg": 1.0, "radius": 0.5}
     yield "VisibilityCheck", Call(_native.VisibilityCheck, view)
     count = {"points": points, "T_local_map": eye, "radius": 0.5, "margin": 1.0}
@@ -313,6 +316,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
     _poses: ("consensus", "pose_votes", "prosac", "consistent_sets"),
     _clouds: (
         *("PointIndex", "PointIndex.overlap", "PointIndex.sample", "PointIndex.correlate"),
+        "PointIndex.intrusion",
         *("VisibilityCheck", "VisibilityCheck.count", "Surface", "Surface.align"),
         "Surface.offsets",
     ),

@@ -28,8 +28,10 @@ MODEL = shipped_confidence()
 LACKING = {"constant": 0.0, "weights": {"flush": 1.0}}
 
 
-def measured(flush: float | None = None, ground: float | None = None) -> Any:
-    return SimpleNamespace(ground=ground, flush=flush)
+def measured(
+    flush: float | None = None, ground: float | None = None, intruding: float = 0.0
+) -> Any:
+    return SimpleNamespace(ground=ground, flush=flush, intruding=intruding)
 
 
 def score(inliers: int, overlap: float, seen: float | None) -> RefinedScore:
@@ -227,9 +229,33 @@ def test_a_pose_far_from_the_path_of_the_map_is_doubted() -> None:
     verdict = decide(found(32.0), None, MODEL, VerificationConfig())
     assert verdict.reason is Reason.TOO_UNCERTAIN
     assert verdict.message.endswith("it is 32 m from the path of the map")
-    for near in (found(10.0), found(None), found(32.0, flush=0.5), found(32.0, inliers=15)):
+    hedges = found(20.0, flush=0.5), found(32.0, flush=0.5)
+    assert [bool(demand(each, MODEL).why) for each in hedges] == [False, True]
+    for near in (found(10.0), found(None), found(32.0, inliers=15)):
         assert not demand(near, MODEL).why
     assert decide(found(10.0), None, MODEL, VerificationConfig()).reason is None
+
+
+def test_a_pose_is_doubted_that_puts_things_where_the_map_is_free() -> None:
+    """Unless segments decide, or it is nearly certain: then things were moved."""
+    config = VerificationConfig()
+
+    def found(intruding: float, inliers: int, ratio: float, overlap: float = 0.9) -> Evidence:
+        details = measured(0.5, ground=0.8, intruding=intruding)
+        best = replace(score(inliers, overlap, 0.95), details=details)
+        rival = replace(score(0, 0.65, 0.8), details=measured(0.4, ground=0.8))
+        return Evidence(best, ratio, (rival,), extent=80)
+
+    for inliers, ratio in ((3, 0.9), (9, 1.4)):
+        free = found(0.01, inliers, ratio)
+        assert decide(free, None, MODEL, config).reason is None
+        verdict = decide(found(0.03, inliers, ratio), None, MODEL, config)
+        assert verdict.reason is Reason.TOO_UNCERTAIN
+        assert verdict.message.endswith(
+            "; 3.0% of what is seen stands where the map is known to be free"
+        )
+    assert decide(found(0.1, 20, 3.0), None, MODEL, config).reason is None
+    assert decide(found(0.1, 9, 1.4, 0.97), None, MODEL, config).reason is None
 
 
 def test_no_score_makes_an_impossible_confidence() -> None:

@@ -7,8 +7,9 @@ from typing import Protocol
 
 from .. import _native
 from ..registration import Target
-from ..types import Pose
+from ..types import Float32, Float64, Pose
 from .config import VerificationConfig
+from .intrusion import intruding_share
 from .walls import flush_share, ground_share
 
 
@@ -19,6 +20,9 @@ class Query(Protocol):
     def surface(self) -> _native.Surface: ...
     @property
     def close_surface(self) -> _native.Surface: ...
+
+    sample: Float32
+    """(N, 3), of what stands."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +35,17 @@ class ComparedMap:
         The map's cloud.
     close : Surface
         Of the same, of :func:`segloc.verification.walls.close_surface`.
+    path : (M, 3) float64
+        Where the sensor was when the map was made, in the frame of the cloud.
     """
 
     target: Target
     close: _native.Surface
+    path: Float64
 
 
 class MeasuredDetails:
-    """How walls and ground fit at a pose; each is measured once, when it is needed.
+    """How walls, ground and free space fit at a pose; each is measured once, when it is needed.
 
     Parameters
     ----------
@@ -55,6 +62,7 @@ class MeasuredDetails:
         self._map, self._query, self._T, self._config = compared, query, T, config
         self._ground: tuple[float | None] | None = None
         self._flush: tuple[float | None] | None = None
+        self._intruding: float | None = None
 
     @property
     def ground(self) -> float | None:
@@ -71,3 +79,11 @@ class MeasuredDetails:
             source, offset = self._query.close_surface, self._config.flush_offset
             self._flush = (flush_share(self._map.close, source, self._T, offset),)
         return self._flush[0]
+
+    @property
+    def intruding(self) -> float:
+        """The share of what stands that stands in free space of the map."""
+        if self._intruding is None:
+            index, sample = self._map.target.index, self._query.sample
+            self._intruding = intruding_share(index, sample, self._T, self._map.path, self._config)
+        return self._intruding

@@ -107,6 +107,12 @@ class Score:
         return None
 
     @property
+    def intruding(self) -> float:
+        """Share of what the query shows standing that stands in free space of the map, in [0, 1]; 0
+        where unknown."""
+        return 0.0
+
+    @property
     def support(self) -> float:
         """What candidates are ranked by."""
         return self.inliers * self.overlap
@@ -143,6 +149,10 @@ class Details(Protocol):
     def flush(self) -> float | None:
         """The share of wall points that are flush with the map's walls."""
 
+    @property
+    def intruding(self) -> float:
+        """The share of what stands that stands in free space of the map."""
+
 
 @dataclass(frozen=True)
 class RefinedScore(Score):
@@ -171,6 +181,10 @@ class RefinedScore(Score):
     @property
     def flush(self) -> float | None:
         return self.details.flush
+
+    @property
+    def intruding(self) -> float:
+        return self.details.intruding
 
 
 def inlier_evidence(inliers: int, ratio: float) -> float:

@@ -123,12 +123,12 @@ class MapCloud:
         path: Float64,
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
-        self.storeyed, self._path = storeyed, path[:, :2]
+        self.storeyed, self._path = storeyed, path - origin
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
         self._nearby = NearbySearch(index, config.nearby, separation)
-        self._compared = ComparedMap(self._target, close_surface(cloud))
+        self._compared = ComparedMap(self._target, close_surface(cloud), self._path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """A query cloud to compare with this one."""
@@ -178,7 +178,8 @@ class MapCloud:
         """How far a pose is from the path of the map, seen from above, metres; None without one."""
         if not len(self._path):
             return None
-        return float(np.hypot(*(self._path - T_map_local[:2, 3]).T).min())
+        at = T_map_local[:2, 3] - self._origin[:2]
+        return float(np.hypot(*(self._path[:, :2] - at).T).min())
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""
