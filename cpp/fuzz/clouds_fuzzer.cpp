@@ -10,6 +10,7 @@
 #include "segmentation/cluster.h"
 #include "segmentation/ground.h"
 #include "segmentation/voxel.h"
+#include "verification/intrusion.h"
 #include "verification/point_index.h"
 
 namespace {
@@ -56,6 +57,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     const segloc::PointIndex index(points.data(), n, length);
     const double T[16] = {0, -1, 0, 3, 1, 0, 0, -2, 0, 0, 1, 1e14, 0, 0, 0, 1};
     index.overlap(points.data(), n, T, length);
+    const double views[6] = {0, 0, 0, 3, 4, -1e14};
+    segloc::IntrusionOptions options;
+    options.radius = length;
+    segloc::intrusion(index, points.data(), n, T, views, 2, options);
     if (n > 0) require_finite(index.sample({points[0], points[1], length}, 5));
   });
   // A grid of millions of cells is allowed, and slow: only narrow clouds go on.

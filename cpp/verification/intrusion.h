@@ -21,9 +21,10 @@ struct Intrusion {
 };
 
 // Query points, (m, 3), are taken through a row-major 4 x 4 transform to the map's frame. From each
-// viewpoint, (v, 3), where the sensor was when the map was made, a range image of the map tells what
-// is free: all that is measured in a direction, and about it, lies behind. G. Kim, A. Kim ("Remove,
-// then Revert", IROS 2020) compare range images of a map and of its scans in the same way.
+// viewpoint, (v, 3), where the sensor was when the map was made, a range image of the map tells
+// what is free: all that is measured in a direction, and about it, lies behind. G. Kim, A. Kim
+// ("Remove, then Revert", IROS 2020) compare range images of a map and of its scans in the same
+// way.
 Intrusion intrusion(const PointIndex& map, const float* points, std::size_t m,
                     const double* transform, const double* viewpoints, std::size_t v,
                     const IntrusionOptions& options);
