@@ -56,9 +56,9 @@ auto correlate_(const PointIndex& index, const In2<float>& points, const In2<dou
                          to_numpy(std::move(found.used)));
 }
 
-auto intrusion_(const PointIndex& index, const In2<float>& points,
-                const In2<double>& T_map_local, const In2<double>& viewpoints, double range,
-                double bin_deg, double radius, double margin, double half_width) {
+auto intrusion_(const PointIndex& index, const In2<float>& points, const In2<double>& T_map_local,
+                const In2<double>& viewpoints, double range, double bin_deg, double radius,
+                double margin, double half_width) {
   require_points(points);
   require_transform(T_map_local, "T_map_local");
   require(viewpoints.shape(1) == 3, "viewpoints must have shape (V, 3)");
