@@ -346,15 +346,37 @@ def test_where_segments_say_little_all_that_was_tried_is_judged_at_once(
     assert all(c.inliers == agree(c.T_map_local) for c in judged[0])
 
 
-def test_segments_of_a_place_that_repeats_itself_are_not_believed_alone() -> None:
-    """Twelve that agree say little where eight do at another place."""
+@pytest.mark.parametrize(
+    ("inliers", "elsewhere", "attempts", "by_matches"),
+    [(30, 20, 1, True), (12, 4, 1, True), (12, 8, 2, True), (4, 4, 2, False)],
+)
+def test_what_segments_half_decide_is_judged_again_among_what_the_clouds_find(
+    plaza: Plaza,
+    prior_map: SegmentMap,
+    monkeypatch: pytest.MonkeyPatch,
+    inliers: int,
+    elsewhere: int,
+    attempts: int,
+    by_matches: bool,
+) -> None:
+    """Twelve may agree on the like of a place, where eight do at another; but they count."""
+    without = {"stems": StemConfig(enabled=False)}
+    localizer = Localizer(prior_map, GEO.model_copy(update=without))
+    query = localizer.describe(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))))
+    score = Score(geometry.yaw_transform(0.0, (50.0, 0.0, 0.0)), inliers, 0.9, 900, 1000, 0.1)
+    believed = Verdict(None, "", 0.99, score, Evidence(score, inliers / elsewhere, ()))
+    judged: list[list[Candidate]] = []
 
-    def thin(inliers: int, ratio: float) -> bool:
-        found = Evidence(Score(np.eye(4), inliers, 0.9, 900, 1000, 0.1), ratio, ())
-        return Verdict(None, "", 0.99, found.score, found).is_thin
+    def verify(_: QueryCloud, candidates: list[Candidate], *__: Any) -> Verdict:
+        judged.append(candidates)
+        return believed
 
-    assert thin(12, 12 / 8) and thin(4, 2.0)
-    assert not thin(12, 12 / 4) and not thin(30, 30 / 20)
+    monkeypatch.setattr(localizer.verifier, "verify", verify)
+    assert localizer.search(query).verdict is believed and len(judged) == attempts
+    assert all(c.fit is None for c in judged[0])
+    for *others, again in judged[1:]:
+        assert again.T_map_local is score.T_map_local and (again.fit is None) == by_matches
+        assert len(others) > len(judged[0]) and all(c.fit is not None for c in others)
 
 
 def test_of_two_attempts_the_decisive_one_counts() -> None:
