@@ -262,4 +262,4 @@ def test_files_that_shrink_while_they_are_read(kind: str, tmp_path: Path) -> Non
     command = [sys.executable, "-c", SHRINKING, str(path), kind, "150"]
     child = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
     assert child.returncode == 0, (child.returncode, child.stderr)
-    assert 20 < int(child.stdout) <= 150
+    assert 5 < int(child.stdout) <= 150  # how often it is met while it reads is chance
