@@ -201,7 +201,9 @@ for _ in range(2):  # what the first imports does not count
     began = time.monotonic()
     load()
     takes = time.monotonic() - began
-for trial in range(trials):
+for trial in range(4 * trials):  # how often it is met while it reads depends on the machine
+    if trial >= trials and refused > 20:
+        break
     with open(path, "wb") as file:
         file.write(whole)
     def shrink():
@@ -262,4 +264,4 @@ def test_files_that_shrink_while_they_are_read(kind: str, tmp_path: Path) -> Non
     command = [sys.executable, "-c", SHRINKING, str(path), kind, "150"]
     child = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
     assert child.returncode == 0, (child.returncode, child.stderr)
-    assert 5 < int(child.stdout) <= 150  # how often it is met while it reads is chance
+    assert 20 < int(child.stdout) <= 150
