@@ -1,6 +1,5 @@
 #include "verification/intrusion.h"
 
-#include <algorithm>
 #include <array>
 #include <cmath>
 #include <utility>
@@ -10,8 +9,6 @@
 
 namespace segloc {
 namespace {
-
-constexpr double kSlant = 0.05;  // surfaces met at a slant spread over a pixel by their range
 
 double norm(const float* p) {
   return std::sqrt(double(p[0]) * p[0] + double(p[1]) * p[1] + double(p[2]) * p[2]);
@@ -54,14 +51,11 @@ Intrusion intrusion(const PointIndex& map, const float* points, std::size_t m, c
       const auto seen = from(viewpoint, p.data());
       if (norm(seen.data()) <= options.range) image.add(seen.data(), options.half_width);
     });
-    const RangeImage nearest = image.eroded();
+    const FreeSpace free(image);
     const auto is_free = [&](const float* p) {
       const auto seen = from(viewpoint, p);
       const double range = norm(seen.data());
-      if (!(range < options.range)) return false;
-      const std::size_t pixel = image.at(seen.data());
-      return image.is_measured(pixel) &&
-             nearest[pixel] > range + std::max(options.margin, kSlant * range);
+      return range < options.range && free.holds(seen.data(), range, options.margin);
     };
     std::vector<float> rest;
     for (std::size_t i = 0; i < left.size(); i += 3) {

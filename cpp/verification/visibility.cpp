@@ -98,6 +98,11 @@ RangeImage RangeImage::eroded() const {
   return least;
 }
 
+bool FreeSpace::holds(const float* point, double range, double margin) const {
+  const std::size_t pixel = image_.at(point);
+  return image_[pixel] < kFar && least_[pixel] > range + std::max(margin, kSlant * range);
+}
+
 std::size_t RangeImage::at(const float* point) const {
   const double x = point[0], y = point[1], z = point[2];
   const int column = bin_of(y, x, 180.0) % columns_;
@@ -150,8 +155,7 @@ VisibilityCheck::VisibilityCheck(const std::vector<float>& near, const float* st
                                  double bin_deg, double radius)
     : range_(range),
       query_(near.data(), near.size() / 3, radius),
-      image_(image_of(structure, n, ground, g, bin_deg)),
-      nearest_(image_.eroded()),
+      free_(image_of(structure, n, ground, g, bin_deg)),
       floor_(ground, g, range) {}
 
 VisibilityCheck::Counts VisibilityCheck::count(const float* map, std::size_t m, const double* T,
@@ -174,10 +178,7 @@ VisibilityCheck::Counts VisibilityCheck::count(const float* map, std::size_t m, 
       ++counts.confirmed;
       continue;
     }
-    const std::size_t pixel = image_.at(moved);
-    const double range = std::sqrt(r2);
-    const double behind = range + std::max(margin, kSlant * range);
-    if (image_[pixel] < kFar && nearest_[pixel] > behind) ++counts.violations;
+    if (free_.holds(moved, std::sqrt(r2), margin)) ++counts.violations;
   }
   return counts;
 }

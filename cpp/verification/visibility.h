@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include "segmentation/point_grid.h"
@@ -22,9 +21,6 @@ class RangeImage {
   RangeImage eroded() const;
   std::size_t at(const float* point) const;
   float operator[](std::size_t pixel) const { return nearest_[pixel]; }
-  bool is_measured(std::size_t pixel) const {
-    return nearest_[pixel] < std::numeric_limits<float>::infinity();
-  }
 
  private:
   int bin_of(double y, double x, double first_deg) const;
@@ -33,6 +29,18 @@ class RangeImage {
   int columns_, rows_;
   double doubt_;  // shares of a bin by which a quick angle may be wrong
   std::vector<float> nearest_;
+};
+
+// What is free about a sensor, by its range image.
+class FreeSpace {
+ public:
+  explicit FreeSpace(const RangeImage& image) : image_(image), least_(image.eroded()) {}
+  // Whether something is measured in a point's direction, and all that is there and about it lies
+  // more than `margin` metres, and more than a share of the range, behind the point.
+  bool holds(const float* point, double range, double margin) const;
+
+ private:
+  RangeImage image_, least_;
 };
 
 // The highest ground of each cell and of the eight about it.
@@ -76,7 +84,7 @@ class VisibilityCheck {
 
   double range_;
   PointGrid query_;  // of what is near enough
-  RangeImage image_, nearest_;
+  FreeSpace free_;
   GroundCeiling floor_;
 };
 
