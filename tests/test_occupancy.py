@@ -12,29 +12,39 @@ from samples.real import real
 from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
 from segloc.batch.negative_maps import mirrored
 from segloc.datasets import open_sequence
-from segloc.occupancy import OccupancySearch
+from segloc.occupancy import OccupancyConfig, OccupancySearch
 from segloc.occupancy.storeys import storeys
+from segloc.occupancy.view import free_cells
 from segloc.types import Pose
 
-CELL, LEVELS, YAWS = 0.5, 4, 24
+CELL, LEVELS, YAWS, RANGE_M = 0.5, 4, 24, 15.0
+FEWEST_FREE = 64
 
 
-def scattered(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
+def scattered(seed: int, count: int = 2000) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     points = (rng.uniform(-25, 25, (count, 3)) * [1, 1, 0]).astype(np.float32)
-    return points, (1 << rng.integers(0, 8, count)).astype(np.uint8)
+    return points, rng.integers(1, 256, count).astype(np.uint8)
 
 
 def reference_scores(
-    points: np.ndarray, slices: np.ndarray, columns: np.ndarray, masks: np.ndarray, yaw: float
-) -> dict[tuple[int, int], int]:
-    """What each window of two by two cells reaches at a heading, by looking up every cell."""
+    points: np.ndarray,
+    slices: np.ndarray,
+    columns: np.ndarray,
+    masks: np.ndarray,
+    free: np.ndarray,
+    yaw: float,
+) -> dict[tuple[int, int], tuple[int, float]]:
+    """What each window of two by two cells holds at a heading, and that less the cost of what is
+    blocked, by looking up every cell."""
     occupied: dict[tuple[int, int], int] = {}
     for (x, y), bits in zip(np.floor(points[:, :2] / CELL).astype(int), slices, strict=True):
         occupied[x, y] = occupied.get((x, y), 0) | int(bits)
     c, s = math.cos(yaw), math.sin(yaw)
-    turned = columns.astype(np.float64) @ np.array([[c, s], [-s, c]])
-    offsets = np.floor(turned / CELL).astype(int)
+    turned = np.array([[c, s], [-s, c]])
+    offsets = np.floor(columns.astype(np.float64) @ turned / CELL).astype(int)
+    clear = np.floor(free.astype(np.float64) @ turned / CELL).astype(int)
+    most = sum(int(mask).bit_count() for mask in masks)
     scores = {}
     for x in range(-16, 16, 2):
         for y in range(-16, 16, 2):
@@ -45,40 +55,54 @@ def reference_scores(
                 for cell in window:
                     found |= occupied.get(cell, 0)
                 total += (found & int(mask)).bit_count()
-            scores[x, y] = total
+            seen = (occupied.get((x + 1 + dx, y + 1 + dy), 0) for dx, dy in clear)
+            blocked = sum((found & 0b1111).bit_count() >= 3 for found in seen)
+            scores[x, y] = total, total - 2 * most * blocked / max(len(free), FEWEST_FREE)
     return scores
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_search_finds_what_trying_every_window_finds(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "count"), [(0, 0), (1, 20), (2, 50)])
+def test_the_search_finds_what_trying_every_window_finds(seed: int, count: int) -> None:
     points, slices = scattered(seed)
     rng = np.random.default_rng(100 + seed)
     columns = rng.uniform(-9, 9, (40, 2)).astype(np.float32)
     masks = (1 << rng.integers(0, 8, 40)).astype(np.uint8)
-    roots = np.mgrid[-2:2, -2:2].reshape(2, -1).T.astype(np.int32)
-    search = _native.PoseSearch(points, slices, np.ascontiguousarray(roots), CELL, LEVELS, 15.0)
+    free = rng.uniform(-9, 9, (count, 2)).astype(np.float32)
+    clearance = np.sort(rng.integers(1, 6, count))[::-1].astype(np.uint8)
+    roots = np.ascontiguousarray(np.mgrid[-2:2, -2:2].reshape(2, -1).T.astype(np.int32))
+    search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, RANGE_M)
     poses, scores = search.search(
-        columns, masks, yaws=YAWS, leaf_level=1, width=10**6, count=5, separation=0.0,
-        separation_deg=0.0,
+        columns, masks, free, clearance, yaws=YAWS, leaf_level=1, width=10**6, count=5,
+        separation=0.0, separation_deg=0.0,
     )  # fmt: skip
     every = {
-        (x, y, k): score
+        (x, y, k): reached
         for k in range(YAWS)
-        for (x, y), score in reference_scores(
-            points, slices, columns, masks, 2 * math.pi * k / YAWS
+        for (x, y), reached in reference_scores(
+            points, slices, columns, masks, free[clearance >= 2], 2 * math.pi * k / YAWS
         ).items()
     }
-    assert scores.tolist() == sorted(every.values(), reverse=True)[:5]
+    best = sorted((net for _, net in every.values()), reverse=True)
+    np.testing.assert_allclose(scores[:3], best[:3], rtol=1e-6)
+    assert (np.diff(scores) <= 0).all()
+    found = []
     for (x, y, yaw), score in zip(poses, scores, strict=True):  # centred about the window
-        assert any(
-            each == score
+        held = [
+            held
+            for (i, j, k), (held, net) in every.items()
+            if abs(net - score) < 1e-3
             and math.hypot(CELL * (i + 0.5) - x, CELL * (j + 0.5) - y) < 1.5 * CELL
             and abs(math.remainder(2 * math.pi * k / YAWS - yaw, math.tau)) < 2.01 * math.pi / YAWS
-            for (i, j, k), each in every.items()
-        )
+        ]
+        assert held
+        found.append(max(held))
+    most = max(held for held, _ in every.values())
+    assert max(found) == most
+    if count == 50:
+        assert best[0] < most  # what holds the most is blocked
     narrow = search.search(
-        columns, masks, yaws=YAWS, leaf_level=1, width=500, count=1, separation=0.0,
-        separation_deg=0.0,
+        columns, masks, free, clearance, yaws=YAWS, leaf_level=1, width=500, count=1,
+        separation=0.0, separation_deg=0.0,
     )  # fmt: skip
     assert narrow[1][0] <= scores[0]
 
@@ -87,15 +111,35 @@ def test_the_kernel_refuses_what_it_cannot_use() -> None:
     points, slices = scattered(0)
     roots = np.zeros((1, 2), np.int32)
     with pytest.raises(ValueError, match="one value for each point"):
-        _native.PoseSearch(points, slices[:5], roots, CELL, LEVELS, 15.0)
+        _native.PoseSearch(points, slices[:5], roots, CELL, LEVELS, RANGE_M)
     with pytest.raises(ValueError, match="too far apart"):
-        _native.PoseSearch(
-            points, slices, np.array([[0, 0], [10**6, 10**6]], np.int32), CELL, LEVELS, 15.0
-        )
-    search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, 15.0)
-    with pytest.raises(ValueError, match="beyond the range"):
-        far = np.full((1, 2), 40, np.float32)
-        search.search(far, slices[:1], 8, 1, 10, 1, 1.0, 1.0)
+        apart = np.array([[0, 0], [10**6, 10**6]], np.int32)
+        _native.PoseSearch(points, slices, apart, CELL, LEVELS, RANGE_M)
+    search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, RANGE_M)
+    near, far = np.zeros((2, 2), np.float32), np.full((2, 2), 40, np.float32)
+    clearance, asked = np.array([3, 1], np.uint8), (8, 1, 10, 1, 1.0, 1.0)
+    with pytest.raises(ValueError, match="columns lie beyond the range"):
+        search.search(far, slices[:2], near, clearance, *asked)
+    with pytest.raises(ValueError, match="free places lie beyond the range"):
+        search.search(near, slices[:2], far, clearance, *asked)
+    with pytest.raises(ValueError, match="clearest free places must come first"):
+        search.search(near, slices[:2], near, clearance[::-1].copy(), *asked)
+    with pytest.raises(ValueError, match="one value for each free place"):
+        search.search(near, slices[:2], near, clearance[:1], *asked)
+
+
+def test_free_cells_are_ground_with_nothing_beside_it() -> None:
+    config = OccupancyConfig(cell=0.5, range_m=20.0)
+    across = np.arange(-60, 60) * 0.25 + 0.1
+    ground = np.stack(np.meshgrid(across, across), -1).reshape(-1, 2)
+    ground = np.column_stack([ground, np.zeros(len(ground))]).astype(np.float32)
+    standing = np.array([[0, 0], [4, 9], [-20, 7]])
+    cells, clearance = free_cells(ground, standing, config)
+    assert 0 < len(cells) <= 256 and (np.diff(clearance.astype(int)) <= 0).all()
+    gap = np.abs(cells[:, None] - standing).max(axis=2).min(axis=1)
+    np.testing.assert_array_equal(clearance, gap - 1)
+    assert clearance.min() >= 1
+    assert [len(part) for part in free_cells(ground[:0], standing, config)] == [0, 0]
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,8 @@
 // The map from above, and where a query fits it.
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
 #include "bindings/bindings.h"
 #include "occupancy/occupancy_pyramid.h"
 #include "occupancy/pose_search.h"
@@ -41,12 +45,23 @@ void construct(PoseSearch* self, const In2<float>& points, const In1<std::uint8_
                         roots.shape(0), range);
 }
 
+bool within(const In2<float>& places, double range) {
+  for (std::size_t i = 0; i < places.shape(0); ++i) {
+    if (!(std::hypot(places.data()[2 * i], places.data()[2 * i + 1]) <= range)) return false;
+  }
+  return true;
+}
+
 auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::uint8_t>& slices,
-            std::size_t yaws, int leaf_level, std::size_t width, std::size_t count,
-            double separation, double separation_deg, double x, double y, double radius) {
+            const In2<float>& free, const In1<std::uint8_t>& clearance, std::size_t yaws,
+            int leaf_level, std::size_t width, std::size_t count, double separation,
+            double separation_deg, double x, double y, double radius) {
   require(columns.shape(1) == 2, "columns must have shape (M, 2)");
   require(slices.shape(0) == columns.shape(0), "slices must have one value for each column");
   require(columns.shape(0) <= 4096, "there are more than 4096 columns");
+  require(free.shape(1) == 2, "free must have shape (F, 2)");
+  require(clearance.shape(0) == free.shape(0), "clearance must have one value for each free place");
+  require(free.shape(0) <= 4096, "there are more than 4096 free places");
   require(yaws >= 1 && yaws <= 1440, "yaws must be from 1 to 1440");
   require(leaf_level >= 0 && leaf_level < self.map().levels(), "leaf_level must be of the map's");
   require(width >= 1 && width <= 1'000'000, "width must be from 1 to 1000000");
@@ -57,17 +72,19 @@ auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::ui
   require_between(y, -kLongest, kLongest, "y");
   require(radius >= 0.0, "radius must not be negative");
   std::vector<double> poses;
-  std::vector<std::int64_t> scores;
+  std::vector<float> scores;
   {
     nb::gil_scoped_release release;
-    for (std::size_t i = 0; i < columns.shape(0); ++i) {
-      const double x = columns.data()[2 * i], y = columns.data()[2 * i + 1];
-      require(std::hypot(x, y) <= self.area().range(), "columns lie beyond the range");
-    }
+    require(within(columns, self.area().range()), "columns lie beyond the range");
+    require(within(free, self.area().range()), "free places lie beyond the range");
+    require(
+        std::is_sorted(clearance.data(), clearance.data() + clearance.shape(0), std::greater<>()),
+        "the clearest free places must come first");
     const SearchLimits limits{yaws,           leaf_level, width, count, separation,
                               separation_deg, x,          y,     radius};
-    for (const PlanarPose& p :
-         self.area().search(columns.data(), slices.data(), columns.shape(0), limits)) {
+    const PlanarView view{columns.data(), slices.data(),    columns.shape(0),
+                          free.data(),    clearance.data(), free.shape(0)};
+    for (const PlanarPose& p : self.area().search(view, limits)) {
       poses.insert(poses.end(), {p.x, p.y, p.yaw});
       scores.push_back(p.score);
     }
@@ -83,9 +100,9 @@ void bind_occupancy(nb::module_& m) {
       .def("__init__", &construct, nb::arg("points").noconvert(), nb::arg("slices").noconvert(),
            nb::arg("roots").noconvert(), nb::arg("cell"), nb::arg("levels"), nb::arg("range"))
       .def("search", &search, nb::arg("columns").noconvert(), nb::arg("slices").noconvert(),
-           nb::arg("yaws"), nb::arg("leaf_level"), nb::arg("width"), nb::arg("count"),
-           nb::arg("separation"), nb::arg("separation_deg"),
-           nb::arg("x") = 0.0, nb::arg("y") = 0.0,
+           nb::arg("free").noconvert(), nb::arg("clearance").noconvert(), nb::arg("yaws"),
+           nb::arg("leaf_level"), nb::arg("width"), nb::arg("count"), nb::arg("separation"),
+           nb::arg("separation_deg"), nb::arg("x") = 0.0, nb::arg("y") = 0.0,
            nb::arg("radius") = std::numeric_limits<double>::infinity())
       .def_prop_ro("nbytes",
                    [](const PoseSearch& self) { return self.map().bytes() + self.area().bytes(); });

@@ -5,55 +5,16 @@
 #include <tuple>
 #include <utility>
 
-#include "common/portability.h"
+#include "occupancy/bounds.h"
 
 namespace segloc {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-struct Branch {
-  std::uint32_t score;
-  std::uint32_t yaw;
-  std::int32_t x, y;  // first cell of its window
-
-  bool operator<(const Branch& other) const {  // the better one first
-    return std::tie(other.score, yaw, y, x) < std::tie(score, other.yaw, other.y, other.x);
-  }
-};
-
-// Parts are scored with some of the columns first; so many times `width` of them with all.
+// Parts are scored with some of what is seen first; so many times `width` of them with all.
 // In the end fewer: an eighth of `width`, or so many times the poses that are wanted.
-constexpr std::size_t kOneOf = 4, kOfParts = 2, kLastOf = 8, kOfPoses = 32;
-
-// The bits of each byte.
-struct BitCounts {
-  std::uint8_t of[256] = {};
-  constexpr BitCounts() {
-    for (int v = 1; v < 256; ++v) of[v] = static_cast<std::uint8_t>((v & 1) + of[v / 2]);
-  }
-};
-constexpr BitCounts kOnes;
-
-double angle(std::size_t k, const SearchLimits& limits) {
-  return 2.0 * kPi * double(k) / double(limits.yaws);
-}
-
-// What the query's columns become at each heading, in cells.
-std::vector<std::int32_t> turned(const float* columns, std::size_t m, double cell,
-                                 const SearchLimits& limits) {
-  std::vector<std::int32_t> offsets(2 * m * limits.yaws);
-  auto* next = offsets.data();
-  for (std::size_t k = 0; k < limits.yaws; ++k) {
-    const double c = std::cos(angle(k, limits)), s = std::sin(angle(k, limits));
-    for (std::size_t i = 0; i < m; ++i) {
-      const double x = columns[2 * i], y = columns[2 * i + 1];
-      *next++ = static_cast<std::int32_t>(std::floor((c * x - s * y) / cell));
-      *next++ = static_cast<std::int32_t>(std::floor((s * x + c * y) / cell));
-    }
-  }
-  return offsets;
-}
+constexpr std::size_t kOfParts = 2, kLastOf = 8, kOfPoses = 32;
 
 // Whether a window, from cell (x, y) on, has a place that is near enough.
 bool meets(const SearchLimits& limits, double cell, std::int32_t x, std::int32_t y,
@@ -64,97 +25,50 @@ bool meets(const SearchLimits& limits, double cell, std::int32_t x, std::int32_t
   return std::hypot(beyond(limits.x, x), beyond(limits.y, y)) <= limits.radius;
 }
 
-struct Window {
-  std::size_t place;  // among the scores
-  std::int32_t x, y;
-};
-
-// The best of all windows at all headings.
-std::vector<Branch> best_windows(const SearchArea& area, const std::vector<std::int32_t>& offsets,
-                                 const std::uint8_t* slices, std::size_t m,
-                                 const SearchLimits& limits) {
-  std::vector<std::vector<std::uint16_t>> scores(limits.yaws);
-  std::vector<std::size_t> histogram(8 * m + 1, 0);
-  const std::int32_t side = 1 << (area.map().levels() - 1);
-  std::vector<Window> windows;
-  area.visit([&](std::size_t i, std::int32_t x, std::int32_t y) {
-    if (meets(limits, area.map().cell(), x * side, y * side, side)) windows.push_back({i, x, y});
-  });
-  for (std::size_t k = 0; k < limits.yaws; ++k) {
-    area.score(offsets.data() + 2 * m * k, slices, m, scores[k]);
-    for (const Window& window : windows) ++histogram[scores[k][window.place]];
-  }
-  std::size_t least = 8 * m, better = 0;
-  while (least > 0 && better + histogram[least] <= limits.width) better += histogram[least--];
-  std::size_t equal = limits.width - better;
-  std::vector<Branch> branches;
-  for (std::uint32_t k = 0; k < limits.yaws; ++k) {
-    for (const Window& window : windows) {
-      const std::uint16_t s = scores[k][window.place];
-      if (s < least || (s == least && equal == 0)) continue;
-      if (s == least) --equal;
-      branches.push_back({s, k, window.x * side, window.y * side});
-    }
-  }
-  return branches;
-}
-
-// What a query's columns can reach in windows of a level.
-class Bounds {
+// The widest windows that are looked at, and their scores at each heading.
+class WidestWindows {
  public:
-  Bounds(const SearchArea& area, const float* columns, const std::vector<std::uint8_t>& slices,
-         const SearchLimits& limits)
-      : area_(area),
-        slices_(slices),
-        offsets_(turned(columns, slices.size(), area.map().cell(), limits)) {
-    if (!area.is_flat(limits.leaf_level)) return;
-    steps_.reserve(offsets_.size() / 2);
-    for (std::size_t i = 0; i < offsets_.size(); i += 2) {
-      steps_.push_back(offsets_[i] + area.wide() * offsets_[i + 1]);
-    }
-  }
-
-  const std::vector<std::int32_t>& offsets() const { return offsets_; }
-
-  // The most that a pose within a window can reach with columns from `begin` to `end`.
-  std::uint32_t one(int level, const Branch& b, std::size_t begin, std::size_t end) const {
-    std::uint32_t sum = 0;
-    if (steps_.empty()) {
-      const std::int32_t* offsets = offsets_.data() + 2 * slices_.size() * b.yaw;
-      for (std::size_t i = begin; i < end; ++i) {
-        const std::uint8_t found =
-            area_.map().at(level, b.x + offsets[2 * i], b.y + offsets[2 * i + 1]);
-        sum += kOnes.of[found & slices_[i]];
+  WidestWindows(const SearchArea& area, const Bounds& bounds, const SearchLimits& limits)
+      : side_(1 << (area.map().levels() - 1)), held_(limits.yaws), score_(limits.yaws) {
+    area.visit([&](std::size_t i, std::int32_t x, std::int32_t y) {
+      if (meets(limits, area.map().cell(), x * side_, y * side_, side_)) {
+        windows_.push_back({i, x * side_, y * side_});
       }
-      return sum;
-    }
-    const std::uint8_t* here = area_.flat(level, b.x, b.y);
-    const std::int32_t* steps = steps_.data() + slices_.size() * b.yaw;
-    for (std::size_t i = begin; i < end; ++i) sum += kOnes.of[here[steps[i]] & slices_[i]];
-    return sum;
+    });
+    for (std::size_t k = 0; k < limits.yaws; ++k) bounds.all(k, held_[k], score_[k]);
   }
 
-  // Adds the same to the scores of the four quarters of one window.
-  void four(int level, Branch* quarters, std::size_t begin, std::size_t end) const {
-    if (steps_.empty()) {
-      for (int k = 0; k < 4; ++k) quarters[k].score += one(level, quarters[k], begin, end);
-      return;
+  // The best, by what they hold alone or less the cost of free places.
+  std::vector<Branch> best(bool costly, std::size_t most, std::size_t width) const {
+    const auto& scores = costly ? score_ : held_;
+    std::vector<std::size_t> histogram(most + 1, 0);
+    for (const auto& at_yaw : scores) {
+      for (const Window& window : windows_) ++histogram[at_yaw[window.place]];
     }
-    const std::uint8_t* here[4];
-    for (int k = 0; k < 4; ++k) here[k] = area_.flat(level, quarters[k].x, quarters[k].y);
-    const std::int32_t* steps = steps_.data() + slices_.size() * quarters[0].yaw;
-    std::uint32_t sums[4] = {0, 0, 0, 0};
-    for (std::size_t i = begin; i < end; ++i) {
-      SEGLOC_UNROLL
-      for (int k = 0; k < 4; ++k) sums[k] += kOnes.of[here[k][steps[i]] & slices_[i]];
+    std::size_t least = most, better = 0;
+    while (least > 0 && better + histogram[least] <= width) better += histogram[least--];
+    std::size_t equal = width - better;
+    std::vector<Branch> branches;
+    for (std::uint32_t k = 0; k < scores.size(); ++k) {
+      for (const Window& window : windows_) {
+        const std::uint16_t s = scores[k][window.place];
+        if (s < least || (s == least && equal == 0)) continue;
+        if (s == least) --equal;
+        branches.push_back({float(s), 0, k, window.x, window.y});
+      }
     }
-    for (int k = 0; k < 4; ++k) quarters[k].score += sums[k];
+    return branches;
   }
 
  private:
-  const SearchArea& area_;
-  const std::vector<std::uint8_t>& slices_;
-  std::vector<std::int32_t> offsets_, steps_;  // in cells, and in bytes of a flat level
+  struct Window {
+    std::size_t place;  // among the scores
+    std::int32_t x, y;  // first cell
+  };
+
+  std::int32_t side_;
+  std::vector<Window> windows_;
+  std::vector<std::vector<std::uint16_t>> held_, score_;
 };
 
 void keep_best(std::vector<Branch>& branches, std::size_t width) {
@@ -178,43 +92,29 @@ std::vector<Branch> divided(const std::vector<Branch>& branches, int level) {
   const std::int32_t half = 1 << level;
   for (const Branch& b : branches) {
     for (const std::int32_t y : {b.y, b.y + half}) {
-      for (const std::int32_t x : {b.x, b.x + half}) parts.push_back({0, b.yaw, x, y});
+      for (const std::int32_t x : {b.x, b.x + half}) parts.push_back({0.0f, 0, b.yaw, x, y});
     }
   }
   return parts;
 }
 
-// The columns in an order whose beginning, of the size that is returned, is spread over all.
-std::size_t spread(const float* columns, const std::uint8_t* slices, std::size_t m,
-                   std::vector<float>& ordered, std::vector<std::uint8_t>& of_ordered) {
-  std::size_t next = 0, first = 0;
-  for (const bool chosen : {true, false}) {
-    for (std::size_t i = 0; i < m; ++i) {
-      if ((i % kOneOf == 0) != chosen) continue;
-      std::copy_n(columns + 2 * i, 2, &ordered[2 * next]);
-      of_ordered[next++] = slices[i];
-    }
-    if (chosen) first = next;
-  }
-  return first;
-}
-
 bool alike(const PlanarPose& a, const PlanarPose& b, const SearchLimits& limits) {
+  if (a.x == b.x && a.y == b.y && a.yaw == b.yaw) return true;
   if (!(std::hypot(a.x - b.x, a.y - b.y) < limits.separation)) return false;
   return std::abs(std::remainder(a.yaw - b.yaw, 2.0 * kPi)) * 180.0 / kPi < limits.separation_deg;
 }
 
 // A leaf's pose, to a fraction of its window: the mean of the windows and headings about it, begun
 // a cell and turned a step apart, that hold the most.
-PlanarPose centred(const Branch& leaf, const Bounds& bounds, std::size_t m, double cell,
+PlanarPose centred(const Branch& leaf, const Bounds& bounds, double cell,
                    const SearchLimits& limits) {
   std::uint32_t most = 0;
   double ties = 0, x = 0, y = 0, turn = 0;
   for (int step = 0; step < 27; ++step) {
     const int dx = step % 3 - 1, dy = step / 3 % 3 - 1, dk = step / 9 - 1;
     const int yaw = (int(leaf.yaw) + dk + int(limits.yaws)) % int(limits.yaws);
-    const Branch other{0, static_cast<std::uint32_t>(yaw), leaf.x + dx, leaf.y + dy};
-    const std::uint32_t score = bounds.one(limits.leaf_level, other, 0, m);
+    const Branch other{0.0f, 0, static_cast<std::uint32_t>(yaw), leaf.x + dx, leaf.y + dy};
+    const std::uint32_t score = bounds.held(limits.leaf_level, other);
     if (score < most) continue;
     if (score > most) most = score, ties = x = y = turn = 0;
     ++ties, x += dx, y += dy, turn += dk;
@@ -222,54 +122,63 @@ PlanarPose centred(const Branch& leaf, const Bounds& bounds, std::size_t m, doub
   // A column falls half a cell, on average, past the cell that it begins in.
   const double middle = 0.5 * (double(1 << limits.leaf_level) - 1.0);
   return {(leaf.x + x / ties + middle) * cell, (leaf.y + y / ties + middle) * cell,
-          angle(leaf.yaw, limits) + turn / ties * angle(1, limits), leaf.score};
+          angle(leaf.yaw, limits) + turn / ties * angle(1, limits),
+          bounds.score(limits.leaf_level, leaf)};
 }
 
-std::vector<PlanarPose> apart(std::vector<Branch>& branches, const Bounds& bounds, std::size_t m,
-                              double cell, const SearchLimits& limits) {
-  std::sort(branches.begin(), branches.end());
-  std::vector<PlanarPose> poses;
-  std::vector<Branch> chosen;
+// Adds the best leaves, so many in all, each unlike those that are there.
+void add_apart(std::vector<Branch>& leaves, const Bounds& bounds, double cell, std::size_t count,
+               const SearchLimits& limits, std::vector<PlanarPose>& middles,
+               std::vector<PlanarPose>& poses) {
+  std::sort(leaves.begin(), leaves.end());
   const double middle = 0.5 * double(1 << limits.leaf_level);
-  for (const Branch& b : branches) {
-    if (poses.size() == limits.count) break;
-    const PlanarPose pose{(b.x + middle) * cell, (b.y + middle) * cell, angle(b.yaw, limits),
-                          b.score};
+  for (const Branch& b : leaves) {
+    if (poses.size() == count) break;
+    const PlanarPose pose{(b.x + middle) * cell, (b.y + middle) * cell, angle(b.yaw, limits), 0.0f};
     if (std::hypot(pose.x - limits.x, pose.y - limits.y) > limits.radius) continue;
-    const auto known = [&](const PlanarPose& other) { return alike(pose, other, limits); };
-    if (std::any_of(poses.begin(), poses.end(), known)) continue;
-    poses.push_back(pose);
-    chosen.push_back(b);
+    const auto like = [&](const PlanarPose& other) { return alike(pose, other, limits); };
+    if (std::any_of(middles.begin(), middles.end(), like)) continue;
+    middles.push_back(pose);
+    poses.push_back(centred(b, bounds, cell, limits));
   }
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    poses[i] = centred(chosen[i], bounds, m, cell, limits);
+}
+
+// The windows divided down to leaves.
+std::vector<Branch> leaves(std::vector<Branch> branches, int top, const Bounds& bounds, bool costly,
+                           std::size_t width, const SearchLimits& limits) {
+  for (int level = top - 1; level >= limits.leaf_level; --level) {
+    keep_best(branches, width);
+    by_place(branches);
+    std::vector<Branch> parts = divided(branches, level);
+    for (std::size_t k = 0; k < parts.size(); k += 4) bounds.roughly(level, &parts[k], costly);
+    const bool last = level == limits.leaf_level;
+    keep_best(parts, last ? std::max(width / kLastOf, kOfPoses * limits.count) : kOfParts * width);
+    by_place(parts);
+    for (Branch& part : parts) bounds.finish(level, part, costly);
+    branches = std::move(parts);
   }
-  return poses;
+  return branches;
 }
 
 }  // namespace
 
-std::vector<PlanarPose> SearchArea::search(const float* columns, const std::uint8_t* slices,
-                                           std::size_t m, const SearchLimits& limits) const {
-  std::vector<float> ordered(2 * m);
-  std::vector<std::uint8_t> of_ordered(m);
-  const std::size_t first = spread(columns, slices, m, ordered, of_ordered);
-  const Bounds bounds(*this, ordered.data(), of_ordered, limits);
-  std::vector<Branch> branches =
-      best_windows(*this, bounds.offsets(), of_ordered.data(), m, limits);
-  for (int level = map_.levels() - 2; level >= limits.leaf_level; --level) {
-    keep_best(branches, limits.width);
-    by_place(branches);
-    std::vector<Branch> parts = divided(branches, level);
-    for (std::size_t k = 0; k < parts.size(); k += 4) bounds.four(level, &parts[k], 0, first);
-    const bool last = level == limits.leaf_level;
-    keep_best(parts, last ? std::max(limits.width / kLastOf, kOfPoses * limits.count)
-                          : kOfParts * limits.width);
-    by_place(parts);
-    for (Branch& part : parts) part.score += bounds.one(level, part, first, m);
-    branches = std::move(parts);
+std::vector<PlanarPose> SearchArea::search(const PlanarView& view,
+                                           const SearchLimits& limits) const {
+  const Bounds bounds(*this, view, limits);
+  const WidestWindows widest(*this, bounds, limits);
+  const std::size_t passes = view.f > 0 ? 2 : 1;
+  const std::size_t width = (limits.width + passes - 1) / passes;
+  std::vector<PlanarPose> middles, poses;
+  for (std::size_t pass = 1; pass <= passes; ++pass) {
+    const bool costly = pass < passes;
+    std::vector<Branch> found = leaves(widest.best(costly, bounds.most(), width), map_.levels() - 1,
+                                       bounds, costly, width, limits);
+    const std::size_t count = costly ? (limits.count + 1) / 2 : limits.count;
+    add_apart(found, bounds, map_.cell(), count, limits, middles, poses);
   }
-  return apart(branches, bounds, m, map_.cell(), limits);
+  std::stable_sort(poses.begin(), poses.end(),
+                   [](const PlanarPose& a, const PlanarPose& b) { return a.score > b.score; });
+  return poses;
 }
 
 }  // namespace segloc

@@ -22,9 +22,19 @@ struct SearchLimits {
   double radius = std::numeric_limits<double>::infinity();
 };
 
+// A query seen from above, in metres about the sensor.
+struct PlanarView {
+  const float* columns;        // (m, 2): where something stands,
+  const std::uint8_t* slices;  // (m,): and in which slices
+  std::size_t m;
+  const float* free;              // (f, 2): where the ground is seen, and nothing stands,
+  const std::uint8_t* clearance;  // (f,): nor within so many cells; the clearest first
+  std::size_t f;
+};
+
 struct PlanarPose {
   double x, y, yaw;
-  std::uint32_t score;  // columns' slices that the map holds within the leaf's window
+  float score;  // see SearchArea::search
 };
 
 // Where a sensor may be, in windows of a pyramid's highest level, with that level laid out so that
@@ -35,15 +45,23 @@ class SearchArea {
   // lie too far apart. The pyramid must outlive this.
   SearchArea(const OccupancyPyramid& map, const std::int32_t* roots, std::size_t r, double range);
 
-  // The query: (m, 2) columns in metres about the sensor, no farther than `range`, and the slices
-  // that each occupies. Best first. Where `width` is eight times the branches of a level that
-  // could still hold one of the best, none is overlooked (up to the step of the heading).
-  std::vector<PlanarPose> search(const float* columns, const std::uint8_t* slices, std::size_t m,
-                                 const SearchLimits& limits) const;
+  // Of a query that shows nothing farther than `range`, best first. The score: how many slices of
+  // the columns the map holds within the window, less what free places cost that are blocked, seen
+  // from the middle of the window. At each level only such count as are clear to the edges of its
+  // windows. Without any, where `width` is eight times the branches of a level that could still
+  // hold one of the best, none is overlooked (up to the step of the heading).
+  std::vector<PlanarPose> search(const PlanarView& view, const SearchLimits& limits) const;
 
   // The most that the columns, at these offsets in cells, can reach in each window of each run.
   void score(const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m,
-             std::vector<std::uint16_t>& scores) const;
+             std::vector<std::uint16_t>& scores) const {
+    add_up(image_, offsets, slices, m, scores);
+  }
+  // How many of m places, at these offsets in cells, are blocked from the middle of each window.
+  void blocked(const std::int32_t* offsets, std::size_t m,
+               std::vector<std::uint16_t>& counts) const {
+    add_up(middles_, offsets, nullptr, m, counts);
+  }
 
   // Calls visit(its place among the scores, x, y) for each root.
   template <typename Visit>
@@ -59,19 +77,25 @@ class SearchArea {
 
   const OccupancyPyramid& map() const { return map_; }
   std::size_t bytes() const {
-    std::size_t sum = image_.size();
+    std::size_t sum = image_.size() + middles_.size();
     for (const auto& level : flat_) sum += level.size();
     return sum;
   }
 
-  // Whether this level and those between it and the highest one are kept as plain images, of which
-  // a cell is this one, and a row so wide. Roots and the columns about them lie within.
-  bool is_flat(int level) const { return level > 0 && !flat_.empty(); }
+  // Whether the levels below the highest one are kept as plain images, of which a cell is this one,
+  // and a row so wide; of the lowest what blocks. Roots and what is seen about them lie within.
+  bool is_flat() const { return !flat_.empty(); }
   const std::uint8_t* flat(int level, std::int32_t x, std::int32_t y) const {
     const int top = map_.levels() - 1;
     const auto row = static_cast<std::size_t>(y - low_y_ * (1 << top));
-    return flat_[static_cast<std::size_t>(level) - 1].data() + row * (wide_ << top) +
+    return flat_[static_cast<std::size_t>(level)].data() + row * (wide_ << top) +
            static_cast<std::size_t>(x - low_x_ * (1 << top));
+  }
+  // Whether something stands in a cell, so that its ground is not seen: in the map at least three
+  // of the four lowest slices are occupied. Single points may be noise.
+  bool is_blocked(std::int32_t x, std::int32_t y) const {
+    const std::uint32_t empty = ~std::uint32_t{map_.at(0, x, y)} & 15u;
+    return (empty & (empty - 1)) == 0;
   }
   std::int32_t wide() const { return static_cast<std::int32_t>(wide_) << (map_.levels() - 1); }
   double range() const { return range_; }
@@ -87,6 +111,9 @@ class SearchArea {
 
   void lay_out();
   void lay_flat();
+  // Adds up bits, of the slices of each column or of all.
+  void add_up(const std::vector<std::uint8_t>& image, const std::int32_t* offsets,
+              const std::uint8_t* slices, std::size_t m, std::vector<std::uint16_t>& sums) const;
   std::size_t place_of(std::int32_t x, std::int32_t y) const {
     return static_cast<std::size_t>(y - low_y_) * wide_ + static_cast<std::size_t>(x - low_x_);
   }
@@ -96,9 +123,10 @@ class SearchArea {
   std::vector<Run> runs_;               // sorted by (y, x)
   std::int32_t low_x_ = 0, low_y_ = 0;  // of the images, in windows
   std::size_t wide_ = 0, high_ = 0;
-  std::vector<std::uint8_t> image_;  // one image for each place of a cell within a window
-  std::vector<std::vector<std::uint8_t>>
-      flat_;  // from the first level to the one below the highest
+  // One image for each place of a cell within a window; of windows, and of whether they are blocked
+  // in their middle.
+  std::vector<std::uint8_t> image_, middles_;
+  std::vector<std::vector<std::uint8_t>> flat_;  // up to the level below the highest
 };
 
 }  // namespace segloc

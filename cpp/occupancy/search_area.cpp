@@ -48,13 +48,15 @@ void SearchArea::lay_out() {
   const int top = map_.levels() - 1;
   const std::int32_t side = 1 << top;
   image_.reserve(wide_ * high_ << (2 * top));
+  middles_.reserve(wide_ * high_ << (2 * top));
   for (std::int32_t py = 0; py < side; ++py) {
     for (std::int32_t px = 0; px < side; ++px) {
       for (std::size_t y = 0; y < high_; ++y) {
         const std::int32_t cell_y = (low_y_ + static_cast<std::int32_t>(y)) * side + py;
         for (std::size_t x = 0; x < wide_; ++x) {
-          image_.push_back(
-              map_.at(top, (low_x_ + static_cast<std::int32_t>(x)) * side + px, cell_y));
+          const std::int32_t cell_x = (low_x_ + static_cast<std::int32_t>(x)) * side + px;
+          image_.push_back(map_.at(top, cell_x, cell_y));
+          middles_.push_back(is_blocked(cell_x + side / 2, cell_y + side / 2));
         }
       }
     }
@@ -62,25 +64,26 @@ void SearchArea::lay_out() {
 }
 
 // The lower levels as plain images, which are read faster than the pyramid's tiles, if they are
-// few.
+// small.
 void SearchArea::lay_flat() {
   const int top = map_.levels() - 1;
   const std::size_t cells = wide_ * high_ << (2 * top);
-  if (cells * static_cast<std::size_t>(std::max(top - 1, 0)) > kMostFlat) return;
+  if (cells * static_cast<std::size_t>(top) > kMostFlat) return;
   const auto high = static_cast<std::int32_t>(high_ << top);
-  for (int level = 1; level < top; ++level) {
+  for (int level = 0; level < top; ++level) {
     flat_.emplace_back();
     flat_.back().reserve(cells);
-    for (std::int32_t y = 0; y < high; ++y) {
-      for (std::int32_t x = 0; x < wide(); ++x) {
-        flat_.back().push_back(map_.at(level, low_x_ * (1 << top) + x, low_y_ * (1 << top) + y));
+    for (std::int32_t v = low_y_ * (1 << top), y = v; y < v + high; ++y) {
+      for (std::int32_t u = low_x_ * (1 << top), x = u; x < u + wide(); ++x) {
+        flat_.back().push_back(level == 0 ? is_blocked(x, y) : map_.at(level, x, y));
       }
     }
   }
 }
 
-void SearchArea::score(const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m,
-                       std::vector<std::uint16_t>& scores) const {
+void SearchArea::add_up(const std::vector<std::uint8_t>& image, const std::int32_t* offsets,
+                        const std::uint8_t* slices, std::size_t m,
+                        std::vector<std::uint16_t>& scores) const {
   constexpr std::size_t kGroup = 31;  // their sum fits a byte
   const int top = map_.levels() - 1;
   const std::int32_t last = (1 << top) - 1;
@@ -97,7 +100,8 @@ void SearchArea::score(const std::int32_t* offsets, const std::uint8_t* slices, 
           std::ptrdiff_t{y >> top} * static_cast<std::ptrdiff_t>(wide_) + (x >> top);
       const std::size_t first = place * wide_ * high_ + static_cast<std::size_t>(shift);
       for (std::size_t k = 0; k < places.size(); ++k) places[k] = runs_[k].at + first;
-      kernel_table.add_slices(image_.data(), places.data(), places.size(), slices[i], sums.data());
+      const std::uint8_t counted = slices ? slices[i] : std::uint8_t{0xff};
+      kernel_table.add_slices(image.data(), places.data(), places.size(), counted, sums.data());
     }
     for (std::size_t w = 0; w < sums.size(); ++w) {
       scores[w] = static_cast<std::uint16_t>(scores[w] + sums[w]);

@@ -183,6 +183,8 @@ class PoseSearch:
         self,
         columns: NDArray[np.float32],
         slices: NDArray[np.uint8],
+        free: NDArray[np.float32],
+        clearance: NDArray[np.uint8],
         yaws: int,
         leaf_level: int,
         width: int,
@@ -192,7 +194,7 @@ class PoseSearch:
         x: float = 0.0,
         y: float = 0.0,
         radius: float = ...,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]: ...
 
 def lzf_decompress(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]: ...
 def octree_encode(cells: NDArray[np.int32], levels: int) -> NDArray[np.uint8]: ...

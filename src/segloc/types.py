@@ -289,8 +289,9 @@ class Candidate:
     inliers : int
         Distinct query segments that agree with the pose (one map segment each).
     fit : float or None
-        Share of what the query shows standing that stands in the map, too, in [0, 1]. None where
-        the pose comes from matches.
+        Share of what the query shows standing that stands in the map, too, less what it costs where
+        the map has something and the query sees the ground; in [0, 1]. None where the pose comes
+        from matches.
     """
 
     T_map_local: Pose

@@ -177,6 +177,7 @@ def _occupancy() -> Iterator[tuple[str, Call]]:
     made |= {"cell": 0.5, "levels": 3, "range": 10.0}
     yield "PoseSearch", Call(_native.PoseSearch, made)
     asked = {"columns": points[:40, :2].copy() / 2, "slices": slices[:40].copy(), "yaws": 12}
+    asked |= {"free": points[40:60, :2].copy() / 2, "clearance": np.full(20, 2, np.uint8)}
     asked |= {"leaf_level": 1, "width": 50, "count": 4, "separation": 1.0, "separation_deg": 9.0}
     yield "PoseSearch.search", Call(_native.PoseSearch(**made).search, asked)
 

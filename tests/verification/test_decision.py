@@ -22,7 +22,7 @@ from segloc.verification import Evidence, VerificationConfig, shipped_confidence
 from segloc.verification.candidates import CandidateScores
 from segloc.verification.confidence import load_confidence
 from segloc.verification.decision import CAUTIOUSLY, decide, demand
-from segloc.verification.evidence import RankedCandidate, RefinedScore
+from segloc.verification.evidence import RankedCandidate, RefinedScore, Verdict
 
 MODEL = shipped_confidence()
 LACKING = {"constant": 0.0, "weights": {"flush": 1.0}}
@@ -256,6 +256,17 @@ def test_a_pose_is_doubted_that_puts_things_where_the_map_is_free() -> None:
         )
     assert decide(found(0.1, 20, 3.0), None, MODEL, config).reason is None
     assert decide(found(0.1, 9, 1.4, 0.97), None, MODEL, config).reason is None
+
+
+def test_the_clouds_are_compared_all_over_the_map_unless_segments_or_likelihood_decide() -> None:
+    def thin(inliers: int, ratio: float, confidence: float, reason: Reason | None = None) -> bool:
+        verdict = Verdict(reason, "", confidence, evidence=evidence(inliers, 0.9, 0.95, ratio))
+        return verdict.is_thin
+
+    decided, half, hardly = (15, 3.0), (9, 1.8), (9, 1.2)  # n ln(n/m): 16, 5, 2
+    assert not thin(*decided, 0.9) and thin(*decided, 0.9, Reason.AMBIGUOUS)
+    assert thin(*half, 0.99) and not thin(*half, 0.9995)
+    assert thin(*hardly, 0.9995) and Verdict(Reason.NO_CONSISTENT_MATCHES).is_thin
 
 
 def test_no_score_makes_an_impossible_confidence() -> None:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native, geometry
 from ..prior import Prior
-from ..segmentation import Segmentation, SegmentationConfig, heights_above_ground
+from ..segmentation import Segmentation, SegmentationConfig
 from ..types import Candidate, Float32, Float64, Int64
 from .config import OccupancyConfig
-from .ground import Ground, believed, cells_of, keys_of, nearest_of
+from .ground import Ground, cells_of, nearest_of
 from .storeys import storeys
+from .view import HEIGHTS_M, View, slices_of, view_of
 
-HEIGHTS_M = (0.4, 0.8, 1.3, 1.9, 2.6, 3.5, 5.0, 8.0)
-"""Where each slice begins, over ground; the last one has no end. Set by hand."""
 LEVELS = (4, 5, 6)
 """Of windows: the widest are 4, 8 or 16 m with cells of half a metre."""
 FEWEST_COLUMNS = 64
@@ -27,9 +25,6 @@ FEWEST_OCCUPIED = 20
 """A query that shows less standing says nothing."""
 SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
 """Of candidates: nearer ones are refined to the same pose."""
-_NEAREST_TO_SENSOR = 16
-
-Bytes = NDArray[np.uint8]
 
 
 class OccupancySearch:
@@ -79,7 +74,7 @@ class OccupancySearch:
         """
         if self._maps is None:  # threads that ask at once make the same
             self._maps = self._prepared()
-        view = _view(scene, self.config, self._segmentation)
+        view = view_of(scene, self.config, self._segmentation)
         found = [pose for each in self._maps for pose in each.search(view, self._origin, near)]
         found.sort(key=lambda pose: -pose[4])
         poses = [(geometry.yaw_transform(yaw, (x, y, z)), fit) for x, y, z, yaw, fit in found]
@@ -90,15 +85,6 @@ class OccupancySearch:
         parts = list(storeys(self._cloud, self._path))
         config = self.config.model_copy(update={"work": self.config.work // len(parts)})
         return [_OccupancyMap(*part, config, self._segmentation) for part in parts]
-
-
-@dataclass(frozen=True)
-class _View:
-    """What a query shows: (M, 2) occupied cells about the sensor, their slices, the ground."""
-
-    columns: Float32
-    slices: Bytes
-    below: float
 
 
 class _OccupancyMap:
@@ -125,7 +111,7 @@ class _OccupancyMap:
         standing = heights > HEIGHTS_M[0]
         if not standing.any():
             return
-        points, slices = cloud[standing], _slices(heights[standing])
+        points, slices = cloud[standing], slices_of(heights[standing])
         for levels in LEVELS:
             width = config.cell * 2 ** (levels - 1)
             near = path[:, :2]
@@ -139,7 +125,7 @@ class _OccupancyMap:
                 return
 
     def search(
-        self, view: _View, origin: Float64, near: Prior | None
+        self, view: View, origin: Float64, near: Prior | None
     ) -> Iterator[tuple[float, float, float, float, float]]:
         """Position in the map, yaw and fit of the best poses."""
         config, columns, slices = self._config, view.columns, view.slices
@@ -152,6 +138,8 @@ class _OccupancyMap:
         poses, scores = self._native.search(
             columns,
             slices,
+            view.free,
+            view.clearance,
             yaws=config.yaws,
             leaf_level=1,
             width=config.width,
@@ -165,7 +153,8 @@ class _OccupancyMap:
         heights = self._ground.below(poses[:, :2]) - view.below
         total = int(np.unpackbits(slices).sum())
         for (x, y, yaw), z, score in zip(poses, heights, scores, strict=True):
-            yield x + origin[0], y + origin[1], z + origin[2], yaw, float(score) / total
+            fit = max(0.0, float(score) / total)
+            yield x + origin[0], y + origin[1], z + origin[2], yaw, fit
 
 
 def _circle(near: Prior | None, origin: Float64) -> dict[str, float]:
@@ -174,32 +163,6 @@ def _circle(near: Prior | None, origin: Float64) -> dict[str, float]:
         return {}
     x, y = np.asarray(near.position)[:2] - origin[:2]
     return {"x": float(x), "y": float(y), "radius": near.radius_m}
-
-
-def _view(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> _View:
-    near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < config.range_m
-    surface = _native.voxel_grid(scene.surface[near], config.cell)
-    distance = np.hypot(surface[:, 0], surface[:, 1])
-    around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
-    floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
-    below = float(np.median(floor)) if len(floor) else 0.0
-    ground = surface[:, 2] - heights_above_ground(surface, segmentation)
-    if len(floor):
-        ground = believed(ground, np.full(len(surface), below), distance)
-    heights = surface[:, 2] - ground
-    standing = (heights > HEIGHTS_M[0]) & (distance < config.range_m - config.cell)
-    cells = cells_of(surface[standing, :2], config.cell)
-    _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
-    cells, slices = cells[first], np.zeros(len(first), np.uint8)
-    np.bitwise_or.at(slices, which, _slices(heights[standing]))
-    columns = ((cells + 0.5) * config.cell).astype(np.float32)
-    return _View(columns, slices, below)
-
-
-def _slices(heights: Float32) -> Bytes:
-    """The bit of the slice that each point lies in, (N,) uint8."""
-    slices: Bytes = (1 << (np.searchsorted(HEIGHTS_M, heights) - 1)).astype(np.uint8)
-    return slices
 
 
 def _along(path: Float64, width: float, reach: float) -> NDArray[np.int32]:
