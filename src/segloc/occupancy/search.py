@@ -43,7 +43,7 @@ class OccupancySearch:
 
     Notes
     -----
-    What it needs of the map is made when it is first asked, in 0.1 to 1 s: about 5 MB for a
+    What it needs of the map is made when it is first asked, in 0.1 to 1 s: about 7 MB for a
     kilometre of street. A map too wide for it has no candidates. Each storey of a building is
     searched by itself.
     """
