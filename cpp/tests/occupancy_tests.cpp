@@ -9,6 +9,9 @@ namespace {
 // What stands in a map about a place is found there.
 void finds_what_it_was_made_of() {
   const std::vector<std::int32_t> roots = {-1, -1, 0, -1, -1, 0, 0, 0, 1, 0};
+  const auto free = random_floats(40, -12.0f, 12.0f, 11);
+  std::vector<std::uint8_t> clearance;
+  for (int i = 0; i < 20; ++i) clearance.push_back(static_cast<std::uint8_t>(5 - i / 5));
   for (const std::size_t n : kSizes) {
     auto points = random_floats(3 * n, -12.0f, 12.0f, 9);
     std::vector<std::uint8_t> slices(n);
@@ -23,14 +26,16 @@ void finds_what_it_was_made_of() {
     SearchLimits limits;
     limits.yaws = 24;
     limits.count = 3;
-    const auto poses = area.search(columns.data(), slices.data(), n, limits);
+    const PlanarView view{columns.data(), slices.data(),    n,
+                          free.data(),    clearance.data(), clearance.size()};
+    const auto poses = area.search(view, limits);
     CHECK(poses.size() <= limits.count);
     for (const PlanarPose& pose : poses) {
       digest("pose_search", std::vector<double>{pose.yaw, pose.x, pose.y});
     }
-    for (const PlanarPose& pose : poses) CHECK(pose.score <= n);
+    for (const PlanarPose& pose : poses) CHECK(pose.score <= float(n));
     if (n < 17 || n > 300) continue;  // one place only explains all columns, or all do
-    CHECK(poses[0].score >= n - n / 8 && std::fabs(poses[0].yaw) < 1e-9);
+    CHECK(poses[0].score >= float(n - n / 8) && std::fabs(poses[0].yaw) < 1e-9);
     CHECK(std::fabs(poses[0].x - 1.0) <= 1.0 && std::fabs(poses[0].y - 2.0) <= 1.0);
   }
 }
@@ -38,16 +43,18 @@ void finds_what_it_was_made_of() {
 // The plain images say of every cell about the roots what the pyramid does.
 void lays_out_the_levels() {
   const auto points = random_floats(900, -12.0f, 12.0f, 10);
-  const std::vector<std::uint8_t> slices(300, 5);
+  std::vector<std::uint8_t> slices(300, 5);
+  for (std::size_t i = 0; i < slices.size(); i += 2) slices[i] = 13;  // these block
   const OccupancyPyramid pyramid(points.data(), slices.data(), 300, 0.5, 4);
   const std::int32_t roots[4] = {-2, 0, 3, -1};
   const SearchArea area(pyramid, roots, 2, 20.0);
-  CHECK(!area.is_flat(0));
-  for (int level = 1; level < 3; ++level) {
-    CHECK(area.is_flat(level));
+  CHECK(area.is_flat());
+  for (int level = 0; level < 3; ++level) {
     for (std::int32_t y = -8 - 41; y < 8 + 41; ++y) {
       for (std::int32_t x = -16 - 41; x < 32 + 41; ++x) {
-        CHECK(*area.flat(level, x, y) == pyramid.at(level, x, y));
+        const bool blocked = (pyramid.at(0, x, y) & 15) == 13;
+        CHECK(area.is_blocked(x, y) == blocked);
+        CHECK(*area.flat(level, x, y) == (level == 0 ? blocked : pyramid.at(level, x, y)));
       }
     }
   }
