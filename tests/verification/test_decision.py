@@ -234,6 +234,9 @@ def test_a_pose_far_from_the_path_of_the_map_is_doubted() -> None:
     for near in (found(10.0), found(None), found(32.0, inliers=15)):
         assert not demand(near, MODEL).why
     assert decide(found(10.0), None, MODEL, VerificationConfig()).reason is None
+    config = VerificationConfig()
+    doubted, edge = (demand(found(off), MODEL).confidence(config) for off in (20.0, 32.0))
+    assert doubted < 0.9993 < edge  # what is off the map does not speak against a pose
 
 
 def test_a_pose_is_doubted_that_puts_things_where_the_map_is_free() -> None:
