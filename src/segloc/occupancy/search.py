@@ -15,7 +15,7 @@ from ..types import Candidate, Float32, Float64, Int64
 from .config import OccupancyConfig
 from .ground import Ground, cells_of, nearest_of
 from .storeys import storeys
-from .view import HEIGHTS_M, View, slices_of, view_of
+from .view import HEIGHTS_M, View, evenly, slices_of, view_of
 
 LEVELS = (4, 5, 6)
 """Of windows: the widest are 4, 8 or 16 m with cells of half a metre."""
@@ -132,9 +132,8 @@ class _OccupancyMap:
         if self._native is None or len(columns) < FEWEST_OCCUPIED:
             return
         most = min(config.columns, config.work // self._windows)
-        if len(columns) > most:
-            chosen = np.arange(most) * len(columns) // most
-            columns, slices = columns[chosen], slices[chosen]
+        chosen = evenly(len(columns), most)
+        columns, slices = columns[chosen], slices[chosen]
         poses, scores = self._native.search(
             columns,
             slices,

@@ -99,14 +99,20 @@ def free_cells(
     free = clearance > 0
     cells, clearance = cells[free], clearance[free]
     clearest = np.argsort(-clearance, kind="stable")
-    most = min(len(cells), MOST_FREE)
-    chosen = clearest[np.arange(most) * len(cells) // max(most, 1)]
+    chosen = clearest[evenly(len(cells), MOST_FREE)]
     return cells[chosen], np.minimum(clearance[chosen], 255).astype(np.uint8)
 
 
 def _middles(cells: Int64, config: OccupancyConfig) -> Float32:
     middles: Float32 = ((cells + 0.5) * config.cell).astype(np.float32)
     return middles
+
+
+def evenly(count: int, most: int) -> Int64:
+    """Which of so many rows are kept, (min(count, most),), spread over all."""
+    kept = min(count, most)
+    chosen: Int64 = np.arange(kept) * count // max(kept, 1)
+    return chosen
 
 
 def slices_of(heights: Float32) -> Bytes:

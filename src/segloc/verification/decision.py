@@ -130,11 +130,8 @@ def demand(evidence: Evidence, model: ConfidenceModel) -> Demand:
         if may_be_repeated(evidence, model):
             return Demand(REPEATED_ROOT, "; hardly more segments agree than elsewhere")
         return Demand(1.0)
-    if evidence.extent is not None and evidence.extent < CONFINED:
-        squares = f"{evidence.extent} squares of {SQUARE_M:g} m"
-        return Demand(CONFINED_ROOT, f"; what is in view covers {squares}, as a room does")
-    if evidence.off_path is not None and evidence.off_path > FAR_M:
-        return Demand(CONFINED_ROOT, off_the_path(evidence.off_path))
+    if why := confinement(evidence):
+        return Demand(CONFINED_ROOT, why)
     if why := doubt(evidence, model):
         return Demand(DOUBTED_ROOT, why)
     return Demand(UNDECIDED_ROOT)
@@ -151,6 +148,17 @@ def demand_of_intruders(evidence: Evidence) -> Demand | None:
     return Demand(DOUBTED_ROOT, why)
 
 
+def confinement(evidence: Evidence) -> str:
+    """Why next to nothing could speak against a pose, as the end of a sentence; "" if much could.
+
+    No more is in view than a room, or what is lies beyond the edge of the map.
+    """
+    if evidence.extent is not None and evidence.extent < CONFINED:
+        squares = f"{evidence.extent} squares of {SQUARE_M:g} m"
+        return f"; what is in view covers {squares}, as a room does"
+    return off_the_path(evidence, FAR_M)
+
+
 def doubt(evidence: Evidence, model: ConfidenceModel) -> str:
     """Why a pose is doubted that segments say little of, as the end of a sentence; "" if it is not.
 
@@ -158,19 +166,21 @@ def doubt(evidence: Evidence, model: ConfidenceModel) -> str:
     others are worse. Where much of the map is in view, there is enough that would differ, unless it
     was mapped from far off.
     """
-    built, off = is_built(evidence), evidence.off_path or 0.0
-    if built and off > FAR_BETWEEN_WALLS_M:
-        return off_the_path(off)
-    if built and not sees_much(evidence, model):
+    if not is_built(evidence):
+        return ""
+    if why := off_the_path(evidence, FAR_BETWEEN_WALLS_M):
+        return why
+    if not sees_much(evidence, model):
         p = model.cautiously(evidence)
         if p < CAUTIOUSLY:
             return f"; by what fits there it is {p:.2f}, others are but worse"
     return ""
 
 
-def off_the_path(distance_m: float) -> str:
-    """That a pose is so far from the path of the map, as the end of a sentence."""
-    return f"; it is {distance_m:.0f} m from the path of the map"
+def off_the_path(evidence: Evidence, most_m: float) -> str:
+    """That a pose is farther off the path of the map, as the end of a sentence; "" if it is not."""
+    off = evidence.off_path or 0.0
+    return f"; it is {off:.0f} m from the path of the map" if off > most_m else ""
 
 
 def may_be_repeated(evidence: Evidence, model: ConfidenceModel) -> bool:
