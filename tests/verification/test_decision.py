@@ -21,8 +21,9 @@ from segloc.types import Candidate
 from segloc.verification import Evidence, VerificationConfig, shipped_confidence
 from segloc.verification.candidates import CandidateScores
 from segloc.verification.confidence import load_confidence
-from segloc.verification.decision import CAUTIOUSLY, decide, demand
-from segloc.verification.evidence import RankedCandidate, RefinedScore, Verdict
+from segloc.verification.decision import CAUTIOUSLY, CONFINED_ROOT, Demand, decide, demand
+from segloc.verification.evidence import RankedCandidate, RefinedScore
+from segloc.verification.verdict import Verdict
 
 MODEL = shipped_confidence()
 LACKING = {"constant": 0.0, "weights": {"flush": 1.0}}
@@ -237,6 +238,32 @@ def test_a_pose_far_from_the_path_of_the_map_is_doubted() -> None:
     config = VerificationConfig()
     doubted, edge = (demand(found(off), MODEL).confidence(config) for off in (20.0, 32.0))
     assert doubted < 0.9993 < edge  # what is off the map does not speak against a pose
+
+
+def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
+    """A room that is like others is not the same; only a storey above or below might be."""
+    config = VerificationConfig()
+
+    def found(up: float, overlap: float = 0.99, judged: int = 200, there: float = 0.8) -> Evidence:
+        best = replace(score(1, overlap, None), confirmed=judged - 3, judged=judged)
+        best = replace(best, details=measured(0.8, ground=0.85))
+        T = np.eye(4)
+        T[2, 3] = up
+        details = measured(0.8 * there, ground=0.85)
+        storey = replace(score(0, there, there), T_map_local=T, details=details)
+        return Evidence(best, 1 / 3, (storey,), extent=15, off_path=0.5)
+
+    told = found(3.0)
+    assert MODEL.unbounded(told) < Demand(CONFINED_ROOT).confidence(config)
+    assert decide(told, None, MODEL, config).reason is None
+    for other in (
+        found(0.0),  # the same place
+        found(3.0, overlap=0.96),
+        found(3.0, judged=100),
+        found(3.0, there=0.97),
+        replace(told, rivals=()),
+    ):
+        assert demand(other, MODEL).root == CONFINED_ROOT
 
 
 def test_a_pose_is_doubted_that_puts_things_where_the_map_is_free() -> None:

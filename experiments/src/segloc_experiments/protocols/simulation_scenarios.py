@@ -173,6 +173,7 @@ _OS0 = Side("os0-128", "wheeled")
 _HANDHELD, _QUADRUPED = Side("os0-128", "handheld"), Side("os0-128", "quadruped")
 _CAR = Side("hdl64e", "car")
 _ALL = tuple(range(STOREYS))
+_LACKING = 2
 
 
 def _outdoors(asked: Side, length_m: float = 200.0) -> dict[str, Scenario]:
@@ -200,6 +201,15 @@ def _one_floor(five: Scenario) -> Scenario:
     return replace(five, expected="refused", map_name=name, storeys=(0,), query_storeys=_ALL[1:])
 
 
+def _four_floors(five: Scenario) -> Scenario:
+    """One storey is not mapped, and queries are from it."""
+    name = five.map_name.replace("building", "four")
+    others = tuple(storey for storey in _ALL if storey != _LACKING)
+    return replace(
+        five, expected="refused", map_name=name, storeys=others, query_storeys=(_LACKING,)
+    )
+
+
 def scenarios() -> dict[str, Scenario]:
     """All of them; a line of the table is what stands before the colon."""
     halls, rooms, pits = SCENES["warehouse"], SCENES["offices"], SCENES["mine"]
@@ -214,6 +224,7 @@ def scenarios() -> dict[str, Scenario]:
             Side("mid360", "handheld", 10)
         ),
         "one storey, asked on others: rooms of their own": _one_floor(_own_rooms()),
+        "four storeys, asked on the fifth: rooms of their own": _four_floors(_own_rooms()),
         "five storeys that differ": _floors(0.5, "found"),
         "five storeys that differ, handheld Mid-360, 1 s": _floors(
             0.5, "found", Side("mid360", "handheld", 10)
@@ -222,6 +233,8 @@ def scenarios() -> dict[str, Scenario]:
         "five equal storeys": _floors(0.0, "ambiguous"),
         "one storey, asked on others: differ": _one_floor(_floors(0.5, "found")),
         "one storey, asked on others: differ a little": _one_floor(_floors(0.15, "found")),
+        "four storeys, asked on the fifth: differ": _four_floors(_floors(0.5, "found")),
+        "four storeys, asked on the fifth: differ a little": _four_floors(_floors(0.15, "found")),
         "mine, quadruped OS0-128": Scenario("mine", pits, _OS0, _QUADRUPED, "any"),
         "low ceilings: OS0-128 in a VLP-16 map": Scenario(
             "low", rooms, Side("vlp16", "wheeled"), _HANDHELD
