@@ -244,7 +244,7 @@ def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
     """A room that is like others is not the same; only a storey above or below might be."""
     config = VerificationConfig()
 
-    def found(up: float, overlap: float = 0.99, judged: int = 200, there: float = 0.8) -> Evidence:
+    def found(up: float, overlap: float = 0.99, judged: int = 220, there: float = 0.8) -> Evidence:
         best = replace(score(1, overlap, None), confirmed=judged - 3, judged=judged)
         best = replace(best, details=measured(0.8, ground=0.85))
         T = np.eye(4)
@@ -259,7 +259,7 @@ def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
     for other in (
         found(0.0),  # the same place
         found(3.0, overlap=0.96),
-        found(3.0, judged=100),
+        found(3.0, judged=180),
         found(3.0, there=0.97),
         replace(told, rivals=()),
     ):

@@ -38,7 +38,7 @@ FEW_INLIERS = 5
 CONFINED = 21
 """What stands on fewer squares may be one room, and rooms are like others. Chosen on 22
 simulated floors of offices that the calibration does not have."""
-NEARLY_ALL, FEW_IN_VIEW, FAR_WORSE = 0.975, 120, 12.0
+NEARLY_ALL, FEW_IN_VIEW, FAR_WORSE = 0.975, 200, 12.0
 """A storey is told from the others where so much of what is seen lies on the map, with so many map
 points in view, and the pose is so much likelier than those above and below, in log-odds. Chosen on
 51 simulated worlds, and on buildings, that the calibration does not have."""

@@ -27,6 +27,8 @@ from segloc.simulation.motion.platforms import Platform
 from segloc.simulation.sensors.ranging import Lidar
 from segloc.simulation.worlds.world import World
 
+from ..calibration.confidence import first_half
+
 STOREYS = 5
 COVERED_M = 1.5
 """Indoors a path this near is on the same side of a wall."""
@@ -70,6 +72,8 @@ class Scenario:
         "found", "ambiguous", "refused", or "any": right or refused.
     seeds : tuple of int
     storeys, query_storeys : tuple of int
+    halved : bool
+        Whether of each drive of the map only the first half is.
     """
 
     map_name: str
@@ -82,10 +86,12 @@ class Scenario:
     storeys: tuple[int, ...] = (0,)
     query_storeys: tuple[int, ...] = (0,)
     length_m: float = 200.0
+    halved: bool = False
 
     def map_drives(self, seed: int) -> list[SimulatedSequence]:
         """What the map is made of, a drive a storey."""
-        return [self._drives(self.world, seed, self.mapped, k)[0] for k in self.storeys]
+        drives = [self._drives(self.world, seed, self.mapped, k)[0] for k in self.storeys]
+        return [first_half(drive) for drive in drives] if self.halved else drives
 
     def queries(self, seed: int, count: int) -> list[tuple[SimulatedSequence, str]]:
         """Clouds of later sessions, each a drive of its scans of which the last is the query.
@@ -210,6 +216,12 @@ def _four_floors(five: Scenario) -> Scenario:
     )
 
 
+def _half_of_each(five: Scenario) -> Scenario:
+    """Every storey is mapped by half, and queries are from all of it."""
+    name = five.map_name.replace("building", "half")
+    return replace(five, expected="any", map_name=name, halved=True)
+
+
 def scenarios() -> dict[str, Scenario]:
     """All of them; a line of the table is what stands before the colon."""
     halls, rooms, pits = SCENES["warehouse"], SCENES["offices"], SCENES["mine"]
@@ -225,6 +237,7 @@ def scenarios() -> dict[str, Scenario]:
         ),
         "one storey, asked on others: rooms of their own": _one_floor(_own_rooms()),
         "four storeys, asked on the fifth: rooms of their own": _four_floors(_own_rooms()),
+        "half of five storeys: rooms of their own": _half_of_each(_own_rooms()),
         "five storeys that differ": _floors(0.5, "found"),
         "five storeys that differ, handheld Mid-360, 1 s": _floors(
             0.5, "found", Side("mid360", "handheld", 10)
