@@ -119,7 +119,9 @@ def test_what_was_refined_for_one_candidate_is_a_rival_of_the_next() -> None:
     def ranked(candidates: list[Candidate], _: object) -> list[RankedCandidate]:
         return [RankedCandidate(c, 0.9, 0.1) for c in candidates]
 
-    cloud: Any = SimpleNamespace(ranked=ranked, refined=refined, off_path=lambda _: 0.0)
+    cloud: Any = SimpleNamespace(
+        ranked=ranked, refined=refined, off_path=lambda _: 0.0, storeyed=False
+    )
     config, candidates = VerificationConfig(), [Candidate(T, 0, 0.5) for T in (lower, upper)]
     query: Any = SimpleNamespace(extent=40)
     scores = CandidateScores(candidates, cloud, query, config, Separation(), lambda _: 0)
@@ -251,7 +253,7 @@ def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
         T[2, 3] = up
         details = measured(0.8 * there, ground=0.85)
         storey = replace(score(0, there, there), T_map_local=T, details=details)
-        return Evidence(best, 1 / 3, (storey,), extent=15, off_path=0.5)
+        return Evidence(best, 1 / 3, (storey,), extent=15, off_path=0.5, storeyed=True)
 
     told = found(3.0)
     assert MODEL.unbounded(told) < Demand(CONFINED_ROOT).confidence(config)
@@ -262,6 +264,7 @@ def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
         found(3.0, judged=180),
         found(3.0, there=0.97),
         replace(told, rivals=()),
+        replace(told, storeyed=False),  # the next shelf of a rack is no storey
     ):
         assert demand(other, MODEL).root == CONFINED_ROOT
 

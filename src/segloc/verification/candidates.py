@@ -153,4 +153,5 @@ class CandidateScores:
         if found.is_settled:
             return found
         off_path = self._map.off_path(score.T_map_local)
-        return replace(found, extent=self._query.extent, off_path=off_path)
+        extent, storeyed = self._query.extent, self._map.storeyed
+        return replace(found, extent=extent, off_path=off_path, storeyed=storeyed)

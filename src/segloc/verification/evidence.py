@@ -218,6 +218,8 @@ class Evidence:
     off_path : float or None
         How far the pose is from the path of the map, seen from above, metres; None where segments
         settle it, or the map has no path.
+    storeyed : bool
+        Whether the map has several storeys.
     """
 
     score: Score
@@ -225,12 +227,13 @@ class Evidence:
     rivals: tuple[Score, ...]
     extent: int | None = None
     off_path: float | None = None
+    storeyed: bool = False
 
     @property
     def other_storeys(self) -> tuple[Score, ...]:
-        """The rivals above and below."""
-        T = self.score.T_map_local
-        return tuple(r for r in self.rivals if is_above_or_below(r.T_map_local, T))
+        """The rivals above and below, in a map of several storeys."""
+        T, rivals = self.score.T_map_local, self.rivals if self.storeyed else ()
+        return tuple(r for r in rivals if is_above_or_below(r.T_map_local, T))
 
     @property
     def inlier_evidence(self) -> float:
