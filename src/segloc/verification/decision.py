@@ -41,7 +41,7 @@ simulated floors of offices that the calibration does not have."""
 NEARLY_ALL, FEW_IN_VIEW, FAR_WORSE = 0.975, 200, 12.0
 """A storey is told from the others where so much of what is seen lies on the map, with so many map
 points in view, and the pose is so much likelier than those above and below, in log-odds. Chosen on
-51 simulated worlds, and on buildings, that the calibration does not have."""
+some 80 simulated worlds, and on buildings, that the calibration does not have."""
 FAR_BETWEEN_WALLS_M, FAR_M = 8.0, 25.0
 """What lies farther from the path of the map is mapped from one side, and thinly: where walls are
 flush, and elsewhere. Beyond the second, half of what a query shows may lie off the map, where
