@@ -10,8 +10,8 @@ from ..types import Candidate
 from .evidence import DECISIVE_INLIERS, REPEATED_EVIDENCE, Evidence, RankedCandidate, Score
 
 SURE = 0.9991
-"""What segments half decide is believed if so likely: no wrong pose was, of 36 simulated worlds that
-the calibration does not have."""
+"""What segments half decide is believed if so likely: no wrong pose was, in 36 simulated worlds
+that the calibration does not have."""
 
 
 @dataclass(frozen=True)
