@@ -168,7 +168,9 @@ COMMANDS = {
 
 
 TELLING = """
-import os, sys, time
+import os, signal, sys, time
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
 
 def watch(event, given):
     # Python tells of every file that is opened, and here of those in the working folder.
