@@ -179,7 +179,6 @@ _OS0 = Side("os0-128", "wheeled")
 _HANDHELD, _QUADRUPED = Side("os0-128", "handheld"), Side("os0-128", "quadruped")
 _CAR = Side("hdl64e", "car")
 _ALL = tuple(range(STOREYS))
-_LACKING = 2
 
 
 def _outdoors(asked: Side, length_m: float = 200.0) -> dict[str, Scenario]:
@@ -201,19 +200,19 @@ def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
     return replace(_floors(0.5, "found", asked), map_name="building-rooms", world=_divided)
 
 
+def _partly(five: Scenario, name: str, mapped: tuple[int, ...]) -> Scenario:
+    """Some storeys are mapped, and queries are from the others."""
+    others = tuple(storey for storey in _ALL if storey not in mapped)
+    name = five.map_name.replace("building", name)
+    return replace(five, expected="refused", map_name=name, storeys=mapped, query_storeys=others)
+
+
 def _one_floor(five: Scenario) -> Scenario:
-    """The lowest storey alone is mapped, and queries are from the others."""
-    name = five.map_name.replace("building", "storey")
-    return replace(five, expected="refused", map_name=name, storeys=(0,), query_storeys=_ALL[1:])
+    return _partly(five, "storey", (0,))
 
 
 def _four_floors(five: Scenario) -> Scenario:
-    """One storey is not mapped, and queries are from it."""
-    name = five.map_name.replace("building", "four")
-    others = tuple(storey for storey in _ALL if storey != _LACKING)
-    return replace(
-        five, expected="refused", map_name=name, storeys=others, query_storeys=(_LACKING,)
-    )
+    return _partly(five, "four", (0, 1, 3, 4))
 
 
 def _half_of_each(five: Scenario) -> Scenario:
