@@ -246,14 +246,25 @@ def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
     """A room that is like others is not the same; only a storey above or below might be."""
     config = VerificationConfig()
 
-    def found(up: float, overlap: float = 0.99, judged: int = 220, there: float = 0.8) -> Evidence:
+    def found(
+        up: float,
+        overlap: float = 0.99,
+        judged: int = 220,
+        there: float = 0.8,
+        storeyed: bool = True,
+    ) -> Evidence:
         best = replace(score(1, overlap, None), confirmed=judged - 3, judged=judged)
         best = replace(best, details=measured(0.8, ground=0.85))
         T = np.eye(4)
         T[2, 3] = up
         details = measured(0.8 * there, ground=0.85)
         storey = replace(score(0, there, there), T_map_local=T, details=details)
-        return Evidence(best, 1 / 3, (storey,), extent=15, off_path=0.5, storeyed=True)
+        cloud: Any = SimpleNamespace(
+            ranked=lambda *_: [], off_path=lambda _: 0.5, storeyed=storeyed
+        )
+        query: Any = SimpleNamespace(extent=15)
+        scores = CandidateScores([], cloud, query, config, Separation(), lambda _: 0)
+        return scores.evidence(best, (storey,), 3)
 
     told = found(3.0)
     assert MODEL.unbounded(told) < Demand(CONFINED_ROOT).confidence(config)
@@ -263,8 +274,8 @@ def test_a_storey_is_told_from_the_others_where_nothing_but_it_fits() -> None:
         found(3.0, overlap=0.96),
         found(3.0, judged=180),
         found(3.0, there=0.97),
-        replace(told, rivals=()),
-        replace(told, storeyed=False),  # the next shelf of a rack is no storey
+        replace(told, rivals=(), other_storeys=()),
+        found(3.0, storeyed=False),  # the next shelf of a rack is no storey
     ):
         assert demand(other, MODEL).root == CONFINED_ROOT
 

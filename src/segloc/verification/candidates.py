@@ -152,6 +152,20 @@ class CandidateScores:
         found = Evidence(score, score.inliers / most, tuple(rivals))
         if found.is_settled:
             return found
-        off_path = self._map.off_path(score.T_map_local)
-        extent, storeyed = self._query.extent, self._map.storeyed
-        return replace(found, extent=extent, off_path=off_path, storeyed=storeyed)
+        extent, off_path = self._query.extent, self._map.off_path(score.T_map_local)
+        return replace(
+            found, extent=extent, off_path=off_path, other_storeys=self._other_storeys(found)
+        )
+
+    def _other_storeys(self, found: Evidence) -> tuple[Score, ...]:
+        """The rivals that are where the pose is but for their height, if the map has storeys."""
+        if not self._map.storeyed:
+            return ()
+        apart, T = self._separation.apart, found.score.T_map_local
+
+        def at_its_height(rival: Score) -> Pose:
+            level: Pose = rival.T_map_local.copy()
+            level[2, 3] = T[2, 3]
+            return level
+
+        return tuple(r for r in found.rivals if not apart(at_its_height(r), T))

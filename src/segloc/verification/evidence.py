@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from ..geometry import Separation
 from ..types import Candidate, Float64, Pose
 
 SETTLED_INLIERS, SETTLED_EVIDENCE = 15, 15.0
@@ -192,14 +191,6 @@ def inlier_evidence(inliers: int, ratio: float) -> float:
     return inliers * math.log(max(ratio, 0.1))
 
 
-def is_above_or_below(T_a: Pose, T_b: Pose) -> bool:
-    """Whether a pose is where another is, but for the storey."""
-    level = T_a.copy()
-    level[2, 3] = T_b[2, 3]
-    place = Separation()
-    return place.apart(T_a, T_b) and not place.apart(level, T_b)
-
-
 @dataclass(frozen=True)
 class Evidence:
     """All that speaks for a candidate, and for the best candidates at different places.
@@ -218,8 +209,8 @@ class Evidence:
     off_path : float or None
         How far the pose is from the path of the map, seen from above, metres; None where segments
         settle it, or the map has no path.
-    storeyed : bool
-        Whether the map has several storeys.
+    other_storeys : tuple of Score
+        The rivals above and below, in a map of several storeys.
     """
 
     score: Score
@@ -227,13 +218,7 @@ class Evidence:
     rivals: tuple[Score, ...]
     extent: int | None = None
     off_path: float | None = None
-    storeyed: bool = False
-
-    @property
-    def other_storeys(self) -> tuple[Score, ...]:
-        """The rivals above and below, in a map of several storeys."""
-        T, rivals = self.score.T_map_local, self.rivals if self.storeyed else ()
-        return tuple(r for r in rivals if is_above_or_below(r.T_map_local, T))
+    other_storeys: tuple[Score, ...] = ()
 
     @property
     def inlier_evidence(self) -> float:
