@@ -10,7 +10,7 @@ PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 # The extras that tests find. CI has them from those of `dev`, which are these and more.
 TESTED ?= test
 
-.PHONY: demo test quick test-lowest test-newest test-ros fuzz evaluate lint docs wheel-check clean
+.PHONY: demo test quick golden test-lowest test-newest test-ros fuzz evaluate lint docs wheel-check clean
 .PHONY: cross-check
 .PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
@@ -31,6 +31,12 @@ test: $(VENV)/.$(TESTED)
 QUICK := -m "not slow and not data and not torch and not fuzz"
 quick: $(VENV)/.$(TESTED)
 	$(PYTEST) $(QUICK)
+
+# Answers of a fixed corpus beside the stored ones, bit for bit: ACCEPT=1 stores them anew, and
+# GROUPS="world-town kernels" takes some. THREADS changes nothing but the time.
+THREADS ?= 1
+golden: $(VENV)/.$(TESTED)
+	$(ALONE) GOLDEN_THREADS=$(THREADS) PYTHONPATH=tests $(BIN)/python -m golden $(GROUPS) $(if $(ACCEPT),--accept)
 
 # The quick tests of an installed wheel: with Python 3.10 and exactly the lowest versions that
 # pyproject.toml allows, and with Python 3.13 and the newest of everything.

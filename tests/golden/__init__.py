@@ -1,0 +1,1 @@
+"""Stored answers of a fixed corpus, which a change of the source's structure must not alter."""

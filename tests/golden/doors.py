@@ -1,0 +1,80 @@
+"""All that the golden corpus imports of segloc: where the source moves, only this file follows."""
+
+from __future__ import annotations
+
+from segloc import (
+    Config,
+    LiveLocalizer,
+    Localizer,
+    LoopDetector,
+    Prior,
+    Scan,
+    SegmentMap,
+    Tracker,
+    align_sessions,
+    build_map,
+    geometry,
+    open_sequence,
+    update_map,
+)
+from segloc._native import instruction_set
+from segloc.alignment import LoopConfig
+from segloc.datasets import NO_POSES, swathes
+from segloc.diagnosis import examine
+from segloc.landmarks import LandmarkLocalizer, find_stems
+from segloc.live import LiveConfig, LiveCore
+from segloc.map.compact import CompactConfig, compacted
+from segloc.map.config import MappingConfig
+from segloc.simulation import (
+    SCENES,
+    SENSORS,
+    Conditions,
+    OdometryNoise,
+    SimulatedSequence,
+    World,
+    building,
+    simulate_sessions,
+    warehouse,
+)
+from segloc.tiles import TiledMap, cut_tiles
+from segloc.tracker import TrackerConfig
+
+__all__ = [
+    "NO_POSES",
+    "SCENES",
+    "SENSORS",
+    "CompactConfig",
+    "Conditions",
+    "Config",
+    "LandmarkLocalizer",
+    "LiveConfig",
+    "LiveCore",
+    "LiveLocalizer",
+    "Localizer",
+    "LoopConfig",
+    "LoopDetector",
+    "MappingConfig",
+    "OdometryNoise",
+    "Prior",
+    "Scan",
+    "SegmentMap",
+    "SimulatedSequence",
+    "TiledMap",
+    "Tracker",
+    "TrackerConfig",
+    "World",
+    "align_sessions",
+    "build_map",
+    "building",
+    "compacted",
+    "cut_tiles",
+    "examine",
+    "find_stems",
+    "geometry",
+    "instruction_set",
+    "open_sequence",
+    "simulate_sessions",
+    "swathes",
+    "update_map",
+    "warehouse",
+]

@@ -1,0 +1,47 @@
+"""A cross-section of the corpus is answered as stored, and what differs is noticed."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+from golden.comparing import GROUPS, answers, check, compare, load
+from golden.records import exact
+
+pytest.importorskip("embreex")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name, group in GROUPS.items() if group.quick])
+def test_answers_are_those_stored(name: str) -> None:
+    compared = check(name, answers(name)[0])
+    assert compared.same, "\n".join(map(str, compared.differences))
+
+
+@pytest.fixture()
+def stored() -> dict[str, Any]:
+    cases: dict[str, Any] = load("world-town")["cases"]
+    return cases
+
+
+def test_a_bit_that_differs_is_named_and_elsewhere_forgiven(stored: dict[str, Any]) -> None:
+    found = copy.deepcopy(stored)
+    T = np.eye(4)
+    found["single 0"]["T_map_sensor"] = exact(np.nextafter(T, 2.0))
+    found["single 9"]["confidence"] = float(np.nextafter(found["single 9"]["confidence"], 0.0))
+    named = [(d.case, d.field) for d in compare(stored, found, True).differences]
+    assert named == [("single 0", "T_map_sensor"), ("single 9", "confidence")]
+    assert exact(T) != exact(np.nextafter(T, 2.0))
+    loose = compare(stored, found, False)
+    assert loose.same and loose.loose == len(stored) and loose.exact == 0
+
+
+def test_other_poses_and_missing_cases_are_noticed_anywhere(stored: dict[str, Any]) -> None:
+    found = copy.deepcopy(stored)
+    del found["near"]
+    found["single 0"]["pose"][0] += 0.06
+    found["single 9"]["pose"][5] += 0.4
+    named = [(d.case, d.field) for d in compare(stored, found, False).differences]
+    assert named == [("near", "case"), ("single 0", "pose"), ("single 9", "pose")]
