@@ -163,7 +163,12 @@ def main() -> None:
     with ProcessPoolExecutor(args.workers, mp_context=context) as pool:
         running = {pool.submit(answers, name): name for name in args.groups or GROUPS}
         for done in as_completed(running):
-            name, (cases, seconds) = running[done], done.result()
+            name = running[done]
+            if error := done.exception():
+                failed = True
+                print(f"{name}: failed: {type(error).__name__}: {error}", flush=True)
+                continue
+            cases, seconds = done.result()
             if args.accept:
                 save(name, cases)
                 print(f"{name}: {len(cases)} cases stored ({seconds:.0f} s)", flush=True)

@@ -68,7 +68,7 @@ class Kept:
         self.name = "kept"
         self.scans = [recording.scan(i) for i in chosen]
         self.poses = np.asarray(recording.poses)[chosen]
-        self.indices = np.arange(len(chosen), dtype=np.int64)
+        self.indices = np.asarray(recording.indices)[chosen]
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -199,6 +199,7 @@ def in_place(name: str, method: str = "profile") -> Cases:
 for _name in PLACES:
     group(f"world-{_name}", quick=_name in ("town", "offices"))(partial(in_place, _name))
 
+FALLBACKS = ("occupancy", "stems")
 METHODS = (
     *("dsm", "dsm-fq", "dsm-nq", "esm", "esm-fq", "esm-nq", "geo", "nsm", "segmap"),
     *("segmatch-eigen", "segmatch-eigen-ethz", "segmatch-esf"),
@@ -219,6 +220,58 @@ def _swathes() -> Cases:
     inputs = digest([first.scans])
     asked = [Query(f"swathe {i}", second.scan(i)) for i in range(len(second))]
     yield from localized(Localizer(build_map(first, config()), config()), asked, inputs)
+
+
+SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
+    "prosac": {"pose": {"estimator": "prosac"}},
+    "ransac": {"pose": {"estimator": "ransac"}},
+    "consistency": {"pose": {"estimator": "geometric_consistency"}},
+    "no fallback": {"occupancy": {"enabled": False}, "stems": {"enabled": False}},
+    "no refinement": {"verification": {"refine": False}},
+    "few neighbours": {"matching": {"neighbours": 3}},
+}
+
+
+@group("settings")
+def _settings() -> Cases:
+    """The queries of two places by settings that take other paths."""
+    for place in ("offices", "industrial"):
+        prior_map, inputs = mapped(place)
+        for name, sections in SETTINGS.items():
+            changed = {
+                section: getattr(config(), section).model_copy(update=values)
+                for section, values in sections.items()
+            }
+            localizer = Localizer(prior_map, config(**changed))
+            for case, record in localized(localizer, queries(place), inputs):
+                yield f"{place}, {name}, {case}", record
+
+
+@group("refusals", quick=True)
+def _refusals() -> Cases:
+    """Clouds that show nothing, little, or another place, with and without fallback."""
+    plaza, rng = PlazaSequence(Plaza(0)), np.random.default_rng(0)
+    prior_map = build_map(plaza, config())
+    inputs = digest([plaza.scan(i) for i in range(len(plaza))])
+    flat = rng.uniform(-20, 20, (4000, 3)) * [1, 1, 0.001] - [0, 0, 1.8]
+    post = rng.uniform(-0.2, 0.2, (300, 3)) + [6, 0, 0] + rng.uniform(0, 2, (300, 1)) * [0, 0, 1]
+    whole = plaza.scan(5).points
+    other = Plaza(7).scan(geometry.yaw_transform(0.3, (5.0, 9.0, 1.8))).points
+    clouds = {
+        "empty": np.empty((0, 3)),
+        "not finite": np.full((50, 3), np.nan),
+        "point": np.ones((1, 3)),
+        "ground": flat,
+        "post": np.concatenate([flat, post]),
+        "part": whole[whole[:, 0] > 12],
+        "partly not finite": np.concatenate([whole, np.full((50, 3), np.inf)]),
+        "other": other,
+        "scaled": 1.2 * whole,
+    }
+    alone = {s: getattr(config(), s).model_copy(update={"enabled": False}) for s in FALLBACKS}
+    for name, each in (("all", config()), ("segments", config(**alone))):
+        asked = [Query(f"{name}, {cloud}", Scan(points)) for cloud, points in clouds.items()]
+        yield from localized(Localizer(prior_map, each), asked, inputs)
 
 
 # --- streams ---------------------------------------------------------------------------------
@@ -281,6 +334,7 @@ def _live() -> Cases:
         for j, state in enumerate(streams.feed(core, events)):
             yield f"core {k}.{j}", {"inputs": inputs} | of_state(state)
     states: list[Any] = []
+    started = digest([(e.stamp, e.scan, e.T_odom_base) for events, _ in begun for e in events])
     with doors.LiveLocalizer(localizer, LIVE, on_state=states.append) as live:
         for event in (event for events, _ in begun for event in events):
             if event.scan is None:
@@ -289,7 +343,7 @@ def _live() -> Cases:
                 live.add_scan(event.scan, event.stamp)
             assert live.flush(60.0)
     for k, state in enumerate(states):
-        yield f"threads {k}", {"inputs": ""} | of_state(state)
+        yield f"threads {k}", {"inputs": started} | of_state(state)
 
 
 # --- tiles, alignment, loops, landmarks --------------------------------------------------------

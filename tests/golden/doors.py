@@ -21,6 +21,7 @@ from segloc._native import instruction_set
 from segloc.alignment import LoopConfig
 from segloc.datasets import NO_POSES, swathes
 from segloc.diagnosis import examine
+from segloc.io import read_scan
 from segloc.landmarks import LandmarkLocalizer, find_stems
 from segloc.live import LiveConfig, LiveCore
 from segloc.map.compact import CompactConfig, compacted
@@ -73,6 +74,7 @@ __all__ = [
     "geometry",
     "instruction_set",
     "open_sequence",
+    "read_scan",
     "simulate_sessions",
     "swathes",
     "update_map",

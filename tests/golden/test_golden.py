@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from golden.comparing import GROUPS, answers, check, compare, load
 from golden.records import exact
 
