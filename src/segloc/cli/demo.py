@@ -11,52 +11,47 @@ import typer
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
     from ..localizer import Localizer
-    from ..simulation import SimulatedSequence
+    from ..sample import SampleDrive
 
-QUERY_EVERY_M = 8.0
+QUERY_EVERY_M = 4.0
+"""Below the spacing of the sample's scans: every scan is a query, but for the first."""
+
 FAR_AWAY_M = 1e5
-"""Where the other town is put in the map's frame: nowhere in it is a right answer."""
+"""Offset of the other town in the map's frame: nowhere in it is a right answer."""
 
 
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")] = Path(
         "demo"
     ),
-    seed: Annotated[
-        int, typer.Option(min=0, metavar="NUMBER", help="Another seed is another town.")
-    ] = 0,
 ) -> None:
-    """Map a simulated town, then localize a second traversal of it, and another town.
+    """Map the recorded sample, then localize a drive of another day, and one in another town.
 
-    Between the traversals other cars are parked, and the second one also leaves the map.
+    The second drive comes the opposite way, among other parked cars, and also leaves the map.
     """
+    from .. import sample
     from ..config import Config
     from ..localizer import Localizer
     from ..map.build import build_map
-    from ..simulation import demo_sessions
-    from .console import busy, progress
+    from .console import progress
     from .results import check_folder, write_results
 
     check_folder(out)
-    with busy("Simulating two towns"):
-        drives = demo_sessions(seed)
     with progress("Building the map") as update:
-        prior_map = build_map(drives["map"], Config(), progress=update)
+        prior_map = build_map(sample.load("monday"), Config(), progress=update)
     localizer = Localizer(prior_map)
-    again = _evaluate(localizer, drives["revisit"], "Second traversal", 0.0)
-    other = _evaluate(localizer, drives["elsewhere"], "Another town", FAR_AWAY_M)
-    write_results(out / "revisit", prior_map, again, f"A second traversal of town {seed}")
+    again = _evaluate(localizer, sample.load("tuesday"), "Another day", 0.0)
+    other = _evaluate(localizer, sample.load("elsewhere"), "Another town", FAR_AWAY_M)
+    write_results(out / "revisit", prior_map, again, "Another day in the mapped town")
     write_results(out / "elsewhere", prior_map, other, None)
     prior_map.save(out / "town.segmap")
-    _show(again.summary(), other.summary(), f"Town {seed}, described by {prior_map.descriptor}")
-    print(
-        f"The map is {out}/town.segmap, its picture with the answers {out}/revisit/trajectory.png"
-    )
+    _show(again.summary(), other.summary(), f"The sample, described by {prior_map.descriptor}")
+    picture = out / "revisit" / "trajectory.png"
+    drawn = f", its picture with the answers {picture}" if picture.is_file() else ""
+    print(f"The map is {out}/town.segmap{drawn}")
 
 
-def _evaluate(
-    localizer: Localizer, drive: SimulatedSequence, label: str, shift_m: float
-) -> Evaluation:
+def _evaluate(localizer: Localizer, drive: SampleDrive, label: str, shift_m: float) -> Evaluation:
     from ..batch.run import localize_sequence, query_positions
     from ..batch.score import Evaluation
     from .console import progress
@@ -65,7 +60,7 @@ def _evaluate(
     positions = query_positions(drive.poses, QUERY_EVERY_M, gap)
     with progress(label) as update:
         results = localize_sequence(localizer, drive, positions, update)
-    truths = drive.poses[positions].copy()
+    truths = drive.truth[positions].copy()
     truths[:, 0, 3] += shift_m
     return Evaluation(drive.indices[positions], results, localizer.prior_map.trajectory, truths)
 
@@ -86,4 +81,4 @@ def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
         row("error, median", lambda s: number(s["translation_error_m"]["median"], "m")),
         row("time of a query, median", lambda s: number(s["ms"]["total"], "ms", 1)),
     ]
-    table(title, ("", "second traversal", "another town"), rows)
+    table(title, ("", "another day", "another town"), rows)
