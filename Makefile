@@ -1,4 +1,4 @@
-# make demo: simulate, map, localize, report.   make test: every test.   make quick: in a minute.
+# make demo: map the sample, localize, report.   make test: every test.   make quick: in a minute.
 # make evaluate [SCALE=full]: the experiments of the paper.   Each sets itself up.
 PYTHON ?= python3
 VENV := .venv
@@ -14,7 +14,7 @@ TESTED ?= test
 .PHONY: cross-check
 .PHONY: sanitize sanitize-python sanitize-threads fuzz-native
 
-demo: $(VENV)/.demo
+demo: $(VENV)/.report
 	$(BIN)/segloc demo --out demo
 
 evaluate: $(VENV)/.evaluate

@@ -2,8 +2,8 @@
 
     python3.12 packaging/tried.py build/wheel/segloc-*.whl
 
-With the Python that runs it. `segloc` alone maps and localizes what the simulator made, whose extra
-is only then there; then comes the demo. Prints a row of Markdown; times are of the processor.
+With the Python that runs it. `segloc` alone writes the sample, maps and localizes it, and runs the
+demo, without pictures. Prints a row of Markdown; times are of the processor.
 """
 
 from __future__ import annotations
@@ -21,19 +21,18 @@ def row(wheel: Path) -> str:
     """What was found, and the times."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for environment, extras in (("alone", ""), ("demo", "[demo]")):
-            seconds(sys.executable, "-m", "venv", folder / environment)
-            pip = [folder / environment / "bin" / "python", "-m", "pip", "install", "--quiet"]
-            seconds(*pip, f"{wheel.resolve()}{extras}")
-        alone, demo = (folder / each / "bin" / "segloc" for each in ("alone", "demo"))
+        seconds(sys.executable, "-m", "venv", folder / "alone")
+        binaries = folder / "alone" / "bin"
+        seconds(binaries / "python", "-m", "pip", "install", "--quiet", wheel.resolve())
+        segloc = binaries / "segloc"
         sample, site, out = folder / "sample", folder / "site.segmap", folder / "out"
-        seconds(demo, "sample", "--out", sample, "--workers", 1)
+        seconds(segloc, "sample", "--out", sample)
         poses = ["--poses", "poses.tum"]
-        mapped = seconds(alone, "map", "build", sample / "monday", *poses, "--out", site)
+        mapped = seconds(segloc, "map", "build", sample / "monday", *poses, "--out", site)
         query = ["localize", sample / "tuesday", "--map", site, "--truth", "poses.tum"]
-        localized = seconds(alone, *query, "--threads", 1, "--out", out)
+        localized = seconds(segloc, *query, "--threads", 1, "--out", out)
         summary = json.loads((out / "summary.json").read_text())
-        shown = seconds(demo, "demo", "--out", folder / "shown")
+        shown = seconds(segloc, "demo", "--out", folder / "shown")
         found = f"{summary['correct']} of {summary['queries']}, {summary['false']} falsely"
         times = [f"{time:.0f} s" for time in (mapped, localized, shown)]
         label = f"{platform.python_version()}, `{'-'.join(wheel.stem.split('-')[2:4])}`"

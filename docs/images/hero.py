@@ -1,6 +1,6 @@
 """Draw the picture of the README: a scan that drops into its place in the map.
 
-python docs/images/hero.py        # writes hero.png beside itself; needs the extras sim and report
+python docs/images/hero.py        # writes hero.png beside itself; needs the extra report
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from PIL import Image
 
-from segloc import Config, Localizer, build_map, geometry
-from segloc.cli.sample import drives
+from segloc import Config, Localizer, build_map, geometry, sample
 from segloc.explanation import Trace, trace
 from segloc.local_cloud import Accumulator
 from segloc.map.segment_map import SegmentMap
 from segloc.pictures import DARK, GREEN, GREY, PATH, blank, hue, png, rgb
 
-SEED, QUERY = 0, 11
+QUERY = 11
 LIFTED_M, ELEVATION_DEG, AZIMUTH_DEG = 38.0, 32.0, 68.0
 RADIUS_M, CLOUD_RADIUS_M = 58.0, 32.0
 SIZE_IN, DPI, COLOURS = (11.0, 7.0), 110, 96
@@ -39,15 +38,15 @@ def seen_from_aside(points: Any) -> Any:
     return np.column_stack([across, up]), away
 
 
-def answered(seed: int, query: int) -> tuple[SegmentMap, Trace]:
+def answered(query: int) -> tuple[SegmentMap, Trace]:
     """A map of the sample's Monday, and how a scan of its Tuesday is found in it."""
-    monday, tuesday, _ = drives(seed)
+    monday, tuesday = sample.load("monday"), sample.load("tuesday")
     config = Config.preset("profile").model_copy(update={"threads": 1})
     localizer = Localizer(build_map(monday, config), config)
     cloud = Accumulator(config.local_cloud).gather(tuesday.scan(query))
     found = trace(localizer, cloud)
     if not found.result.localized:
-        raise SystemExit(f"seed {seed}: scan {query} is not localized: {found.result.message}")
+        raise SystemExit(f"scan {query} is not localized: {found.result.message}")
     return localizer.prior_map, found
 
 
@@ -134,7 +133,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("hero.png"))
     options = parser.parse_args()
-    drawn = picture(*answered(SEED, QUERY))
+    drawn = picture(*answered(QUERY))
     with Image.open(io.BytesIO(drawn)) as image:  # few colours keep it small
         few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         few.save(options.out, optimize=True)

@@ -1,6 +1,6 @@
 """Draw the picture of docs/seeing.md: `segloc view` with a query of the sample.
 
-python docs/images/view.py        # writes view.png beside itself; needs the extras sim and view,
+python docs/images/view.py        # writes view.png beside itself; needs the extra view,
                                   # segloc-experiments and a Chromium
 """
 
@@ -14,16 +14,16 @@ from tempfile import TemporaryDirectory
 from PIL import Image
 from segloc_experiments.bench.browser import Page, browser
 
-from segloc import Config, Localizer, build_map
+from segloc import Config, Localizer, build_map, sample
 from segloc.cli.answers import sentence
-from segloc.cli.sample import drives
+from segloc.cli.sample import TUESDAY_STEP
 from segloc.explanation import trace, viewer
 from segloc.explanation.results import Shown
 from segloc.explanation.seen import seen
 from segloc.local_cloud import Accumulator
 from segloc.map.segment_map import SegmentMap
 
-SEED, QUERY = 0, 9
+QUERY = 18
 WIDTH, HEIGHT, COLOURS = 1280, 720, 256
 SETTLE_S, DRAWN_S = 60.0, 12.0
 _CLOSE_NOTICES = "document.querySelectorAll('.mantine-Notification-closeButton')"
@@ -37,14 +37,14 @@ _CHOOSE = """(() => {
 })()"""
 
 
-def answered(seed: int) -> tuple[SegmentMap, list[Shown]]:
+def answered() -> tuple[SegmentMap, list[Shown]]:
     """A map of the sample's Monday, and how each scan of its Tuesday is found in it."""
-    monday, tuesday, _ = drives(seed)
+    monday, tuesday = sample.load("monday"), sample.load("tuesday")
     config = Config.preset("profile").model_copy(update={"threads": 1})
     localizer = Localizer(build_map(monday, config), config)
     clouds = Accumulator(config.local_cloud)
     shown = []
-    for i in range(len(tuesday)):
+    for i in range(0, len(tuesday), TUESDAY_STEP):
         found = trace(localizer, clouds.gather(tuesday.scan(i)), f"scan {i}")
         result = found.result
         T = result.T_map_sensor if result.localized else None
@@ -74,7 +74,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("view.png"))
     options = parser.parse_args()
-    server = viewer.serve(*answered(SEED), 0)
+    server = viewer.serve(*answered(), 0)
     try:
         with TemporaryDirectory() as profile, browser(Path(profile)) as page:
             drawn = picture(page, f"http://localhost:{server.get_port()}", QUERY)

@@ -49,7 +49,7 @@ NOT_RUN = {
     r"segloc map build .*--weights": "of weights that the line before trains",
     r"segloc simulate (building|industrial|forest)": "minutes; in tests/cli/test_simulate.py",
     r"segloc (map build|localize) runs/": "of recordings that the line before simulates",
-    r"segloc demo": "minutes; in tests/docs/test_pictures.py",
+    r"segloc demo": "in tests/docs/test_pictures.py",
     r"segloc .*(--install-completion|--show-completion)": "changes the reader's shell",
     r"segloc .*--cluster": "needs a cluster; one is made in tests/map",
     r"segloc .*(gs://|s3://|https://)": "needs a bucket",
@@ -149,15 +149,12 @@ def _expanded(word: str) -> list[str]:
 
 @pytest.fixture
 def without_servers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Servers are not started; simulated places are small."""
-    from segloc.cli import sample
+    """Servers are not started."""
     from segloc.explanation import viewer
 
     server = types.SimpleNamespace(get_port=lambda: 8080, sleep_forever=lambda: None)
     monkeypatch.setattr(viewer, "serve", lambda *_: server)
     monkeypatch.setattr(viewer, "follow", lambda *_: server)
-    monkeypatch.setattr(sample, "LENGTH_M", 40.0)
-    monkeypatch.setattr(sample, "SIZE_M", 140.0)
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ SECONDS = 900
 @pytest.mark.filterwarnings("ignore")  # of what runs notebooks
 @pytest.mark.timeout(SECONDS)
 def test_the_notebook_runs() -> None:
-    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
     pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")

@@ -35,11 +35,10 @@ def loaded(name: str) -> ModuleType:
 @pytest.mark.timeout(1800)
 def test_the_hero_is_what_its_command_draws(tmp_path: Path) -> None:
     """Scan, pose and matches."""
-    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
     pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
     image = pytest.importorskip("PIL.Image")
     hero = loaded("hero")
-    prior_map, found = hero.answered(hero.SEED, hero.QUERY)
+    prior_map, found = hero.answered(hero.QUERY)
     drawn = image.open(io.BytesIO(hero.picture(prior_map, found))).convert("RGB")
     with image.open(IMAGES / "hero.png") as kept:
         alike(kept, drawn)
@@ -52,7 +51,6 @@ def test_the_demo_tells_right_from_elsewhere_and_its_pictures_are_the_kept_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The counts in the legend but for one or two, the rest to the eye."""
-    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
     pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
     image = pytest.importorskip("PIL.Image")
     out, demo = tmp_path / "demo", loaded("demo")
@@ -61,7 +59,8 @@ def test_the_demo_tells_right_from_elsewhere_and_its_pictures_are_the_kept_ones(
     again, other = (
         json.loads((out / name / "summary.json").read_text()) for name in ("revisit", "elsewhere")
     )
-    assert again["within_coverage_correct"] > 0.7 * again["within_coverage"] > 0
+    assert again["within_coverage"] >= 40 and other["queries"] >= 20
+    assert again["within_coverage_correct"] > 0.9 * again["within_coverage"]
     assert again["false"] == other["localized"] == other["within_coverage"] == 0
     assert len(SegmentMap.load(out / "town.segmap")) > 0
     demo.keep(out / "revisit", tmp_path)

@@ -90,7 +90,7 @@ def unit_circle(angles: Float64) -> Float64:
 def stored(drive: SimulatedSequence) -> dict[str, np.ndarray]:
     """The arrays of a drive's file."""
     sensor = drive.sensor
-    assert isinstance(sensor, SpinningLidar)
+    assert isinstance(sensor, SpinningLidar) and drive.stamps is not None
     images = [range_image(drive.scan(i).points, sensor) for i in range(len(drive))]
     ranges = np.stack(images).reshape(-1)
     returned = ranges[ranges > 0].astype(np.int32)

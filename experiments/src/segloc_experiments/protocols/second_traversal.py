@@ -1,4 +1,4 @@
-"""What ``segloc demo`` shows, as a table that is kept: a town driven again, and another town.
+"""Store what ``segloc demo`` shows as a table: a town driven again, and another town.
 
 python -m segloc_experiments.protocols.second_traversal --store docs/results
 """
@@ -16,14 +16,14 @@ from segloc.cli.demo import demo
 from ..results.store import Cell, Result
 from ..script import storing
 
-COLUMNS = ("", "second traversal", "another town")
+COLUMNS = ("", "another day", "another town")
 COMMAND = "python -m segloc_experiments.protocols.second_traversal --store docs/results"
 
 
-def summaries(seed: int) -> list[dict[str, Any]]:
-    """The summaries of both drives through a town."""
+def summaries() -> list[dict[str, Any]]:
+    """Run the demo; return the summaries of both drives."""
     with TemporaryDirectory() as folder:
-        demo(Path(folder), seed)
+        demo(Path(folder))
         return [
             json.loads((Path(folder) / drive / "summary.json").read_text("utf-8"))
             for drive in ("revisit", "elsewhere")
@@ -53,11 +53,9 @@ def rows(found: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
 
 
 def main() -> None:
-    options = storing(__doc__)
-    options.add_argument("--seed", type=int, default=0, help="another is another town")
-    args = options.parse_args()
-    table = rows(summaries(args.seed))
-    note = f"`profile`, town {args.seed}; in brackets 95 % by Wilson."
+    args = storing(__doc__).parse_args()
+    table = rows(summaries())
+    note = "`profile`; in brackets 95 % by Wilson."
     Result.measured("demo", COMMAND, COLUMNS, table, methods=("profile",), note=note).tell(
         args.store
     )
