@@ -22,7 +22,7 @@ from segloc.local_cloud import Accumulator
 from segloc.map.segment_map import SegmentMap
 from segloc.pictures import DARK, GREEN, GREY, PATH, blank, hue, png, rgb
 
-QUERY = 11
+QUERY = 4
 LIFTED_M, ELEVATION_DEG, AZIMUTH_DEG = 38.0, 32.0, 68.0
 RADIUS_M, CLOUD_RADIUS_M = 58.0, 32.0
 SIZE_IN, DPI, COLOURS = (11.0, 7.0), 110, 96
