@@ -30,6 +30,7 @@ ROOMS: dict[str, tuple[int, str]] = {
     "training": (2, "networks and forests trained and exported; the only room with PyTorch"),
     "explanation": (2, "one query through every stage, in words and pictures"),
     "simulation": (3, "worlds, objects, sensors, motion"),
+    "sample": (3, "a recorded drive to map, another day, another town"),
     "diagnosis": (3, "what is wrong with a recording, measured, and how to mend it"),
     "pictures.py": (3, "the one look of all pictures: colours, ground plans, scales"),
     "datasets": (4, "recordings: loaders, bags, packets, odometry"),

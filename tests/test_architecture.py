@@ -28,7 +28,7 @@ LAYERS = (
     Layer("cli"),
     Layer(ROOT),
     Layer("batch alignment training live export explanation"),
-    Layer("simulation diagnosis pictures"),
+    Layer("simulation diagnosis pictures sample"),
     Layer("datasets"),
     Layer("tracker scan_check hypotheses views", together=True),
     Layer("tiles"),

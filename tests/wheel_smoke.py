@@ -4,7 +4,7 @@
     python wheel_smoke.py METHOD...   # these; others come with segloc-experiments
 
 Scans and maps go through files: a recording as KITTI stores it, and a real scan of KITTI where one
-lies in ../shared.
+lies in ../shared. The sample is part of the wheel.
 """
 
 from __future__ import annotations
@@ -17,7 +17,16 @@ import numpy as np
 from samples.plaza import Plaza, PlazaSequence
 
 import segloc
-from segloc import Config, Localizer, SegmentMap, WeightsError, build_map, geometry, open_sequence
+from segloc import (
+    Config,
+    Localizer,
+    SegmentMap,
+    WeightsError,
+    build_map,
+    geometry,
+    open_sequence,
+    sample,
+)
 from segloc.descriptors import create
 from segloc.io import read_scan, write_scan
 
@@ -76,6 +85,16 @@ def real(folder: Path) -> tuple[Path, Path, Pose]:
     return recording(folder / "street", [points[::2]], pose[None]), folder / "query.bin", truth
 
 
+def check_sample() -> None:
+    """Find a scan of Tuesday in the map of Monday, and none of another town."""
+    localizer = Localizer(build_map(sample.load("monday"), Config()))
+    tuesday = sample.load("tuesday")
+    found = localizer.localize(tuesday.scan(20))
+    assert found.T_map_sensor is not None, found.message
+    assert np.abs(found.T_map_sensor - tuesday.truth[20]).max() < 0.2
+    assert not localizer.localize(sample.load("elsewhere").scan(0)).localized
+
+
 def refuses(method: str) -> None:
     """A method that is there to be compared with says what brings its weights."""
     try:
@@ -93,6 +112,7 @@ with tempfile.TemporaryDirectory() as name:
         for scene in scenes:
             check(method, *scene, Path(name))
 if not sys.argv[1:]:
+    check_sample()
     for method in WITH_EXPERIMENTS:
         refuses(method)
 for heavy in HEAVY:
