@@ -56,7 +56,7 @@ endef
 
 # What test-lowest and test-newest run: all, or paths, or TESTS=smoke, for which a minute is enough.
 TESTS ?= tests
-SMOKE := tests/test_localizer.py tests/test_pose.py tests/test_matching.py tests/test_segmentation.py \
+SMOKE := tests/test_localizer.py tests/proposals/test_pose.py tests/proposals/test_matching.py tests/frontend/test_segmentation.py \
   tests/map/test_file.py tests/io tests/descriptors tests/datasets/ros
 
 test-lowest:
@@ -107,8 +107,8 @@ sanitize-python: sanitize $(VENV)/.$(TESTED)
 	  ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=1 PYTHONMALLOC=malloc \
 	  LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so.6)" \
 	  $(PYTEST) -m "not slow and not data and not torch" -k "not localizes and not test_own" \
-	  tests/test_bindings.py tests/test_pose.py tests/test_matching.py tests/test_segmentation.py \
-	  tests/test_registration.py tests/verification tests/descriptors
+	  tests/test_bindings.py tests/proposals/test_pose.py tests/proposals/test_matching.py tests/frontend/test_segmentation.py \
+	  tests/likelihood/test_registration.py tests/likelihood tests/descriptors
 
 # The kernels' tests, several callers at once among them, under ThreadSanitizer: on demand. It wants
 # its memory where it looks for it.
@@ -153,7 +153,7 @@ define try_wheel
 	$(1) -m venv $(2) && \
 	  $(2)/bin/python $(INSTALL) $(WHEEL)/segloc-*.whl && \
 	  $(2)/bin/segloc --version && $(2)/bin/python tests/wheel_smoke.py && \
-	  $(2)/bin/python $(INSTALL) --no-deps $(WHEEL)/segloc_experiments-*.whl && \
+	  $(2)/bin/python $(INSTALL) --no-deps $(WHEEL)/segloc_lab-*.whl && \
 	  $(2)/bin/segloc bench --help > /dev/null && $(2)/bin/segloc evaluate roc --help > /dev/null && \
 	  $(2)/bin/python tests/wheel_smoke.py segmap segmatch-esf nsm
 endef
@@ -172,7 +172,7 @@ $(VENV)/.%: $(NATIVE) | $(BIN)/python
 	@touch $@
 
 # The experiments are a distribution of their own, which adds verbs to segloc.
-LABORATORY := $(NATIVE) experiments/pyproject.toml
+LABORATORY := $(NATIVE) lab/pyproject.toml
 $(VENV)/.evaluate: $(LABORATORY) | $(BIN)/python
 	$(PIP) -e ".[io]" -e ./experiments
 	@touch $@

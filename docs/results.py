@@ -11,7 +11,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "experiments" / "src"))
 
-from segloc_experiments.results.pages import main
+from segloc_lab.results.pages import main
 
 if __name__ == "__main__":
     main()

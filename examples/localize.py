@@ -5,8 +5,9 @@ python examples/localize.py
 
 from __future__ import annotations
 
+from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
+
 from segloc import Config, Localizer, build_map
-from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
 
 
 def main() -> None:

@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 
 from segloc import LoopDetector, geometry
 from segloc.io.g2o import PoseEdges, format_g2o
 from segloc.motion import odometry_covariance
-from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
 
 
 def main() -> None:

@@ -8,10 +8,10 @@ In the package a descriptor is one such file in ``src/segloc/descriptors/``.
 from __future__ import annotations
 
 import numpy as np
+from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 
 from segloc import Config, Localizer, build_map
 from segloc.descriptors.base import Descriptor, register
-from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
 from segloc.types import Descriptors, Segments
 
 

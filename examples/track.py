@@ -8,8 +8,9 @@ python examples/track.py
 
 from __future__ import annotations
 
+from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
+
 from segloc import Config, Localizer, build_map
-from segloc.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
 from segloc.tracker import Tracker, TrackerConfig
 
 LENGTH_M = 80.0

@@ -150,7 +150,7 @@ def test_packages_of_others_stay_in_their_rooms() -> None:
 
 
 def test_every_module_is_used() -> None:
-    outside = source.files("experiments/src", "examples")
+    outside = source.files("lab/src", "examples")
     by_name = {
         name for name in package().files if any(f"{name}.".startswith(f"{b}.") for b in BY_NAME)
     }
@@ -165,13 +165,13 @@ def too_long(found: list[Length], most: int) -> str:
 
 
 def test_files_are_short() -> None:
-    paths = source.files("src/segloc", "experiments/src", "cpp", suffixes=(".py", ".cpp", ".h"))
+    paths = source.files("src/segloc", "lab/src", "cpp", suffixes=(".py", ".cpp", ".h"))
     table = too_long(source.lengths(paths, source.file_length), MOST_LINES_OF_A_FILE)
     assert not table, f"files of more than {MOST_LINES_OF_A_FILE} lines:\n{table}"
 
 
 def test_functions_are_short() -> None:
-    paths = source.files("src/segloc", "experiments/src")
+    paths = source.files("src/segloc", "lab/src")
     found = source.lengths(paths, source.python_functions)
     table = too_long(found, MOST_LINES_OF_A_FUNCTION)
     assert not table, f"functions of more than {MOST_LINES_OF_A_FUNCTION} lines:\n{table}"

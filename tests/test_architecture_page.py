@@ -29,7 +29,7 @@ def test_the_tables_are_current(generate: ModuleType) -> None:
 
 def test_files_named_for_the_paper_exist() -> None:
     section = PAGE.partition("## The paper, section by section")[2]
-    experiments = ROOT / "experiments" / "src" / "segloc_experiments"
+    experiments = ROOT / "experiments" / "src" / "segloc_lab"
     names = re.findall(r"`((?:\w+/)+(?:\w+\.\w+)?|\w+\.py)`", section)
     assert len(names) > 40
     places = (ROOT, ROOT / "src" / "segloc", experiments)

@@ -116,9 +116,9 @@ def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
-    from segloc.simulation import SENSORS, Route, simulate_session, town
+    from segloc_lab.simulation import SENSORS, Route, simulate_session, town
 
-    make = loaded("src/segloc/simulation/sensors/lidar.py", tmp_path).pandar40
+    make = loaded("lab/src/segloc_lab/simulation/sensors/lidar.py", tmp_path).pandar40
     monkeypatch.setitem(SENSORS, "pandar40", make)
     sensor = SENSORS["pandar40"](200)
     assert len(sensor.rays(0.0).directions) == 40 * 200
@@ -129,10 +129,10 @@ def test_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    studies = pytest.importorskip("segloc_experiments.paper.studies")
-    workspaces = importlib.import_module("segloc_experiments.paper.workspace")
-    counting = loaded("experiments/src/segloc_experiments/paper/counting.py", tmp_path)
-    monkeypatch.setitem(sys.modules, "segloc_experiments.paper.counting", counting)
+    studies = pytest.importorskip("segloc_lab.studies.paper.studies")
+    workspaces = importlib.import_module("segloc_lab.studies.paper.workspace")
+    counting = loaded("lab/src/segloc_lab/paper/counting.py", tmp_path)
+    monkeypatch.setitem(sys.modules, "segloc_lab.studies.paper.counting", counting)
     workspace = workspaces.Workspace(tmp_path / "out", methods=("geo", "profile"))
     study = studies.run("counting", workspace)
     assert study.tables[0].rows == (("geo", 7), ("profile", 32))
@@ -140,8 +140,8 @@ def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_study_has_a_module() -> None:
-    studies = pytest.importorskip("segloc_experiments.paper.studies")
-    folder = ROOT / "experiments" / "src" / "segloc_experiments" / "paper"
+    studies = pytest.importorskip("segloc_lab.studies.paper.studies")
+    folder = ROOT / "experiments" / "src" / "segloc_lab" / "paper"
     missing = [name for name in studies.STUDIES if not (folder / f"{name}.py").is_file()]
     assert not missing
 

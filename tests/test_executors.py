@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from samples.executors import EXECUTORS, Moved, Walk, square
 from samples.plaza import Plaza
+from segloc_lab.training.collect import Posed, collect_recordings
+from segloc_lab.training.extract import ExtractConfig
+from segloc_lab.training.shards import Session, finish
 
 from segloc import Config
-from segloc.alignment import AlignConfig, Alignment, align_sessions
-from segloc.alignment.summary import loops_jsonl
 from segloc.errors import ConfigError, SeglocError
+from segloc.frontend.segmentation import SegmentationConfig
+from segloc.loops import AlignConfig, Alignment, align_sessions
+from segloc.loops.summary import loops_jsonl
 from segloc.map.sessions import build_merged_map
-from segloc.processes import all_of, as_finished
-from segloc.segmentation import SegmentationConfig
-from segloc.training.collect import Posed, collect_recordings
-from segloc.training.extract import ExtractConfig
-from segloc.training.shards import Session, finish
+from segloc.system.processes import all_of, as_finished
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 ELSEWHERE = ("processes", "dask")

@@ -18,8 +18,8 @@ from segloc.datasets.fixes import Fixes, read_fixes
 from segloc.errors import ConfigError, DatasetError, MapFormatError, MapMismatch, MissingDependency
 from segloc.export import export
 from segloc.export.formats import Options
-from segloc.georeference import KEY, Georeference
 from segloc.map.compact import CompactConfig, compacted
+from segloc.map.georeference import KEY, Georeference
 from segloc.map.parts import along
 from segloc.map.same_place import check_same_place
 from segloc.tiles import TiledMap, cut_tiles

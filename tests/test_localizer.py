@@ -25,12 +25,12 @@ from segloc import (
 )
 from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
-from segloc.landmarks.config import StemConfig
+from segloc.likelihood import Evidence, QueryCloud, Score, Verdict
 from segloc.localization import Localization, Reason
-from segloc.occupancy import OccupancyConfig
-from segloc.search import Search
+from segloc.pipeline.search import Search
+from segloc.proposals.landmarks.config import StemConfig
+from segloc.proposals.occupancy import OccupancyConfig
 from segloc.types import Candidate, Matches
-from segloc.verification import Evidence, QueryCloud, Score, Verdict
 
 GEO = Config.preset("geo")
 DECISIVE = Evidence(Score(np.eye(4), 20, 0.9, 900, 1000, 0.1), 4.0, ())

@@ -24,7 +24,7 @@ VERSION = found(r'^version = "(.+)"$', PROJECT)
 @pytest.mark.parametrize(
     ("file", "pattern"),
     [
-        ("experiments/pyproject.toml", r'^version = "(.+)"$'),
+        ("lab/pyproject.toml", r'^version = "(.+)"$'),
         ("CITATION.cff", r"^version: (.+)$"),
         ("packaging/conda/recipe.yaml", r"^  version: (.+)$"),
         (".zenodo.json", r'"version": "(.+)"'),

@@ -1,7 +1,7 @@
 """Run by ``make wheel-check`` in an environment that holds the wheel and nothing else.
 
     python wheel_smoke.py             # the methods that segloc brings the weights of
-    python wheel_smoke.py METHOD...   # these; others come with segloc-experiments
+    python wheel_smoke.py METHOD...   # these; others come with segloc-lab
 
 Scans and maps go through files: a recording as KITTI stores it, and a real scan of KITTI where one
 lies in ../shared. The sample is part of the wheel.
@@ -100,7 +100,7 @@ def refuses(method: str) -> None:
     try:
         _ = create(method).pruner
     except WeightsError as error:
-        assert "pip install segloc-experiments" in str(error), error
+        assert "pip install segloc-lab" in str(error), error
     else:
         raise AssertionError(f"{method}: its weights are not meant to be part of the wheel")
 

@@ -19,14 +19,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import cKDTree
+from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 
 from segloc import Config, Localizer, build_map, geometry
-from segloc.pictures import BLUE, DARK, GREEN, GREY, RED
-from segloc.search import Query as Described
-from segloc.segmentation import Segmentation
-from segloc.simulation import Conditions, hdl64e, simulate_sessions, town
+from segloc.frontend.segmentation import Segmentation
+from segloc.inspect.pictures import BLUE, DARK, GREEN, GREY, RED
+from segloc.likelihood import RefinedScore
+from segloc.pipeline.search import Query as Described
 from segloc.types import Candidate, Matches
-from segloc.verification import RefinedScore
 
 Floats = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Draw the picture of docs/limits.md: one scan on the two equal storeys of a simulated building.
 
-python docs/images/limits.py    # writes beside itself; needs segloc-experiments, `report`
+python docs/images/limits.py    # writes beside itself; needs segloc-lab, `report`
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
-from segloc_experiments.protocols.equal_storeys import cloud, drives, lifted
+from segloc_lab.protocols.equal_storeys import cloud, drives, lifted
 
 from segloc import geometry
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc.datasets.base import parse_select
-from segloc.map.segment_map import SegmentMap
-from segloc.pictures import (
+from segloc.inspect.pictures import (
     BLUE,
     DARK,
     GREEN,
@@ -31,10 +31,10 @@ from segloc.pictures import (
     png,
     scale,
 )
-from segloc.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
+from segloc.map.segment_map import SegmentMap
 from segloc.tracker import Track, Tracker, TrackerConfig
+from segloc.tracking.views import Status
 from segloc.types import Float32, Float64, Pose
-from segloc.views import Status
 
 SEED, SIZE_M, LENGTH_M, UNMAPPED = 7, 150.0, 110.0, 22
 """The first scans of the drive lie before the beginning of the map."""

@@ -1,7 +1,7 @@
 """Draw the picture of docs/seeing.md: `segloc view` with a query of the sample.
 
 python docs/images/view.py        # writes view.png beside itself; needs the extra view,
-                                  # segloc-experiments and a Chromium
+                                  # segloc-lab and a Chromium
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PIL import Image
-from segloc_experiments.bench.browser import Page, browser
+from segloc_lab.bench.browser import Page, browser
 
 from segloc import Config, Localizer, build_map, sample
 from segloc.cli.answers import sentence
 from segloc.cli.sample import TUESDAY_STEP
-from segloc.explanation import trace, viewer
-from segloc.explanation.results import Shown
-from segloc.explanation.seen import seen
-from segloc.local_cloud import Accumulator
+from segloc.inspect import trace, viewer
+from segloc.inspect.results import Shown
+from segloc.inspect.seen import seen
+from segloc.frontend.local_cloud import Accumulator
 from segloc.map.segment_map import SegmentMap
 
 QUERY = 18

@@ -24,18 +24,18 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
-    from .alignment import LoopDetector, align_sessions
     from .config import Config
     from .datasets import open_sequence
+    from .frontend.rolling_cloud import RollingCloud
     from .geometry import ros_covariance
     from .live import LiveLocalizer
     from .localization import Localization, Localized, NotLocalized, Reason
     from .localizer import Localizer
+    from .loops import LoopDetector, align_sessions
     from .map.build import build_map
     from .map.segment_map import SegmentMap
     from .map.update import update_map
     from .prior import Prior
-    from .rolling_cloud import RollingCloud
     from .tracker import Tracker
     from .types import LocalCloud, Scan
 

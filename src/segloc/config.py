@@ -14,19 +14,19 @@ from pydantic import BaseModel, Field, ValidationError
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
-from .landmarks.config import StemConfig
-from .local_cloud import LocalCloudConfig
+from .frontend.local_cloud import LocalCloudConfig
+from .frontend.mounting import MountConfig
+from .frontend.segmentation import SegmentationConfig
+from .likelihood import VerificationConfig, shipped_confidence
 from .map.config import MappingConfig
 from .map.merge import TEXT_SEPARATOR
 from .map.segment_map import SegmentMap
-from .matching import MatchingConfig
-from .mounting import MountConfig
-from .occupancy import OccupancyConfig
-from .pose import PoseConfig
-from .section import Section
-from .segmentation import SegmentationConfig
-from .verification import VerificationConfig, shipped_confidence
-from .yamlfile import parse_yaml, read_yaml
+from .proposals.landmarks.config import StemConfig
+from .proposals.matching import MatchingConfig
+from .proposals.occupancy import OccupancyConfig
+from .proposals.pose import PoseConfig
+from .system.section import Section
+from .system.yamlfile import parse_yaml, read_yaml
 
 DEFAULT_METHOD = "profile"
 

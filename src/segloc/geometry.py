@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from .section import Section
+from .system.section import Section
 from .types import Pose
 
 

@@ -6,23 +6,23 @@ import time
 from dataclasses import replace
 from typing import Any, Protocol
 
-from .answer import answer
 from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
-from .fallback import Fallback
-from .local_cloud import Accumulator, Scans
+from .frontend.local_cloud import Accumulator, Scans
+from .frontend.segmentation import Segmenter
+from .likelihood import QueryCloud, Verdict, Verifier
 from .localization import Localization
 from .map.segment_map import SegmentMap
-from .matching import Matcher
-from .occupancy import is_storeyed
-from .pose import PoseEstimator
+from .pipeline.answer import answer
+from .pipeline.fallback import Fallback
+from .pipeline.search import Query, Search
 from .prior import Near, Prior, allowed, within
-from .search import Query, Search
-from .segmentation import Segmenter
-from .stage_times import Clock, StageTimes
+from .proposals.matching import Matcher
+from .proposals.occupancy import is_storeyed
+from .proposals.pose import PoseEstimator
+from .system.stage_times import Clock, StageTimes
 from .types import LocalCloud
-from .verification import QueryCloud, Verdict, Verifier
 
 
 class TileSearch(Protocol):

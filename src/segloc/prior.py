@@ -9,8 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import MOST_METRES
 from .errors import ConfigError
+from .system.checks import MOST_METRES
 from .types import Candidate, Float64, Int64, Pose
 
 MOST_RADIUS_M = 1e6

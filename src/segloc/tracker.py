@@ -11,22 +11,22 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from . import geometry
-from .checks import checked_pose
 from .errors import InvalidScan
-from .hypotheses import Hypotheses
-from .local_cloud import Scans
+from .frontend.local_cloud import Scans
+from .frontend.rolling_cloud import RollingCloud
+from .likelihood import RefinedScore
 from .localization import Reason
 from .localizer import Localizer
+from .pipeline.search import Query, Search
 from .prior import Prior
-from .rolling_cloud import RollingCloud
-from .scan_check import ScanCheck, ScanCheckConfig, newest_alone
-from .search import Query, Search
-from .stage_times import StageTimes
+from .system.checks import checked_pose
+from .system.stage_times import StageTimes
+from .tracking.hypotheses import Hypotheses
+from .tracking.scan_check import ScanCheck, ScanCheckConfig, newest_alone
+from .tracking.views import Check, HypothesesConfig, View
+from .tracking.views import Question as Question
+from .tracking.views import Track as Track
 from .types import LocalCloud, Pose, Scan
-from .verification import RefinedScore
-from .views import Check, HypothesesConfig, View
-from .views import Question as Question
-from .views import Track as Track
 
 Heard = Callable[[Query, Search, Mapping[str, float]], None]
 """Told what a query was, what was found, and how many milliseconds each stage took."""

@@ -8,10 +8,11 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import Float32 as Float32
-from .checks import Float64 as Float64
-from .checks import Pose as Pose
-from .checks import (
+from .errors import InvalidScan
+from .system.checks import Float32 as Float32
+from .system.checks import Float64 as Float64
+from .system.checks import Pose as Pose
+from .system.checks import (
     checked_angle,
     checked_count,
     checked_direction,
@@ -24,7 +25,6 @@ from .checks import (
     edge_if_given,
     pose_if_given,
 )
-from .errors import InvalidScan
 
 Int64 = NDArray[np.int64]
 AttitudeSource = Literal["given", "estimated", "assumed"]

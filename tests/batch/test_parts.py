@@ -17,7 +17,7 @@ from segloc import Config, Localization, Localizer, Prior, SeglocError, build_ma
 from segloc.batch import parts
 from segloc.batch.parts import localize_parts
 from segloc.batch.run import localize_sequence
-from segloc.processes import cluster, executing, single_threaded_pool
+from segloc.system.processes import cluster, executing, single_threaded_pool
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 COUNT = 24

@@ -15,7 +15,7 @@ from samples.source import PROJECT
 from segloc.cli import app
 
 BY_EXPERIMENTS = {"bench", "evaluate"}
-"""Verbs that segloc-experiments adds, or adds to: unknown parts are its where it is missing."""
+"""Verbs that segloc-lab adds, or adds to: unknown parts are its where it is missing."""
 
 _SPAN = re.compile(r"`segloc ([^`]+)`")
 _ALTERNATIVES = re.compile(r"[\w-]+(\|[\w-]+)+")

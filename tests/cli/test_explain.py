@@ -11,11 +11,11 @@ import pytest
 from samples.walk import POINTS_ASIDE, Site, run, walked_site
 
 from segloc import Localizer, SegmentMap
-from segloc.explanation import steps, trace, verdict
-from segloc.explanation.page import page
-from segloc.explanation.trace import BEYOND
+from segloc.inspect import steps, trace, verdict
+from segloc.inspect.page import page
+from segloc.inspect.trace import BEYOND
+from segloc.likelihood.confidence import FEATURES, shipped_confidence
 from segloc.types import Scan
-from segloc.verification.confidence import FEATURES, shipped_confidence
 
 
 @pytest.fixture(scope="module")

@@ -92,7 +92,7 @@ def test_help_loads_little() -> None:
     assert not loaded("--help") & {"numpy", "scipy", "pydantic", "rich"}
     one = loaded("localize", "--help")
     assert "segloc.cli.localize" in one
-    assert not one & {"numpy", "scipy", "segloc.cli.simulate"}
+    assert not one & {"numpy", "scipy", "segloc_lab.cli.simulate"}
     assert not {name for name in loaded("--version") if name.startswith("segloc.cli.map")}
 
 

@@ -17,18 +17,12 @@ from scipy.spatial import cKDTree
 from segloc import SegmentMap
 from segloc.datasets import open_sequence
 from segloc.errors import SeglocError
-from segloc.explanation.following import (
-    SO_FAR,
-    draw_moments,
-    follows,
-    newest_points,
-    read_moments,
-)
-from segloc.explanation.results import read_results
-from segloc.explanation.scene import FIXED, OF_QUERY, MapScene
-from segloc.explanation.seen import packed, unpacked
-from segloc.pictures import GREEN, rgb
-from segloc.views import Status
+from segloc.inspect.following import SO_FAR, draw_moments, follows, newest_points, read_moments
+from segloc.inspect.pictures import GREEN, rgb
+from segloc.inspect.results import read_results
+from segloc.inspect.scene import FIXED, OF_QUERY, MapScene
+from segloc.inspect.seen import packed, unpacked
+from segloc.tracking.views import Status
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +135,7 @@ def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A page of a headless browser."""
     pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
     chromium = pytest.importorskip(
-        "segloc_experiments.bench.browser", reason="the browser is driven by segloc-experiments"
+        "segloc_lab.bench.browser", reason="the browser is driven by segloc-lab"
     )
     pytest.importorskip("matplotlib.image")
     if chromium.CHROMIUM is None:
@@ -216,7 +210,7 @@ def test_the_page_shows_the_map_and_the_queries(
 def test_the_server_shows_a_panel_with_the_reason(
     site: Site, results: Path, browser_page: Any
 ) -> None:
-    from segloc.explanation import viewer
+    from segloc.inspect import viewer
 
     shown, page = read_results(results), browser_page
     server = viewer.serve(SegmentMap.load(site.map), shown, 8199)

@@ -16,6 +16,16 @@ pytest.importorskip("kiss_icp")
 from samples.bags import KINDS, BagWriter
 from samples.datasets import START, Drive, kitti
 from samples.real import real
+from segloc_lab.simulation import (
+    Route,
+    SimulatedSequence,
+    car,
+    hdl32e,
+    record,
+    simulate_session,
+    town,
+)
+from segloc_lab.simulation.drives import mapped_way
 
 from segloc import cli, geometry
 from segloc.batch.run import localize_sequence
@@ -28,8 +38,6 @@ from segloc.errors import DatasetError
 from segloc.io import read_trajectory, write_tum
 from segloc.localizer import Localizer
 from segloc.map.build import build_map
-from segloc.simulation import Route, SimulatedSequence, car, hdl32e, record, simulate_session, town
-from segloc.simulation.drives import mapped_way
 from segloc.types import Float64, Int64, Scan
 
 

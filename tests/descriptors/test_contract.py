@@ -51,7 +51,7 @@ def descriptor(request: pytest.FixtureRequest) -> Descriptor:
     try:
         return create(request.param, threads=1)
     except WeightsError as error:
-        if "segloc-experiments" not in str(error):
+        if "segloc-lab" not in str(error):
             raise
         pytest.skip(str(error))
 

@@ -9,6 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from samples.plaza import Plaza, PlazaSequence
+from segloc_lab.training.forest_pairs import ForestConfig
+from segloc_lab.training.grow_forest import train_forest, trees_of
+from segloc_lab.training.shapes import shapes_dataset
 
 from segloc import Config, Localizer, _native, build_map
 from segloc.descriptors import create
@@ -23,10 +26,7 @@ from segloc.descriptors.random_forest import (
 from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import ConfigError, WeightsError
 from segloc.map.segment_map import SegmentMap
-from segloc.matching import Matcher, MatchingConfig
-from segloc.training.forest_pairs import ForestConfig
-from segloc.training.grow_forest import train_forest, trees_of
-from segloc.training.shapes import shapes_dataset
+from segloc.proposals.matching import Matcher, MatchingConfig
 from segloc.types import Descriptors
 
 INTEGERS = ("roots", "feature", "first_child")
@@ -121,7 +121,7 @@ def test_a_file_keeps_the_forest(tmp_path: Path) -> None:
 
 def test_without_its_forest_a_method_describes_and_says_what_to_install() -> None:
     plain = Plain()
-    with pytest.raises(WeightsError, match=r"plain-forest.* pip install segloc-experiments"):
+    with pytest.raises(WeightsError, match=r"plain-forest.* pip install segloc-lab"):
         _ = plain.pruner
 
 

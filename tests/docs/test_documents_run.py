@@ -30,24 +30,24 @@ NOT_RUN = {
     r"make ": "of the Makefile, which has such a target",
     r"git clone": "fetches from elsewhere",
     r"cd ": "of the command before it",
-    r"python -m segloc_experiments": LABORATORY,
-    r"(experiments/src/)\S+\.sh": LABORATORY,
+    r"python -m segloc_lab": LABORATORY,
+    r"(lab/src/)\S+\.sh": LABORATORY,
     r"M=": LABORATORY,
     r"python docs/": "writes the pages themselves; tests compare them",
     r"segloc bench": LABORATORY,
-    r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in experiments/tests",
+    r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in lab/tests",
     r"segloc localize .*--gnss": "needs a bag with fixes; in tests/cli/test_gnss.py",
     r"segloc map (update|merge) (tiles|.* tiles)": "of sessions of the reader's; in tests/tiles",
     r"segloc .*--store docs/results": LABORATORY,
     r"segloc evaluate (all|report)": LABORATORY,
     r"segloc evaluate localization .*--kitti": LABORATORY,
-    r"segloc simulate --suite": "six places, a quarter of an hour; of them tests/simulation",
+    r"segloc simulate --suite": "six places, a quarter of an hour; of them lab/tests/simulation",
     r"segloc (train|map|localize|align) .*(kitti|METHOD|2014|worlds|others|harbour|RUN RUN)": (
-        "needs a large dataset; each option is tried in tests/cli/test_train.py"
+        "needs a large dataset; each option is tried in lab/tests/cli/test_train.py"
     ),
-    r"segloc train (extract|profile)": "minutes; at their smallest in tests/cli/test_train.py",
+    r"segloc train (extract|profile)": "minutes; at their smallest in lab/tests/cli/test_train.py",
     r"segloc map build .*--weights": "of weights that the line before trains",
-    r"segloc simulate (building|industrial|forest)": "minutes; in tests/cli/test_simulate.py",
+    r"segloc simulate (building|industrial|forest)": "minutes; in lab/tests/cli/test_simulate.py",
     r"segloc (map build|localize) runs/": "of recordings that the line before simulates",
     r"segloc demo": "in tests/docs/test_pictures.py",
     r"segloc .*(--install-completion|--show-completion)": "changes the reader's shell",
@@ -58,8 +58,8 @@ NOT_RUN = {
 """Commands that are not run, by how they begin, and why."""
 
 PAGES = {
-    "docs/evaluation-pairs.md": "needs a dataset of labelled pairs; tests/alignment writes one",
-    "docs/training.md": "its commands train for hours; smallest in tests/cli/test_train.py",
+    "docs/evaluation-pairs.md": "needs a dataset of labelled pairs; tests/loops writes one",
+    "docs/training.md": "its commands train for hours; smallest in lab/tests/cli/test_train.py",
     "docs/robot.md": "needs a robot",
     "docs/fleet.md": "needs a cluster",
 }
@@ -150,7 +150,7 @@ def _expanded(word: str) -> list[str]:
 @pytest.fixture
 def without_servers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Servers are not started."""
-    from segloc.explanation import viewer
+    from segloc.inspect import viewer
 
     server = types.SimpleNamespace(get_port=lambda: 8080, sleep_forever=lambda: None)
     monkeypatch.setattr(viewer, "serve", lambda *_: server)
@@ -205,17 +205,17 @@ def test_every_exception_is_needed() -> None:
 
 def test_what_measures_is_there() -> None:
     """Modules and scripts that are named and not run."""
-    pytest.importorskip("segloc_experiments")
+    pytest.importorskip("segloc_lab")
     from importlib.util import find_spec
 
     for path in documents():
         for each in code(path):
-            if found := re.search(r"python -m (segloc_experiments\S+)", each.text):
+            if found := re.search(r"python -m (segloc_lab\S+)", each.text):
                 spec = find_spec(found[1])
                 assert spec is not None and spec.origin, f"{each.place}: {found[1]}"
                 runs = '__name__ == "__main__"' in Path(spec.origin).read_text("utf-8")
                 assert runs, f"{each.place}: {found[1]} is no script"
-            if found := re.match(r"(experiments/\S+\.sh)", each.text):
+            if found := re.match(r"(lab/\S+\.sh)", each.text):
                 assert (PROJECT / found[1]).is_file(), f"{each.place}: {found[1]}"
 
 

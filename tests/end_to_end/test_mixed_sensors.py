@@ -11,9 +11,7 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
 
-from segloc import SegmentMap, cli
-from segloc.io import Trajectory, read_trajectory, write_tum
-from segloc.simulation import (
+from segloc_lab.simulation import (
     Conditions,
     SimulatedSequence,
     hdl64e,
@@ -22,6 +20,9 @@ from segloc.simulation import (
     town,
     vlp16,
 )
+
+from segloc import SegmentMap, cli
+from segloc.io import Trajectory, read_trajectory, write_tum
 from segloc.types import Float64
 
 pytestmark = pytest.mark.slow

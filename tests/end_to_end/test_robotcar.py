@@ -22,14 +22,14 @@ pytest.importorskip("torch", reason="training needs the extra 'train'")
 
 from samples.datasets import FLIP, START
 from samples.robotcar import FRONT, T_sensor_car, write_drive
+from segloc_lab.simulation import Conditions, lms151, simulate_sessions, town
+from segloc_lab.training.shards import load_dataset
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.batch.run import localize_sequence, query_positions
 from segloc.datasets import open_sequence, swathes
 from segloc.io import read_trajectory
 from segloc.map.build import build_map
-from segloc.simulation import Conditions, lms151, simulate_sessions, town
-from segloc.training.shards import load_dataset
 from segloc.types import Float64
 
 pytestmark = pytest.mark.slow

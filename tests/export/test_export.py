@@ -15,13 +15,13 @@ from samples.maps import make_map
 from scipy.spatial.transform import Rotation
 
 from segloc import ConfigError, DatasetError, SegmentMap, cli, geometry
-from segloc.alignment import AlignConfig, Alignment
-from segloc.alignment.loops import Loop
 from segloc.cli.align import _write
 from segloc.export import FORMATS, export
 from segloc.export.formats import Options
 from segloc.export.tracks import Place
 from segloc.io import Trajectory, read_scan, read_trajectory, write_tum
+from segloc.loops import AlignConfig, Alignment
+from segloc.loops.loops import Loop
 from segloc.motion import odometry_covariance
 from segloc.types import Descriptors, Float64
 

@@ -31,7 +31,7 @@ from samples.plaza import Plaza, PlazaSequence
 from segloc import Config, SegmentMap, build_map
 from segloc.cli import main
 from segloc.io import Trajectory, write_scan, write_tum
-from segloc.locks import exclusive
+from segloc.system.locks import exclusive
 
 CONFIG = Config.preset("geo").model_copy(update={"threads": 1})
 Work = Callable[[Path], None]

@@ -16,21 +16,21 @@ from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, SegmentMap, build_map
-from segloc.files import replacing
 from segloc.io import Trajectory, write_scan, write_tum
-from segloc.locks import exclusive
+from segloc.system.files import replacing
+from segloc.system.locks import exclusive
 
 SEGLOC = [sys.executable, "-c", "from segloc.cli import main; main()"]
 HOLD = """
 import sys, time
-from segloc.locks import exclusive
+from segloc.system.locks import exclusive
 with exclusive(sys.argv[1]):
     print("held", flush=True)
     time.sleep(60)
 """
 HALF = """
 import sys, time
-from segloc.files import replacing
+from segloc.system.files import replacing
 with replacing(sys.argv[1]) as stream:
     stream.write(b"half")
     stream.flush()
@@ -172,7 +172,7 @@ def test_a_writer_that_cannot_be_seen_but_holds_its_lock_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on a folder that several containers share."""
-    monkeypatch.setattr("segloc.files.process_lives", lambda _: False)
+    monkeypatch.setattr("segloc.system.files.process_lives", lambda _: False)
     running = started(HALF, tmp_path / "site.segmap")
     make_map().save(tmp_path / "site.segmap")
     assert len(names(tmp_path)) == 2

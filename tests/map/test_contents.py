@@ -182,7 +182,7 @@ import os, sys, threading, time
 from segloc.errors import DatasetError, MapFormatError, WeightsError
 from segloc.descriptors.weightfile import read_weights
 from segloc.map.segment_map import SegmentMap
-from segloc.training.shards import load_dataset
+from segloc_lab.training.shards import load_dataset
 from pathlib import Path
 
 path, kind, trials = sys.argv[1], sys.argv[2], int(sys.argv[3])
@@ -223,9 +223,9 @@ print(refused)
 
 def write_dataset(folder: Path, segments: int) -> Path:
     """A dataset of one shard, which is returned."""
-    from segloc.training.extract import Extract
-    from segloc.training.labels import LabelConfig
-    from segloc.training.shards import Session, finish, write_shard
+    from segloc_lab.training.extract import Extract
+    from segloc_lab.training.labels import LabelConfig
+    from segloc_lab.training.shards import Session, finish, write_shard
 
     rng = np.random.default_rng(0)
     extract = Extract(

@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-
-from segloc import Config, Scan, SeglocError, SegmentMap, build_map, geometry
-from segloc.alignment import Reposed
-from segloc.cli import main
-from segloc.errors import DatasetError, MapMismatch
-from segloc.io import Trajectory, write_scan, write_tum
-from segloc.map.compact import CompactConfig
-from segloc.map.config import MappingConfig
-from segloc.map.update import UpdateConfig, update_map
-from segloc.map.visibility import visibility
-from segloc.simulation import (
+from segloc_lab.simulation import (
     Conditions,
     Route,
     SimulatedSequence,
@@ -27,7 +17,17 @@ from segloc.simulation import (
     simulate_session,
     town,
 )
-from segloc.simulation.drives import mapped_way
+from segloc_lab.simulation.drives import mapped_way
+
+from segloc import Config, Scan, SeglocError, SegmentMap, build_map, geometry
+from segloc.cli import main
+from segloc.errors import DatasetError, MapMismatch
+from segloc.io import Trajectory, write_scan, write_tum
+from segloc.loops import Reposed
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
+from segloc.map.update import UpdateConfig, update_map
+from segloc.map.visibility import visibility
 from segloc.types import Descriptors, Float64
 
 pytestmark = pytest.mark.slow

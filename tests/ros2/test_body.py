@@ -14,7 +14,7 @@ from segloc_ros.core.settings import Settings
 from segloc_ros.core.transforms import TransformTree
 
 from segloc import ConfigError, InvalidScan, Localizer, geometry
-from segloc.mounting import rotation
+from segloc.frontend.mounting import rotation
 
 A = geometry.yaw_transform(0.4, (1.0, 2.0, 3.0))
 B = geometry.rigid(rotation(10.0, -20.0, 30.0), np.array([0.1, 0.2, 0.3]))

@@ -13,7 +13,7 @@ import pytest
 
 from samples.plaza import Plaza, PlazaSequence
 from segloc import geometry
-from segloc.processes import ProcessPool, cluster, single_threaded_pool
+from segloc.system.processes import ProcessPool, cluster, single_threaded_pool
 
 Progress = Callable[[int, int], None]
 

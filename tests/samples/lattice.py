@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from segloc import geometry
-from segloc.local_cloud import LocalCloudConfig
+from segloc.frontend.local_cloud import LocalCloudConfig
 from segloc.types import Float32, Float64, Pose
 
 ONE = 4096  # parts of a voxel's edge

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from segloc_lab.simulation import Lidar, LineLidar, SimulatedSequence
 
 from samples.datasets import FLIP, START, angles, made, matrix, us
 from segloc import geometry
-from segloc.simulation import Lidar, LineLidar, SimulatedSequence
 from segloc.types import Float64
 
 # x, y, z in metres and roll, pitch, yaw, from the extrinsics of the dataset's SDK.

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc.landmarks import LandmarkMap, Landmarks
+from segloc.proposals.landmarks import LandmarkMap, Landmarks
 from segloc.types import Float64, Pose
 
 SIZE_M = 80.0

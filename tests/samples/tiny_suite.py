@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from segloc.simulation.suites import LATER, TestSet
+from segloc_lab.simulation.suites import LATER, TestSet
 
 TINY = TestSet(
     "tiny", "City park", "park", "vlp16", 90, 9, (LATER,),

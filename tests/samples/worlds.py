@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from segloc.simulation import World
+from segloc_lab.simulation import World
 
 
 def made_anew(make: Callable[..., World], seed: int, size_m: float) -> World:

@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SeglocError
-from ..pictures import DARK, GREEN, GREY, RED, TEXT_PT, blank, chart, dots, plan, png, scale, title
+from ..inspect.pictures import (
+    DARK,
+    GREEN,
+    GREY,
+    RED,
+    TEXT_PT,
+    blank,
+    chart,
+    dots,
+    plan,
+    png,
+    scale,
+    title,
+)
 from ..types import Float64
 from .score import PATH_BREAK_M, Evaluation
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..datasets.fixes import Fixes
 from ..errors import DatasetError
-from ..georeference import Georeference
+from ..map.georeference import Georeference
 from ..prior import Prior
 from ..types import Float64
 
@@ -41,7 +41,7 @@ def gnss_priors(
     DatasetError
         If the queries have no times.
     ConfigError, MissingDependency
-        As :meth:`segloc.georeference.Georeference.in_map`.
+        As :meth:`segloc.map.georeference.Georeference.in_map`.
     """
     if stamps is None:
         raise DatasetError(f"{fixes.source}: fixes are by time, and the scans have no times")

@@ -15,7 +15,7 @@ from ..localization import Localization
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..processes import as_finished
+from ..system.processes import as_finished
 from ..tiles import TiledMap, holds_tiles
 from ..types import Int64, Recording
 from .run import Priors, each_prior, localize_sequence

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..map.segment_map import SegmentMap
-from ..pictures import (
+from ..inspect.pictures import (
     BLUE,
     DARK,
     GREEN,
@@ -23,6 +22,7 @@ from ..pictures import (
     scale,
     title,
 )
+from ..map.segment_map import SegmentMap
 from ..types import Float64
 from .score import PATH_BREAK_M, Bools, Evaluation
 

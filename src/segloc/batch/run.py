@@ -11,15 +11,15 @@ import numpy as np
 from .. import geometry
 from ..config import Config
 from ..errors import ConfigError
-from ..local_cloud import Accumulator, window
+from ..frontend.local_cloud import Accumulator, window
+from ..frontend.scan_window import RecordedWindows
 from ..localization import Localization
 from ..prior import Prior
-from ..scan_window import RecordedWindows
-from ..stage_times import Clock, StageTimes
+from ..system.stage_times import Clock, StageTimes
 from ..types import Float64, Int64, LocalCloud, Recording
 
 if TYPE_CHECKING:
-    from ..search import Query
+    from ..pipeline.search import Query
 
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None

@@ -26,8 +26,8 @@ from .options import (
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ..alignment import AlignConfig, Alignment, Reposed
     from ..config import Config
+    from ..loops import AlignConfig, Alignment, Reposed
     from ..types import Recording
 
 _NOISE = {"odometry_m", "odometry_deg", "odometry_scale"}
@@ -62,9 +62,9 @@ def align(
     Loops within and across sessions are found without an initial guess. Sessions that nothing
     connects stay apart.
     """
-    from ..alignment import AlignConfig, Reposed, align_sessions
     from ..config import validated
-    from ..processes import executing
+    from ..loops import AlignConfig, Reposed, align_sessions
+    from ..system.processes import executing
     from .console import progress
     from .options import each
     from .recording import open_recording
@@ -117,11 +117,11 @@ def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
 
 
 def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
-    from ..alignment.picture import picture
-    from ..alignment.summary import loops_csv, loops_jsonl, summary
     from ..errors import MissingDependency
-    from ..files import replacing, write_text
     from ..io import Trajectory, write_tum
+    from ..loops.picture import picture
+    from ..loops.summary import loops_csv, loops_jsonl, summary
+    from ..system.files import replacing, write_text
     from .console import note
 
     out.mkdir(parents=True, exist_ok=True)
@@ -171,7 +171,8 @@ def _write_maps(
 
 
 def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
-    from ..training.aligned_pairs import write_dataset, write_pairs
+    from segloc_lab.training.aligned_pairs import write_dataset, write_pairs
+
     from .console import say
 
     folder = out / "dataset"
@@ -182,7 +183,7 @@ def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config
 
 
 def _show(alignment: Alignment, out: Path) -> None:
-    from ..alignment.summary import summary
+    from ..loops.summary import summary
     from .console import note, number, table
 
     facts = summary(alignment)

@@ -10,8 +10,8 @@ import typer
 from .options import ConfigFile, Poses, Threads, Topic, Weights, open_localizer
 
 if TYPE_CHECKING:
-    from ..explanation import Trace
-    from ..local_cloud import LocalCloudConfig
+    from ..frontend.local_cloud import LocalCloudConfig
+    from ..inspect import Trace
     from ..types import Recording
 
 
@@ -43,9 +43,9 @@ def explain(
     import numpy as np
 
     from ..batch.run import query_clouds
-    from ..explanation import trace
-    from ..files import checked_target
+    from ..inspect import trace
     from ..map.segment_map import SegmentMap
+    from ..system.files import checked_target
     from .console import busy
     from .recording import open_recording
 
@@ -63,8 +63,8 @@ def explain(
         findings = _findings(recording, position, local)
     _show(found, findings)
     if html is not None:
-        from ..explanation.page import page
-        from ..files import write_text
+        from ..inspect.page import page
+        from ..system.files import write_text
 
         with busy("Drawing"):
             write_text(html, page(found, localizer.prior_map, findings))
@@ -85,14 +85,14 @@ def _position(recording: Recording, number: int | None) -> int:
 
 def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> list[str]:
     """What `segloc doctor` says of that scan."""
-    from ..diagnosis import scan_findings
+    from ..doctor import scan_findings
 
     found = scan_findings([recording.scan(position)], config, posed=recording.poses is not None)
     return [f"{'wrong' if finding.wrong else 'note'}: {finding}" for finding in found]
 
 
 def _show(trace: Trace, findings: list[str]) -> None:
-    from ..explanation import steps, verdict
+    from ..inspect import steps, verdict
 
     print(verdict(trace))
     for line in findings:

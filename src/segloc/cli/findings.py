@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from .options import load_config
 
 if TYPE_CHECKING:
-    from ..diagnosis import Examinable, Examination
+    from ..doctor import Examinable, Examination
 
 
 def examined(
@@ -23,7 +23,7 @@ def examined(
     from typing import cast
 
     from ..datasets import open_sequence
-    from ..diagnosis import Examinable, examine
+    from ..doctor import Examinable, examine
     from .console import busy
     from .recording import place_of_sensor
 

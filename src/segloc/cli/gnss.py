@@ -29,7 +29,7 @@ def gnss_priors(
     from ..batch.gnss import gnss_priors
     from ..datasets.fixes import read_fixes
     from ..errors import ConfigError
-    from ..georeference import Georeference
+    from ..map.georeference import Georeference
     from .console import note
 
     georeference = Georeference.of(prior_map.metadata)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..local_cloud import LocalCloudConfig
+    from ..frontend.local_cloud import LocalCloudConfig
     from ..localization import Localization
     from ..types import Recording
 
@@ -18,7 +18,7 @@ def hint(
     recording: Recording, results: Sequence[Localization], config: LocalCloudConfig
 ) -> str | None:
     """One line where most queries fail; None where most do not, or nothing is to be said."""
-    from ..diagnosis import first_fault
+    from ..doctor import first_fault
     from ..errors import SeglocError
 
     found = sum(result.localized for result in results)

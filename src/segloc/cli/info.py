@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
 
 if TYPE_CHECKING:
-    from ..diagnosis import Examinable, Examination
+    from ..doctor import Examinable, Examination
 
 
 def info(

@@ -31,7 +31,7 @@ class SoFar:
     """
 
     def __init__(self, out: Path, recording: Recording, clouds: bool = True) -> None:
-        from ..explanation.following import NEWEST, SO_FAR
+        from ..inspect.following import NEWEST, SO_FAR
 
         self._states, self._newest = out / SO_FAR, out / NEWEST
         self._recording, self._clouds = recording, clouds
@@ -65,7 +65,7 @@ class SoFar:
 
     def _keep(self, position: int, state: State) -> None:
         from .. import _native, geometry
-        from ..files import replacing
+        from ..system.files import replacing
 
         T = state.T_map_base
         if T is None:

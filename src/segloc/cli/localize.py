@@ -94,7 +94,7 @@ def localize(
     """
     from ..batch.score import Tolerance
     from ..datasets import poses_at
-    from ..processes import executing
+    from ..system.processes import executing
     from .console import busy, progress
     from .gnss import gnss_priors
     from .recording import levelled_poses, open_recording, place_of_sensor
@@ -174,9 +174,9 @@ def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[
     """The answers, and files of what each stage made of each query."""
     from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
-    from ..explanation import trace
-    from ..explanation.results import DEBUG
-    from ..explanation.seen import packed, seen
+    from ..inspect import trace
+    from ..inspect.results import DEBUG
+    from ..inspect.seen import packed, seen
 
     localizer, recording = asked.localizer, asked.recording
     if localizer.tiles is not None:

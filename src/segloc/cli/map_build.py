@@ -33,7 +33,7 @@ from .options import (
 if TYPE_CHECKING:
     from ..config import Config
     from ..datasets import Sequence
-    from ..georeference import Georeference
+    from ..map.georeference import Georeference
 
 
 def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
@@ -77,7 +77,7 @@ def build(
     Several are mapped one by one, here or by --workers or on a --cluster, and then merged.
     What `segloc doctor` finds wrong with scans or poses is refused: the map would be smeared.
     """
-    from ..files import checked_target
+    from ..system.files import checked_target
 
     check_every(every)
     checked_target(out)
@@ -106,9 +106,9 @@ def _build(
     cluster: str | None,
     where: Georeference | None,
 ) -> None:
-    from ..georeference import KEY
+    from ..map.georeference import KEY
     from ..map.sessions import build_merged_map
-    from ..processes import executing
+    from ..system.processes import executing
     from .console import note, progress
     from .map_info import show
     from .saving import writing

@@ -31,7 +31,7 @@ def info(
 
 def show(prior_map: SegmentMap, title: str) -> None:
     """Print a table of what a map holds."""
-    from ..georeference import Georeference
+    from ..map.georeference import Georeference
     from .console import table
 
     facts = prior_map.info()

@@ -28,7 +28,7 @@ def odometry(
     from .. import geometry
     from ..datasets import NO_POSES, open_sequence
     from ..datasets.odometry import Raw, compute_odometry, odometry_path
-    from ..files import checked_target
+    from ..system.files import checked_target
     from .console import number, progress, table
 
     file = checked_target(out) if out is not None else odometry_path(sequence, topic)

@@ -11,8 +11,8 @@ from ..errors import ConfigError
 
 if TYPE_CHECKING:
     from ..config import Config
-    from ..georeference import Georeference
     from ..localizer import Localizer
+    from ..map.georeference import Georeference
     from ..map.segment_map import SegmentMap
     from ..prior import Prior
 
@@ -172,7 +172,7 @@ def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | Non
 
 def parsed_georeference(epsg: int | None, origin: str | None) -> Georeference | None:
     """The georeference of --epsg and --origin."""
-    from ..georeference import Georeference
+    from ..map.georeference import Georeference
 
     if epsg is None:
         if origin is not None:

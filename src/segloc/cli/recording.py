@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..datasets import Sequence
-    from ..local_cloud import LocalCloudConfig
-    from ..mounting import MountConfig
+    from ..frontend.local_cloud import LocalCloudConfig
+    from ..frontend.mounting import MountConfig
     from ..types import Pose, Recording
 
 
@@ -74,7 +74,7 @@ def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> Non
     DatasetError
         With what is wrong and what mends it.
     """
-    from ..diagnosis import Fault, first_fault
+    from ..doctor import Fault, first_fault
     from ..errors import DatasetError
     from .console import busy, note
 
@@ -99,7 +99,7 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
         If they are to be levelled, and the scans show too few walls to tell what is up.
     """
     from ..errors import ConfigError, DatasetError
-    from ..levelling import frame_lean, levelled
+    from ..frontend.tilt import frame_lean, levelled
     from .console import busy, note
 
     if recording.poses is None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import MissingDependency, SeglocError
-from ..georeference import KEY, Georeference
 from ..io import Trajectory, write_tum
+from ..map.georeference import KEY, Georeference
 from .console import note, number
 from .saving import write_together
 

@@ -10,8 +10,8 @@ from pathlib import Path
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
     """Keep other verbs from writing ``out`` meanwhile; who comes second waits, and says so."""
-    from ..files import checked_target
-    from ..locks import exclusive
+    from ..system.files import checked_target
+    from ..system.locks import exclusive
     from .console import note
 
     checked_target(out)
@@ -21,7 +21,7 @@ def writing(out: Path) -> Iterator[None]:
 
 def write_together(out: Path, files: dict[str, bytes]) -> None:
     """Write files of a folder, and of folders in it: all of them, or none."""
-    from ..files import replacing
+    from ..system.files import replacing
 
     folders = sorted({(out / name).parent for name in files} | {out})
     made = [folder for folder in folders if not folder.exists()]

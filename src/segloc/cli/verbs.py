@@ -110,10 +110,10 @@ def root(
 
 
 def _print_version(verbose: bool) -> None:
-    from .._native import __version__  # also proves that the native module loads
+    from .._native import __version__
 
     print(f"segloc {__version__}")
     if verbose:
-        from ..system import versions
+        from ..system.machine import versions
 
         print("\n".join(versions()))

@@ -36,11 +36,11 @@ def view(
     matches (those that agree are green), runner-up, and what the confidence is made of. The robot
     of `segloc live` is followed while it runs.
     """
-    from ..explanation import viewer
-    from ..explanation.following import follows, read_moments
-    from ..explanation.results import read_results
-    from ..files import checked_target, write_text
+    from ..inspect import viewer
+    from ..inspect.following import follows, read_moments
+    from ..inspect.results import read_results
     from ..map.segment_map import SegmentMap
+    from ..system.files import checked_target, write_text
     from .console import busy, note
 
     if html is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..budget import check_points
 from ..errors import DatasetError
+from ..system.budget import check_points
 from ..types import Float32, Scan
 
 

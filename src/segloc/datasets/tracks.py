@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ..budget import check_points
-from ..checks import MOST_METRES
 from ..errors import DatasetError
 from ..io.fields import one_line
 from ..io.scans import read_file
 from ..io.trajectory import LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
 from ..motion import interpolated
+from ..system.budget import check_points
+from ..system.checks import MOST_METRES
 from ..types import Float64, Int64, Pose
 
 LONGEST_GAP_S = 1.0

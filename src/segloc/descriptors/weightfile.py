@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from safetensors.numpy import save
 
-from .. import tensor_file
-from ..budget import check_bytes
 from ..errors import DatasetError, WeightsError
-from ..files import replacing
-from ..tensor_file import TensorFile, TensorFileError
+from ..system import tensor_file
+from ..system.budget import check_bytes
+from ..system.files import replacing
+from ..system.tensor_file import TensorFile, TensorFileError
 
 _VERSION = "2"
-_EXPERIMENTS = "segloc_experiments"
+_EXPERIMENTS = "segloc_lab"
 """Brings the weights of methods that are there to be compared with."""
 _OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionError, LookupError)
 """By what NumPy and the networks refuse contents; TypeError: a dtype that NumPy has not."""
@@ -113,7 +113,7 @@ def read_weights(
 
 
 def shipped_weights(file: str) -> Path:
-    """Path of a weights file that comes with segloc, or with segloc-experiments.
+    """Path of a weights file that comes with segloc, or with segloc-lab.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def shipped_weights(file: str) -> Path:
         path = folder / "weights" / file
         if path.is_file():
             return path
-    raise WeightsError(f"{file} is not part of segloc: pip install segloc-experiments")
+    raise WeightsError(f"{file} is not part of segloc: pip install segloc-lab")
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SeglocError
-from ..files import replacing, write_text
 from ..io.las import format_laz
 from ..io.pcd import format_pcd
 from ..io.ply import format_ply
 from ..map.segment_map import SegmentMap
+from ..system.files import replacing, write_text
 from ..types import Float32, Float64
 
 FLOAT32_M = 16_384.0

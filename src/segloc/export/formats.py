@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
-from ..files import checked_target
+from ..system.files import checked_target
 from .clouds import write_autoware, write_laz, write_pcd, write_ply
 from .graphs import write_g2o, write_loops
 from .sources import AlignedSource, FoundSource, MapSource, opened

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import checked_pose
 from ..errors import DatasetError, InvalidScan
-from ..files import write_text
 from ..io.g2o import PoseEdges, format_g2o
 from ..motion import odometry_covariance
+from ..system.checks import checked_pose
+from ..system.files import write_text
 from ..types import Float64, Int64
 from .sources import AlignedSource
 

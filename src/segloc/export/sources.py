@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ..errors import DatasetError
-from ..georeference import KEY, Georeference
 from ..io import Trajectory, read_trajectory
 from ..io.scans import read_file
+from ..map.georeference import KEY, Georeference
 from ..map.segment_map import SegmentMap
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, SeglocError
-from ..files import write_text
-from ..georeference import Georeference
 from ..io import Trajectory, write_tum
+from ..map.georeference import Georeference
+from ..system.files import write_text
 from ..types import Float64
 from .sources import AlignedSource, FoundSource, MapSource, Source
 

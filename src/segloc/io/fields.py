@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ..budget import check_points
 from ..errors import DatasetError
+from ..system.budget import check_points
 from ..types import Scan
 
 TIME_NAMES = frozenset({"t", "time", "timestamp", "time_stamp"})

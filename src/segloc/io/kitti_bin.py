@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..budget import check_points
-from ..checks import MOST_METRES
 from ..errors import DatasetError
+from ..system.budget import check_points
+from ..system.checks import MOST_METRES
 from ..types import Float32, Scan
 
 _WIDTHS = (4, 3, 5)  # KITTI's own first

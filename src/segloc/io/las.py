@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..budget import check_points
 from ..errors import DatasetError, MissingDependency
+from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
 from .fields import one_line
 from .laz import check_chunks

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..budget import check_bytes, check_points, most_points
 from ..errors import DatasetError
+from ..system.budget import check_bytes, check_points, most_points
 from ..types import Float32, Float64, Scan
 from .fields import one_line
 

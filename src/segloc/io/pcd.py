@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..budget import check_bytes, check_points
 from ..errors import DatasetError
+from ..system.budget import check_bytes, check_points
 from ..types import Float32, Scan
 from .fields import (
     column,

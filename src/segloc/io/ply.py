@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..budget import check_points
 from ..errors import DatasetError
+from ..system.budget import check_points
 from ..types import Float32, Scan
 from .fields import (
     column,

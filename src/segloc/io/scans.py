@@ -7,9 +7,9 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from ..budget import check_bytes
 from ..errors import DatasetError
-from ..files import replacing
+from ..system.budget import check_bytes
+from ..system.files import replacing
 from ..types import Float32, Float64, Scan
 from .fields import faults_of
 from .kitti_bin import format_kitti, parse_kitti, parse_nuscenes

@@ -8,8 +8,8 @@ from itertools import chain
 
 import numpy as np
 
-from ..budget import check_points
 from ..errors import DatasetError
+from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
 from .fields import one_line, scan_from_columns, wanted_columns
 

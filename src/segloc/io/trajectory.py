@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..budget import check_points
-from ..checks import MOST_METRES, are_rotations
 from ..errors import DatasetError
-from ..files import write_text
+from ..system.budget import check_points
+from ..system.checks import MOST_METRES, are_rotations
+from ..system.files import write_text
 from ..types import Float64, Pose
 from .fields import faults_of, one_line
 from .scans import read_file

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
-from ..budget import check_points
 from ..errors import DatasetError
+from ..system.budget import check_points
 from ..types import Scan
 from .fields import column, header_lines, one_line, parse_count, require_bytes, scan_from_columns
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from ..section import Section
+from ..system.section import Section
 from ..tracker import TrackerConfig
 
 FOLLOWED = TrackerConfig(accumulate=True, every_m=10.0)

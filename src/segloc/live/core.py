@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..checks import checked_pose
 from ..datasets.recorded import corrected
 from ..errors import SeglocError
 from ..localizer import Localizer
 from ..motion import Motion
 from ..prior import Prior
+from ..system.checks import checked_pose
 from ..tracker import Heard, Question, Tracker
+from ..tracking.views import Status, View
 from ..types import Float64, Pose, Scan
-from ..views import Status, View
 from .config import LiveConfig
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 from .state import State

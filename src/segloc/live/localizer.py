@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import checked_pose
 from ..errors import LiveError, SeglocError
 from ..localizer import Localizer
+from ..system.checks import checked_pose
+from ..tracking.views import View
 from ..types import Pose, Scan
-from ..views import View
 from .config import LiveConfig
 from .core import Asked, LiveCore
 from .odometry import known_stamp

@@ -10,10 +10,10 @@ from enum import Enum
 import numpy as np
 
 from .. import geometry
-from ..checks import checked_stamp
 from ..datasets.recorded import times_fit
 from ..errors import InvalidScan
 from ..motion import Motion
+from ..system.checks import checked_stamp
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 

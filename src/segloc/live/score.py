@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import geometry
+from ..tracking.views import Status
 from ..types import Float64
-from ..views import Status
 from .replay import Replay
 
 _SHARES = (50, 99)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..tracking.views import Status
 from ..types import Float64, Pose
-from ..views import Status
 
 
 @dataclass(frozen=True)

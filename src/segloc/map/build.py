@@ -15,9 +15,9 @@ from .. import geometry
 from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
-from ..levelling import frame_lean, levelled
-from ..local_cloud import Accumulator, window
-from ..segmentation import Segmentation, Segmenter
+from ..frontend.local_cloud import Accumulator, window
+from ..frontend.segmentation import Segmentation, Segmenter
+from ..frontend.tilt import frame_lean, levelled
 from ..types import Descriptors, Float64, Pose, Recording, stamp_at
 from .compact import compacted
 from .segment_map import SegmentMap

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 
 from .. import _native
-from ..section import Section
+from ..system.section import Section
 from ..types import Float32, Float64
 from .columns import CodingError, deflated, inflated, packed, unpacked, width_of
 from .contents import MAX_VOXELS

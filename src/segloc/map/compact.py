@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from ..section import Section
+from ..system.section import Section
 from ..types import Float32, Float64, Int64
 from .lattice import cells_and_parts, lattice_points, rounded, spread_exponents
 from .segment_map import SegmentMap

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from ..section import Section
+from ..system.section import Section
 from .compact import CompactConfig
 
 SMALL_CLOUD_VOXEL_M = 0.4

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import MOST_METRES, are_rotations
+from ..system.checks import MOST_METRES, are_rotations
 from ..types import Float32, Float64
 
 Array = NDArray[Any]

@@ -20,16 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MapFormatError, SeglocError
-from ..files import replacing
-from ..tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
-from .coding import (
-    Recipes,
-    fault_of_growth,
-    packed_arrays,
-    recipes_of,
-    text_of,
-    unpacked_array,
-)
+from ..system.files import replacing
+from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
+from .coding import Recipes, fault_of_growth, packed_arrays, recipes_of, text_of, unpacked_array
 from .columns import CodingError
 from .contents import Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
 from .schema import SCHEMA, shapes_fault

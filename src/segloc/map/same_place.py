@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import MapMismatch
-from ..georeference import Georeference
 from ..types import Float64
+from .georeference import Georeference
 from .segment_map import SegmentMap
 
 MEET_M, MEET_HEIGHT_M = 5.0, 2.0

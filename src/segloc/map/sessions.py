@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ..config import Config
 from ..errors import ConfigError
-from ..files import folder_in
-from ..processes import all_of
+from ..system.files import folder_in
+from ..system.processes import all_of
 from ..types import Recording
 from .build import build_map
 from .compact import compacted

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..config import Config, map_config
 from ..errors import SeglocError
-from ..section import Section
+from ..system.section import Section
 from ..types import Float64, Recording
 from .build import build_map
 from .compact import compacted

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import DatasetError
-from ..section import Section
+from ..system.section import Section
 from ..types import Float32, Float64, Int64, Pose, Recording
 from .voxel_cloud import VoxelCloud
 

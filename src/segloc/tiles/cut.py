@@ -17,7 +17,7 @@ from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
 from ..map.parts import along, concatenated
 from ..map.segment_map import SegmentMap
-from ..processes import all_of
+from ..system.processes import all_of
 from ..types import Float64
 from .index import (
     FORMAT_VERSION,

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError
 
-from ..checks import MOST_METRES
 from ..errors import MapFormatError
 from ..prior import Prior
-from ..section import Section
+from ..system.checks import MOST_METRES
+from ..system.section import Section
 from ..types import Float64
 
 INDEX = "tiles.json"

@@ -8,18 +8,18 @@ from typing import Protocol
 
 import numpy as np
 
-from ..answer import answer
+from ..likelihood import Verdict
+from ..likelihood.evidence import DECISIVE_INLIERS
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
-from ..matching import Matcher
+from ..pipeline.answer import answer
+from ..pipeline.coarse_vote import ThinVote
+from ..pipeline.search import Query, Search
 from ..prior import Prior, within
-from ..search import Query, Search
-from ..stage_times import StageTimes
-from ..thin_vote import ThinVote
+from ..proposals.matching import Matcher
+from ..system.stage_times import StageTimes
 from ..types import Candidate, Matches
-from ..verification import Verdict
-from ..verification.evidence import DECISIVE_INLIERS
 from .index import Tile, TileIndex
 from .recent import Recent
 

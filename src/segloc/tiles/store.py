@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from ..errors import MapFormatError, MissingDependency, SeglocError
-from ..files import replacing
-from ..locks import exclusive
+from ..system.files import replacing
+from ..system.locks import exclusive
 from .index import INDEX, MOST_INDEX_BYTES, TileFile, digest_of
 
 Answer = TypeVar("Answer")

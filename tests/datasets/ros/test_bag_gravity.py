@@ -13,8 +13,8 @@ pytest.importorskip("rosbags")
 from samples.bags import KINDS, BagWriter
 from samples.datasets import START, Drive, matrix
 
-from segloc.attitude import angle_deg
 from segloc.datasets import RecordedSequence, open_sequence
+from segloc.frontend.gravity import angle_deg
 from segloc.types import Float64
 
 DRIVE = Drive.make(6)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from segloc import Prior, SeglocError, geometry
+from segloc.likelihood import Verdict
 from segloc.live import LiveCore
 from segloc.live.core import Asked
-from segloc.search import Query, Search
+from segloc.pipeline.search import Query, Search
+from segloc.tracking.views import View
 from segloc.types import Float64
-from segloc.verification import Verdict
-from segloc.views import View
 
 from .replies import MatchesReply
 

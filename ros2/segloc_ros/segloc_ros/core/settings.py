@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from segloc.config import validated
+from segloc.frontend.mounting import rotation
 from segloc.geometry import rigid
 from segloc.live import LiveConfig
-from segloc.mounting import rotation
-from segloc.section import Section
+from segloc.system.section import Section
 from segloc.tracker import TrackerConfig
 from segloc.types import Pose
 

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from segloc import geometry
-from segloc.checks import checked_pose
 from segloc.errors import SeglocError
 from segloc.motion import interpolated
+from segloc.system.checks import checked_pose
 from segloc.types import Pose
 
 from .frames import Transform, frame_name

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from ... import geometry
-from ...budget import check_points, most_points
 from ...errors import DatasetError
 from ...io.fields import one_line
+from ...system.budget import check_points, most_points
 from ...types import Float64, Pose, Scan
 from ..binary import returned
 from .ouster_profiles import LEGACY, PIXEL_BYTES

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ...budget import check_points
 from ...errors import DatasetError, MissingDependency
 from ...io.fields import faults_of, one_line
+from ...system.budget import check_points
 from ...types import Float64, Int64, Scan
 from ..binary import returned
 from ..recorded import Found

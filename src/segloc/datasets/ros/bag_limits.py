@@ -8,8 +8,8 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
-from ...budget import check_bytes, check_points, most_bytes, most_message_bytes
 from ...errors import DatasetError
+from ...system.budget import check_bytes, check_points, most_bytes, most_message_bytes
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

@@ -12,8 +12,8 @@ import struct
 
 import numpy as np
 
-from ...budget import check_points
 from ...errors import DatasetError
+from ...system.budget import check_points
 from ...types import Scan
 
 _POINT = 19  # bytes

@@ -1,0 +1,196 @@
+"""Clustering of a local cloud, descriptor search, and candidate poses."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from segloc import _native
+from segloc.errors import SeglocError
+from segloc.proposals.matching import MatchingConfig
+from segloc.proposals.pose import PoseConfig
+from segloc.types import Float32, Float64, Int64
+
+from . import inputs
+from .harness import OURS, Row, optional, row
+from .inputs import MatchProblem
+
+CLUSTER_RADIUS_M = 0.5
+QUERIES, DATABASE, DIM = 300, 50_000, 16
+VOTE_PRODUCTS = 6
+"""Products of one match that votes for a translation at one yaw."""
+
+YAW_STEP_M = 1.6
+"""How far a step of yaw moves a segment at the root mean square distance, in the consensus."""
+
+
+def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
+    """Exact Euclidean clusters; every rival must find the same partition. One thread always."""
+    points = inputs.local_cloud() if cloud is None else cloud
+    runs: dict[str, Any] = {
+        OURS: lambda: _labels(_native.euclidean_clusters(points, CLUSTER_RADIUS_M, 1, len(points))),
+        "SciPy, k-d tree and components": lambda: tree_components(points, CLUSTER_RADIUS_M),
+    }
+    sklearn = optional("sklearn.cluster")
+    if sklearn is not None:
+        dbscan = sklearn[0].DBSCAN(eps=CLUSTER_RADIUS_M, min_samples=1, n_jobs=threads)
+        runs["scikit-learn DBSCAN"] = lambda: dbscan.fit_predict(points)
+    reference = runs[OURS]()
+    for name, run in runs.items():
+        if not same_partition(reference, run()):
+            raise SeglocError(f"{name} finds other clusters")
+    runs[OURS] = partial(_native.euclidean_clusters, points, CLUSTER_RADIUS_M, 1, len(points))
+    skipped = () if sklearn else ("scikit-learn",)
+    details = {"points": float(len(points)), "clusters": float(reference.max() + 1)}
+    return row("clustering", threads, repeats, runs, details=details, skipped=skipped)
+
+
+def tree_components(points: Float32, radius: float) -> Int64:
+    """Cluster of every point by SciPy."""
+    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    links = (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1]))
+    graph = coo_array(links, shape=(len(points), len(points)))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _labels(clusters: tuple[np.ndarray, Int64]) -> Int64:
+    members, offsets = clusters
+    labels = np.empty(len(members), np.int64)
+    labels[members] = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    return labels
+
+
+def same_partition(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two labellings part the points alike."""
+    pairs = np.unique(np.stack([a, b]), axis=1).shape[1]
+    return bool(pairs == len(np.unique(a)) == len(np.unique(b)))
+
+
+def knn(threads: int, repeats: int) -> Row:
+    """The 25 nearest of 50 000 descriptors for each of 300, exactly."""
+    k = MatchingConfig().neighbours
+    database = inputs.descriptors(DATABASE, DIM)
+    queries = database[:QUERIES] + inputs.descriptors(QUERIES, DIM, seed=1, spread=0.3)
+    tree = cKDTree(database)
+    runs: dict[str, Any] = {
+        OURS: lambda: _native.knn(queries, database, k, threads)[0],
+        "NumPy, product and partition": partial(product_and_partition, queries, database, k),
+        "SciPy, k-d tree": lambda: tree.query(queries, k, workers=threads)[1],
+    }
+    faiss = optional("faiss")
+    if faiss is not None:
+        faiss[0].omp_set_num_threads(threads)
+        index = faiss[0].IndexFlatL2(DIM)
+        index.add(database)
+        runs["faiss IndexFlatL2"] = lambda: index.search(queries, k)[1]
+    reference = np.sort(runs[OURS](), axis=1)
+    for name, run in runs.items():
+        if (np.sort(run(), axis=1) == reference).mean() < 0.9999:  # rounding may swap the last
+            raise SeglocError(f"{name} finds other neighbours")
+    flops = "its products", 2.0 * QUERIES * DATABASE * DIM
+    skipped = () if faiss else ("faiss-cpu",)
+    return row("knn", threads, repeats, runs, flops=flops, skipped=skipped)
+
+
+def product_and_partition(queries: Float32, database: Float32, k: int) -> Int64:
+    """Nearest neighbours by NumPy: one matrix product, then a partial sort a row."""
+    squared = (database**2).sum(axis=1) - 2.0 * (queries @ database.T)
+    nearest = np.argpartition(squared, k, axis=1)[:, :k]
+    order = np.take_along_axis(squared, nearest, axis=1).argsort(axis=1)
+    found: Int64 = np.take_along_axis(nearest, order, axis=1)
+    return found
+
+
+def pose(threads: int, repeats: int) -> Row:
+    """The pose that 75 of 7500 matches agree on, in a map of a square kilometre."""
+    problem = inputs.match_problem()
+    runs: dict[str, Any] = {
+        OURS: partial(consensus, problem, threads),
+        "segloc, PROSAC": partial(prosac, problem),
+    }
+    kiss = optional("kiss_matcher")
+    if kiss is not None:
+        runs["kiss-matcher prune_and_solve"] = partial(prune_and_solve, kiss[0], problem)
+    details = {f"{name}, found": float(problem.found(run())) for name, run in runs.items()}
+    if not details[f"{OURS}, found"]:
+        raise SeglocError("the consensus missed the true pose")
+    flops = "the products of its votes", 2.0 * _votes(problem) * VOTE_PRODUCTS
+    skipped = () if kiss else ("kiss-matcher",)
+    return row("pose", threads, repeats, runs, flops=flops, details=details, skipped=skipped)
+
+
+def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
+    """Poses by consensus with the defaults of the configuration."""
+    options = _options(_CONSENSUS_OPTIONS)
+    return _native.consensus(
+        problem.query,
+        problem.mapped,
+        problem.match_query,
+        problem.match_map,
+        threads=threads,
+        **options,
+    )[0]
+
+
+def _options(names: set[str]) -> dict[str, Any]:
+    """Defaults of the configuration, as the kernels take them."""
+    config = PoseConfig()
+    return {
+        **config.model_dump(include=names),
+        "separation": config.separation.metres,
+        "separation_deg": config.separation.degrees,
+        "max_hypotheses": config.max_candidates,
+    }
+
+
+_CONSENSUS_OPTIONS = {
+    "inlier_tolerance",
+    "height_tolerance",
+    "distinct_radius",
+    "max_refined",
+}
+_SAMPLING_OPTIONS = {
+    "edge_tolerance",
+    "inlier_tolerance",
+    "min_edge",
+    "chance",
+    "max_draws",
+}
+
+
+def prosac(problem: MatchProblem, ordered: bool = True, seed: int = 0) -> Float64:
+    """Poses by PROSAC with the defaults of the configuration; by RANSAC if not ordered."""
+    options = _options(_SAMPLING_OPTIONS)
+    return _native.prosac(
+        problem.query,
+        problem.mapped,
+        problem.match_query,
+        problem.match_map,
+        ordered=ordered,
+        yaw_only=False,
+        seed=seed,
+        **options,
+    )[0]
+
+
+def prune_and_solve(kiss: Any, problem: MatchProblem) -> Float64:
+    """The pose by kiss-matcher's graph pruning and robust solver."""
+    matcher = kiss.KISSMatcher(kiss.KISSMatcherConfig(0.3))
+    source = list(problem.query[problem.match_query])
+    target = list(problem.mapped[problem.match_map])
+    solution = matcher.prune_and_solve(source, target)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = solution.rotation, solution.translation
+    return T[None]
+
+
+def _votes(problem: MatchProblem) -> float:
+    """Matches times steps of yaw: how often a translation is voted for."""
+    voters = problem.query[problem.match_query, :2]
+    radius = float(np.sqrt(((voters - voters.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return len(voters) * float(np.ceil(2.0 * np.pi * radius / YAW_STEP_M))

@@ -1,0 +1,128 @@
+"""Fits how likely a pose from landmarks is to be right, on simulated stands of trees.
+
+    python -m segloc_lab.calibration.landmarks
+
+Wild and planted stands are mapped along a path and queried up to 16 m beside it, seeing 20 to 100 %
+of the stems within 8 to 28 m, with noise of 5 to 15 cm and up to 40 % false detections: in their
+own map, in its mirror image and in the map of another stand. Every query gets its best pose,
+believed or not; a logistic regression on the logarithms of its share and of its ratio to the rival
+says how likely it is to be right. Poses with too little support to be believed at all are left
+out. Nothing real is among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from segloc.batch.score import pose_errors
+from segloc.proposals.landmarks import LandmarkConfig, LandmarkLocalizer, LandmarkMap, Landmarks
+from segloc.types import Float64
+
+from ..script import parser
+from ..stems import Detector, mirrored, planted, pose_at, surveyed, wild
+
+SIZE_M = 120.0
+RIGHT_M, RIGHT_DEG = 1.0, 5.0
+LEAST_SUPPORT = 8.0
+"""Less than what is ever believed: small numbers make their own rules."""
+RIDGE = 0.01
+"""Keeps the weights finite where right and wrong are told apart without fault."""
+
+
+def believing() -> LandmarkConfig:
+    """A configuration in which the best pose is always believed."""
+    config = LandmarkConfig()
+    return config.model_copy(
+        update={
+            "efforts": config.efforts[-1:],
+            "min_support": 0.0,
+            "min_share": 0.0,
+            "min_confidence": 0.0,
+            "max_rival": 1e9,
+        }
+    )
+
+
+def stands(seed: int) -> Iterator[tuple[Landmarks, LandmarkMap, np.random.Generator]]:
+    """Stands with the maps that were made of them."""
+    path = np.stack([np.linspace(25, 95, 15), np.linspace(40, 80, 15)], axis=1)
+    for kind in range(8):
+        rng = np.random.default_rng((seed, kind))
+        if kind < 6:
+            stems = wild(rng, SIZE_M, a_hectare=(200, 500, 1000)[kind % 3])
+        else:
+            stems = planted(rng, SIZE_M, rows_m=4.0, trees_m=2.5, jitter_m=0.3)
+        yield stems, surveyed(stems, path, Detector(), rng), rng
+
+
+def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, float, bool]]:
+    """Share, ratio, support and whether it is right, of the best pose of each query."""
+    others = [made for _, made, _ in stands(seed + 1)]
+    config = believing()
+    for k, (stems, own, rng) in enumerate(stands(seed)):
+        maps = (own, own, mirrored(own), others[k])
+        localizers = [LandmarkLocalizer(prior_map, config) for prior_map in maps]
+        for i in range(queries):
+            share = i / max(queries - 1, 1)
+            where = rng.uniform(-16, 16, 2) + [25 + 70 * share, 40 + 40 * share]
+            T = pose_at(where[0], where[1], rng)
+            radius, keep, noise, invented = rng.uniform([8, 0.2, 0.05, 0.0], [28, 1.0, 0.15, 0.4])
+            detector = Detector(radius, keep, noise, invented)
+            query = detector.seen(stems, T, rng)
+            found = localizers[i % 4].localize(query)
+            if found.localized and found.inlier_ratio is not None:
+                metres, degrees = pose_errors(found.T_map_sensor[None], T[None])
+                right = metres[0] < RIGHT_M and degrees[0] < RIGHT_DEG and i % 4 < 2
+                support = found.overlap * len(query)
+                yield found.overlap, found.inlier_ratio, support, bool(right)
+
+
+def fitted(rows: Float64, right: Float64) -> Float64:
+    """Weights of a logistic regression with a ridge, by Newton's method.
+
+    Parameters
+    ----------
+    rows : (N, D) float64
+    right : (N,) float64
+        1 or 0.
+    """
+    weights = np.zeros(rows.shape[1])
+    for _ in range(100):
+        p = 1 / (1 + np.exp(-rows @ weights))
+        gradient = rows.T @ (right - p) - RIDGE * weights
+        curvature = (rows * (p * (1 - p))[:, None]).T @ rows + RIDGE * np.eye(len(weights))
+        weights = weights + np.linalg.solve(curvature, gradient)
+    return weights
+
+
+def features(found: list[tuple[float, float, float, bool]]) -> tuple[Float64, Float64]:
+    """Rows of 1, log(share), log(ratio), and what is right as 1 or 0; see ``LEAST_SUPPORT``."""
+    table = np.array(found, np.float64)
+    table = table[table[:, 2] >= LEAST_SUPPORT]
+    logs = np.log(np.maximum(table[:, :2], 1e-3))
+    return np.column_stack([np.ones(len(table)), logs]), table[:, 3]
+
+
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("--queries", type=int, default=120, help="of each stand")
+    options.add_argument("--seed", type=int, default=100)
+    args = options.parse_args()
+    rows, right = features(list(outcomes(args.seed, args.queries)))
+    held_rows, held_right = features(list(outcomes(args.seed + 50, args.queries)))
+    weights = fitted(rows, right)
+    p = 1 / (1 + np.exp(-held_rows @ weights))
+    print(f"weights: {', '.join(f'{w:.2f}' for w in weights)}")
+    print(f"{int(right.sum())} of {len(right)} right; others: Brier score")
+    print(f"{np.mean((p - held_right) ** 2):.4f}, {int(held_right.sum())} of {len(p)} right")
+    wrong = np.column_stack([p, held_rows])[held_right == 0]
+    print("most likely wrong ones (probability, share, ratio):")
+    for likely, _, *logs in wrong[np.argsort(-wrong[:, 0])][:5]:
+        print(f"  {likely:.3f}", *(f"{value:.2f}" for value in np.exp(logs)))
+    print(f"right and at least 0.8 likely: {int((held_right * (p >= 0.8)).sum())}")
+
+
+if __name__ == "__main__":
+    main()

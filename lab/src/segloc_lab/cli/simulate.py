@@ -1,0 +1,254 @@
+"""``segloc simulate``"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import typer
+
+from segloc.errors import ConfigError
+
+from . import simulate_options as of
+
+if TYPE_CHECKING:
+    from segloc.datasets import Sequence
+
+    from ..simulation import Conditions, SimulatedSequence
+
+FORMATS = ("npy", "npz", "laz", "bin", "pcd", "ply")
+SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
+"""Share of leaves; where none is named, later sessions go through them in turn."""
+
+_OF_SUITES = {"suite", "scale", "out", "seed", "file_format", "workers"}
+
+T = TypeVar("T")
+
+
+def simulate(
+    context: typer.Context,
+    scene: of.Scene = None,
+    out: of.Out = Path("simulated"),
+    suite: of.Suite = None,
+    scale: of.Scale = "small",
+    sensor: of.Sensor = "hdl64e",
+    thin: of.Thin = 1,
+    platform: of.Platform = None,
+    tilt: of.Tilt = (0.0, 0.0),
+    skew: of.Skew = False,
+    sessions: of.Sessions = 2,
+    length: of.Length = 300.0,
+    spacing: of.Spacing = None,
+    size: of.Size = None,
+    storey: of.Storey = 0,
+    seed: of.Seed = 0,
+    season: of.Season = None,
+    foliage: of.Foliage = None,
+    replaced: of.Replaced = 0.15,
+    scaffolding: of.Scaffolding = 0.03,
+    swathe: of.Swathe = None,
+    file_format: of.FileFormat = None,
+    objects: of.Objects = False,
+    workers: of.Workers = 2,
+) -> None:
+    """Record drives through a simulated world: folders of scans with exact poses.
+
+    Writes DIR/session_0 and so on, each with poses.tum (the truth) and odometry.tum, and
+    DIR/scene.json. Session 0 is the one to map; later ones come back in other lanes and
+    directions, leave the map, and find other cars, other seasons and some things replaced.
+    """
+    from segloc.cli.results import check_folder
+
+    check_folder(out)
+    if file_format is not None:
+        _check(FORMATS, file_format, "--format")
+    suffix = f".{file_format}" if file_format else None
+    if (scene is None) == (suite is None):
+        raise ConfigError("name either a scene or, with --suite, a suite of test sets")
+    if suite is not None:
+        _refuse_what_suites_fix(context)
+        _write_suite(suite, scale, seed, out, suffix, workers)
+        return
+    assert scene is not None
+    for wanted, name in ((objects, "--objects"), (skew, "--skew")):
+        if wanted and swathe is not None:
+            raise ConfigError(f"{name} goes with single scans, not with --swathe")
+    order = _Order(
+        scene, size, seed, storey, sensor, thin, platform, tilt, skew, length, spacing, swathe
+    )
+    plan = _plan(sessions, season, foliage, replaced, scaffolding)
+    drives = _drives(order, plan)
+    recordings = [_gathered(drive, swathe) for drive in drives]
+    for drive, recording in zip(drives, recordings, strict=True):
+        _record(recording, out / drive.name, suffix, objects, workers)
+    kinds = _kinds(drives) if objects else {}
+    described = [_described(drive, len(r)) for drive, r in zip(drives, recordings, strict=True)]
+    _write_facts(out, asdict(order) | {"sessions": described}, kinds)
+    print(f"sessions of {drives[0].world.name}: {len(drives)}, in {out}")
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What is to be simulated, as ``scene.json`` records it."""
+
+    scene: str
+    size_m: float | None
+    seed: int
+    storey: int
+    sensor: str
+    thin: int
+    platform: str | None
+    tilt_deg: tuple[float, float]
+    skew: bool
+    length_m: float
+    spacing_m: float | None
+    swathe_m: float | None
+
+
+def _check(names: Iterable[str], name: str, what: str) -> None:
+    if name not in names:
+        raise ConfigError(f"{what} must be one of {', '.join(names)}, not {name!r}")
+
+
+def _choice(table: dict[str, T], name: str, what: str) -> T:
+    _check(table, name, what)
+    return table[name]
+
+
+def _refuse_what_suites_fix(context: typer.Context) -> None:
+    for parameter in context.command.params:
+        source = context.get_parameter_source(str(parameter.name))
+        if parameter.name not in _OF_SUITES and source is not None and source.name == "COMMANDLINE":
+            raise ConfigError(f"{parameter.opts[0]} cannot be chosen with --suite")
+
+
+def _plan(
+    sessions: int, season: str | None, foliage: float | None, replaced: float, scaffolding: float
+) -> list[Conditions]:
+    """The conditions of each session: summer for the first, what is asked for after it."""
+    from ..simulation import Conditions
+
+    if season is not None and foliage is not None:
+        raise ConfigError("give --season or --foliage, not both")
+    names = list(SEASONS) if season is None else [season]
+    leaves = [_choice(SEASONS, name, "--season") if foliage is None else foliage for name in names]
+    later = [Conditions(share, replaced, scaffolding) for share in leaves]
+    return [Conditions(), *(later[k % len(later)] for k in range(1, sessions))]
+
+
+def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
+    from segloc.cli.console import busy
+
+    from ..simulation import PLATFORMS, SCENES, SENSORS, LineLidar, simulate_sessions
+
+    if not 0 < order.length_m < float("inf"):  # before a world is built
+        raise ConfigError(f"--length must be a positive number of metres, not {order.length_m}")
+    make = _choice(SCENES, order.scene, "the scene")
+    lidar = _choice(SENSORS, order.sensor, "--sensor")().thinned(order.thin)
+    carrier = None
+    if order.platform is not None:
+        carrier = _choice(PLATFORMS, order.platform, "--platform")()
+        carrier = replace(carrier, mount_rpy_deg=(*order.tilt_deg, 0.0))
+    elif any(order.tilt_deg):
+        raise ConfigError("--tilt goes with --platform: it is of the sensor on what carries it")
+    spacing = order.spacing_m
+    if spacing is None:
+        spacing = 0.2 if isinstance(lidar, LineLidar) else 2.0
+    with busy(f"Building {order.scene} {order.seed}"):
+        size = {} if order.size_m is None else {"size_m": order.size_m}
+        drives = simulate_sessions(
+            make(order.seed, **size),
+            lidar,
+            plan,
+            length_m=order.length_m,
+            spacing_m=spacing,
+            seed=order.seed,
+            platform=carrier,
+            skew=order.skew,
+            storey=order.storey,
+        )
+    return [drive.with_odometry() for drive in drives]
+
+
+def _gathered(drive: SimulatedSequence, swathe: float | None) -> Sequence:
+    from segloc.datasets import swathes
+
+    return drive if swathe is None else swathes(drive, swathe)
+
+
+def _record(
+    recording: Sequence, folder: Path, suffix: str | None, objects: bool, workers: int
+) -> None:
+    from segloc.cli.console import progress
+
+    from ..simulation import record
+
+    with progress(folder.name) as update:
+        record(recording, folder, suffix=suffix, objects=objects, workers=workers, progress=update)
+
+
+def _described(drive: SimulatedSequence, scans: int) -> dict[str, Any]:
+    return {
+        "name": drive.name,
+        "session": drive.session,
+        "scans": scans,
+        "conditions": asdict(drive.conditions),
+    }
+
+
+def _kinds(drives: list[SimulatedSequence]) -> dict[str, str]:
+    """What every object id of the sessions stands for."""
+    from ..simulation.objects.identity import GROUND_ID
+
+    found = {GROUND_ID: "ground"}
+    for drive in drives:
+        world, k = drive.world, drive.session
+        for group in (*world.standing(k, drive.conditions), world.changing(k)):
+            found |= group.kinds
+    return {str(number): kind for number, kind in sorted(found.items())}
+
+
+def _write_suite(
+    name: str, scale: str, seed: int, out: Path, suffix: str | None, workers: int
+) -> None:
+    from ..simulation.suites import SUITES
+
+    sets = _choice(SUITES, name, "--suite")
+    for test in sets:
+        test.session_length_m(scale)  # refuses an unknown scale before the work
+    for test in sets:
+        recordings = test.sessions(scale, seed=seed)
+        for session, recording in recordings.items():
+            _record(recording, out / test.name / session, suffix, False, workers)
+        facts = {
+            "suite": name,
+            "set": test.name,
+            "kind": test.kind,
+            "scene": test.scene,
+            "size_m": test.size_m[scale],
+            "sensor": test.sensor,
+            "platform": test.platform,
+            "scale": scale,
+            "seed": seed,
+            "session_length_m": test.session_length_m(scale),
+            "published": {"length_m": test.length_m, "clouds": test.clouds},
+            "share_of_length": test.session_length_m(scale) * len(test.tests) / test.length_m,
+            "conditions": [asdict(condition) for condition in test.tests],
+            "clouds": {session: len(recording) for session, recording in recordings.items()},
+        }
+        _write_facts(out / test.name, facts, {})
+    print(f"{len(sets)} test sets are in {out}")
+
+
+def _write_facts(folder: Path, facts: dict[str, Any], kinds: dict[str, str]) -> None:
+    import json
+
+    from segloc._native import __version__
+    from segloc.system.files import replacing
+
+    for name, content in (("scene.json", facts | {"version": __version__}), ("kinds.json", kinds)):
+        if content:
+            with replacing(folder / name) as file:
+                file.write(json.dumps(content, indent=1).encode() + b"\n")

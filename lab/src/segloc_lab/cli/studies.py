@@ -1,0 +1,179 @@
+"""``segloc evaluate``: the studies of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from segloc.cli.console import note, progress, say
+from segloc.errors import ConfigError, MissingDependency
+
+from . import evaluate as own
+from .kitti_paper import kitti_paper
+
+if TYPE_CHECKING:
+    from ..evaluation.report.study import Study
+    from ..studies.paper.workspace import Workspace
+
+_EXPLAINED = {
+    "roc": "Which descriptor tells whether two segments are of one object? (Fig. 5)",
+    "generalization": "And in a place of another kind than it was trained on? (Table I)",
+    "rotation": "Does a descriptor change when its segment is turned? (Fig. 6)",
+    "sampling": "What does farthest-point sampling cost, and what does it bring?",
+    "timing": "How long does a query take, and where does the time go? (Table III)",
+    "memory": "How much memory does training take?",
+    "all": "Every study, one after the other.",
+}
+
+Suite = Annotated[str, typer.Option(metavar="NAME", help="The simulated test sets.")]
+Scale = Annotated[str, typer.Option(help="small, full or paper.")]
+Kitti = Annotated[
+    Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
+]
+Store = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Keep the tables there, with fingerprints of the code."),
+]
+Sets = Annotated[
+    str | None,
+    typer.Option(metavar="NAME,...", help="Only these test sets of the suite.", show_default="all"),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the studies to ``segloc evaluate``; ``localization`` also runs without recordings."""
+    del app
+    group = own.app
+    group.registered_commands[:] = [
+        command for command in group.registered_commands if command.name != "localization"
+    ]
+    for name in _EXPLAINED:
+        _add(group, name)
+    group.command("localization")(localization)
+    group.command("kitti-paper")(kitti_paper)
+
+
+def _add(group: typer.Typer, name: str) -> None:
+    def command(
+        out: own.Out = own.OUT,
+        suite: Suite = "six",
+        scale: Scale = "small",
+        kitti: Kitti = None,
+        methods: own.Methods = None,
+        seed: Seed = 0,
+        threads: own.Threads = 1,
+        workers: own.Workers = 2,
+        cluster: own.Cluster = None,
+        store: Store = None,
+    ) -> None:
+        given = (out, suite, scale, kitti, methods, seed, threads, workers)
+        with _workspace(*given, cluster) as workspace:
+            _run(name, workspace, store)
+
+    command.__doc__ = _EXPLAINED[name]
+    group.command(name)(command)
+
+
+def localization(
+    mapped: Annotated[
+        Path | None, typer.Argument(metavar="[MAP", help="Your own recording to map.")
+    ] = None,
+    query: Annotated[
+        Path | None, typer.Argument(metavar="QUERY]", help="And one to localize in that map.")
+    ] = None,
+    out: own.Out = own.OUT,
+    suite: Suite = "six",
+    scale: Scale = "small",
+    sets: Sets = None,
+    kitti: Kitti = None,
+    methods: own.Methods = None,
+    seed: Seed = 0,
+    threads: own.Threads = 1,
+    workers: own.Workers = 2,
+    cluster: own.Cluster = None,
+    map_poses: own.MapPoses = None,
+    poses: own.QueryPoses = None,
+    truth: own.Truth = None,
+    map_select: own.MapSelect = None,
+    select: own.QuerySelect = None,
+    topic: own.Topic = None,
+    every: own.Every = 10.0,
+    store: Store = None,
+) -> None:
+    """How many queries does each method localize, and how many of them falsely? (Table II)
+
+    On two recordings of your own, or without any on the places of the paper.
+    """
+    if mapped is None:
+        given = (out, suite, scale, kitti, methods, seed, threads, workers)
+        with _workspace(*given, cluster) as workspace:
+            only = None if sets is None else own.chosen(sets, "--sets")
+            _run("localization", replace(workspace, only=only), store)
+        return
+    if query is None:
+        raise ConfigError("give two recordings, one to map and one to localize in it")
+    files = (map_poses, poses, truth, map_select, select, topic)
+    own.compare_on(
+        own.own_pair(mapped, query, *files, every), out, methods, threads, workers, cluster
+    )
+
+
+@contextmanager
+def _workspace(
+    out: Path,
+    suite: str,
+    scale: str,
+    kitti: Path | None,
+    methods: str | None,
+    seed: int,
+    threads: int,
+    workers: int,
+    cluster: str | None,
+) -> Iterator[Workspace]:
+    from segloc.cli.results import check_folder
+
+    from ..studies.paper.workspace import Workspace
+
+    check_folder(out)
+    means = (seed, threads, workers, own.chosen(methods), progress, note, own.command_line())
+    with own.on_cluster(cluster) as executor:
+        yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
+
+
+def _run(study: str, workspace: Workspace, store: Path | None) -> None:
+    from ..studies.paper import studies
+
+    if study == "all":
+        _run_all(workspace, store)
+    else:
+        own.show(_stored(study, workspace, store))
+    own.write_report(workspace.out, requested=False, order=studies.STUDIES)
+
+
+def _run_all(workspace: Workspace, store: Path | None) -> None:
+    """Run every study; one whose packages are missing is left out with a remark."""
+    from ..studies.paper import studies
+
+    for name in studies.STUDIES:
+        say(f"segloc evaluate {name}")
+        try:
+            _stored(name, workspace, store)
+        except MissingDependency as error:
+            note(f"{name} is left out: {error}")
+
+
+def _stored(name: str, workspace: Workspace, store: Path | None) -> Study:
+    from ..results.studies import kept
+    from ..studies.paper import studies
+
+    study = studies.run(name, workspace)
+    if store is not None:
+        for result in kept(study, store):
+            say(f"stored in {result.save(store)}")
+    return study

@@ -1,0 +1,267 @@
+"""Localizing the queries of a scenario by several methods at once: each cloud is segmented once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from segloc.batch.run import query_clouds
+from segloc.batch.score import Evaluation
+from segloc.config import Config
+from segloc.descriptors import Descriptor
+from segloc.errors import DatasetError
+from segloc.frontend.segmentation import Segmenter
+from segloc.localization import Localization, Localized, NotLocalized, Reason
+from segloc.localizer import Localizer
+from segloc.map.build import add_view, empty_map, map_views
+from segloc.map.segment_map import SegmentMap
+from segloc.pipeline.search import Query
+from segloc.proposals.pose import PoseEstimator
+from segloc.types import Descriptors, Float64, Recording, Segments
+
+from .methods import published_estimator
+from .scenario import QuerySet
+
+ESTIMATORS = ("consensus", "published")
+"""Ours, and the one that a method was published with."""
+
+QUALITY = "-fq"
+"""What the name of a method ends with whose matches are ordered by FC4, the feature quality."""
+
+_CELL_M, _TALL_M = 0.5, 1.0
+
+Answer = dict[str, Any]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class MappedPlace:
+    """One place as every method has it in its map, over one cloud.
+
+    Attributes
+    ----------
+    localizers : dict of method to dict of estimator to Localizer
+    trajectory : (V, 4, 4) float64
+    cloud : (N, 3) float64
+        Map frame.
+    """
+
+    localizers: Mapping[str, Mapping[str, Localizer]]
+    trajectory: Float64
+    cloud: Float64
+
+
+def shared_config(method: str, threads: int, segments_alone: bool = False) -> Config:
+    """A method's preset, with the segmentation that all methods share: the default one.
+
+    With ``segments_alone`` nothing else makes candidates: neither stems nor occupancy.
+    """
+    preset, default = Config.preset(method), Config()
+    shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}
+    if segments_alone:
+        for name in ("occupancy", "stems"):
+            shared[name] = getattr(preset, name).model_copy(update={"enabled": False})
+    return preset.model_copy(update={**shared, "threads": threads})
+
+
+def build_maps(
+    recording: Recording,
+    descriptors: Mapping[str, Descriptor],
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, SegmentMap]:
+    """The maps of several methods, made of the same segments; the first has the cloud of all.
+
+    Raises
+    ------
+    DatasetError
+        If the recording has no poses, or nothing that could be segmented.
+    """
+    config = Config(threads=threads)
+    poses = recording.poses
+    if poses is None or len(poses) == 0:
+        raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
+    first = next(iter(descriptors))
+    maps = {name: empty_map(each, config, poses[0, :3, 3]) for name, each in descriptors.items()}
+    for view in map_views(recording, config, progress=progress):
+        described = describe_all(descriptors, view.scene.segments)
+        for name in descriptors:
+            add_view(maps[name], view, described[name], with_cloud=name == first)
+    if not len(maps[first]):
+        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
+    for prior_map in maps.values():
+        prior_map.add_trajectory(poses)
+    return maps
+
+
+def describe_all(
+    descriptors: Mapping[str, Descriptor], segments: Segments
+) -> dict[str, Descriptors]:
+    """The same segments described by every method; those of one network run it once."""
+    found: dict[str, Descriptors] = {}
+    once: dict[str, Descriptors] = {}
+    for name, descriptor in sorted(descriptors.items(), key=lambda item: not item[1].rates):
+        same = once.get(descriptor.fingerprint)
+        if same is None:
+            found[name] = once[descriptor.fingerprint] = descriptor.describe(segments)
+        else:
+            found[name] = same if descriptor.rates else Descriptors(same.vectors)
+    return found
+
+
+def build_place(
+    recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
+) -> MappedPlace:
+    """The maps of :func:`build_maps`, ready for queries."""
+    return place_of(build_maps(recording, descriptors, threads), threads)
+
+
+def place_of(
+    maps: Mapping[str, SegmentMap], threads: int = 1, segments_alone: bool = False
+) -> MappedPlace:
+    """Maps of one place by several methods, the first with the cloud of all, ready for queries."""
+    bases = {
+        name: Localizer(prior_map, shared_config(name, threads, segments_alone))
+        for name, prior_map in maps.items()
+    }
+    first = next(iter(bases.values()))
+    localizers = {name: _localizers(base, first) for name, base in bases.items()}
+    return MappedPlace(
+        localizers, first.prior_map.trajectory, first.prior_map.cloud + first.prior_map.origin
+    )
+
+
+def on_the_cloud_of(first: Localizer, other: Localizer) -> Localizer:
+    """A copy of a localizer with the cloud of another's map, and all that is prepared of it."""
+    changed = copy(other)
+    changed.verifier = first.verifier
+    changed.fallback = other.fallback.on_the_cloud_of(first.fallback)
+    return changed
+
+
+def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
+    config = base.config
+    found = {}
+    for name in ESTIMATORS:
+        chosen = published_estimator(config.method) if name == "published" else name
+        pose = config.pose.model_copy(update={"estimator": chosen})
+        localizer = on_the_cloud_of(first, base)
+        localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+        found[name] = localizer
+    return found
+
+
+def localize_all(
+    query_sets: Mapping[str, QuerySet],
+    descriptors: Mapping[str, Descriptor],
+    places: Mapping[str, MappedPlace],
+) -> dict[str, Any]:
+    """Localize every query in every place, by every method.
+
+    Returns
+    -------
+    dict
+        ``answers[method][query_set][place][estimator]`` is a list of one dict a query, in values
+        that JSON can hold.
+    """
+    answers: dict[str, Any] = {
+        method: {
+            query_set: {place: {name: [] for name in ESTIMATORS} for place in places}
+            for query_set in query_sets
+        }
+        for method in descriptors
+    }
+    for name, query_set in query_sets.items():
+        for found in localized(query_set, descriptors, places):
+            for (method, place, estimator), result in found.items():
+                answers[method][name][place][estimator].append(_record(result))
+    return answers
+
+
+def localized(
+    query_set: QuerySet,
+    descriptors: Mapping[str, Descriptor],
+    places: Mapping[str, MappedPlace],
+    estimators: Sequence[str] = ESTIMATORS,
+) -> Iterator[dict[tuple[str, str, str], Localization]]:
+    """The answers to each query, by (method, place, estimator).
+
+    A cloud is gathered and segmented once for all, and described once by each method.
+    """
+    config = Config()
+    segmenter = Segmenter(config.segmentation)
+    for cloud, _ in query_clouds(query_set.recording, query_set.positions, config):
+        scene = segmenter.segment(cloud)
+        yield {
+            (method, place, estimator): mapped.localizers[method][estimator].locate(
+                Query(cloud, scene, described)
+            )
+            for method, described in describe_all(descriptors, scene.segments).items()
+            for place, mapped in places.items()
+            for estimator in estimators
+        }
+
+
+def _record(result: Localization) -> Answer:
+    pose = result.T_map_sensor
+    return {
+        "reason": None if result.reason is None else result.reason.value,
+        "message": result.message,
+        "T_map_sensor": None if pose is None else pose.ravel().tolist(),
+        "inliers": result.inliers,
+        "overlap": result.overlap,
+        "confidence": result.confidence,
+    }
+
+
+def _localization(answer: Answer) -> Localization:
+    """What :func:`_record` wrote down."""
+    figures = {name: answer[name] for name in ("inliers", "overlap", "confidence")}
+    if answer["T_map_sensor"] is None:
+        reason = Reason(answer["reason"])
+        return NotLocalized(reason=reason, message=answer["message"], **figures)
+    return Localized(T_map_sensor=np.array(answer["T_map_sensor"]).reshape(4, 4), **figures)
+
+
+def arrays_of(
+    query_sets: Mapping[str, QuerySet], trajectory: Float64, cloud: Float64
+) -> dict[str, Float64]:
+    """What tables and pictures of the answers need, of queries and a :class:`MappedPlace`.
+
+    "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each set of queries
+    "indices-SET" and, where they are known, "truths-SET".
+    """
+    arrays = {"trajectory": trajectory[:, :2, 3], "cloud": standing(cloud)}
+    for name, query_set in query_sets.items():
+        arrays[f"indices-{name}"] = query_set.recording.indices[query_set.positions].astype(
+            np.float64
+        )
+        if query_set.truths is not None:
+            arrays[f"truths-{name}"] = query_set.truths
+    return arrays
+
+
+def standing(cloud: Float64) -> Float64:
+    """Where something stands, (N, 2): cells whose points differ in height by a metre or more."""
+    if not len(cloud):
+        return np.empty((0, 2))
+    cells, group = np.unique(np.round(cloud[:, :2] / _CELL_M), axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    starts = np.flatnonzero(np.diff(group.ravel()[order], prepend=-1))
+    z = cloud[order, 2]
+    tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts) >= _TALL_M
+    found: Float64 = cells[tall] * _CELL_M
+    return found
+
+
+def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], query_set: str) -> Evaluation:
+    """The answers to one set of queries, scored against the truth where it is known."""
+    results = [_localization(answer) for answer in answers]
+    path = np.tile(np.eye(4), (len(arrays["trajectory"]), 1, 1))
+    path[:, :2, 3] = arrays["trajectory"]
+    indices = arrays[f"indices-{query_set}"].astype(np.int64)
+    return Evaluation(indices, results, path, arrays.get(f"truths-{query_set}"))

@@ -1,0 +1,169 @@
+"""What is localized where: a map, the queries made in it, and a map that does not contain them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from segloc.batch.run import query_positions
+from segloc.datasets import open_sequence, poses_at
+from segloc.errors import ConfigError
+from segloc.frontend.local_cloud import LocalCloudConfig
+from segloc.types import Float64, Int64, Recording
+
+MAX_GAP_M = LocalCloudConfig().max_gap_m
+
+
+@dataclass(frozen=True)
+class QuerySet:
+    """Queries: scans at some positions of a recording.
+
+    Attributes
+    ----------
+    recording : Recording
+        Its poses, where it has any, are those by which queries are accumulated.
+    positions : (N,) int64
+    truths : (N, 4, 4) float64 or None
+        True T_map_sensor.
+    """
+
+    recording: Recording
+    positions: Int64
+    truths: Float64 | None
+
+
+@dataclass(frozen=True)
+class OpenedScenario:
+    """The recordings of a scenario.
+
+    Attributes
+    ----------
+    map : Recording
+    negative : Recording or None
+        Another place seen by the same kind of sensor: what is found in it is false.
+    query_sets : dict of str to QuerySet
+    """
+
+    map: Recording
+    negative: Recording | None
+    query_sets: dict[str, QuerySet]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a table says of a scenario: the kind of place, and the sensor."""
+
+    kind: str
+    sensor: str
+
+
+class Scenario(Protocol):
+    """A map, and the queries that are made in it; small, so that processes can be handed it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def segments_alone(self) -> bool:
+        """Whether nothing but segments makes candidates, so that only methods differ."""
+        ...
+
+    def facts(self) -> Facts: ...
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that decides what :meth:`open` gives."""
+        ...
+
+    def open(self) -> OpenedScenario: ...
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A recording to map, and one to localize in it.
+
+    Attributes
+    ----------
+    map, query : Path
+        What :func:`segloc.datasets.open_sequence` opens.
+    map_poses : Path or None
+        Of the scans to map, in whose frame the map is; by default the recording's own.
+    poses : Path or None
+        Odometry of the queries, by which they are accumulated; by default the recording's own.
+        Where there is none, each scan stands alone.
+    truth : Path or None
+        True poses of the queries in the map's frame, to score against.
+    map_select, select : str or None
+        Which scans; see :func:`segloc.datasets.parse_select`.
+    topic : str or None
+        Of both recordings, where they have several.
+    every_m : float
+        Metres of travel between queries; every scan is one where nothing tells the distance.
+    """
+
+    map: Path
+    query: Path
+    map_poses: Path | None = None
+    poses: Path | None = None
+    truth: Path | None = None
+    map_select: str | None = None
+    select: str | None = None
+    topic: str | None = None
+    every_m: float = 10.0
+
+
+@dataclass(frozen=True)
+class PairScenario:
+    """Two recordings of the user's own."""
+
+    pair: Pair
+
+    @property
+    def name(self) -> str:
+        return "own"
+
+    @property
+    def segments_alone(self) -> bool:
+        return False  # what is found with all there is
+
+    def facts(self) -> Facts:
+        return Facts("own", "own")
+
+    def settings(self) -> dict[str, Any]:
+        opened = self.open()
+        parts = (opened.map, opened.query_sets["query"].recording)
+        return {
+            "pair": {key: str(value) for key, value in asdict(self.pair).items()},
+            "scans": [len(part) for part in parts],
+            "bytes": [folder_size(folder) for folder in (self.pair.map, self.pair.query)],
+            "poses": [_sum(part.poses) for part in parts],
+            "truths": _sum(opened.query_sets["query"].truths),
+        }
+
+    def open(self) -> OpenedScenario:
+        pair = self.pair
+        prior_map = open_sequence(pair.map, pair.map_poses, pair.map_select, topic=pair.topic)
+        query = open_sequence(pair.query, pair.poses, pair.select, topic=pair.topic)
+        truths = None
+        if pair.truth is not None:
+            truths = poses_at(query, pair.query, pair.truth, topic=pair.topic)
+        path = query.poses if query.poses is not None else truths
+        positions = np.arange(len(query), dtype=np.int64)
+        if path is not None:
+            positions = query_positions(path, pair.every_m, MAX_GAP_M)
+        if not len(positions):
+            raise ConfigError(f"{query.name} has no stretch of {pair.every_m:g} m")
+        query_set = QuerySet(query, positions, None if truths is None else truths[positions])
+        return OpenedScenario(prior_map, None, {"query": query_set})
+
+
+def folder_size(path: Path) -> int:
+    """Bytes of a file, or of the files in a folder."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _sum(poses: Float64 | None) -> float | None:
+    return None if poses is None else float(np.abs(poses).sum())

@@ -1,0 +1,140 @@
+"""How exact localized poses are, against a reference that is registered to the map.
+
+Ground truth of KITTI 00 agrees from pass to pass to about a metre only. So the reference of each
+query is its ground truth, moved to where small_gicp aligns the query with the map's cloud at a
+finer resolution (0.3 m) than verification does (0.8 m), from all points within 50 m. References
+that move farther than 2.5 m, or from another start (0.3 m aside) end elsewhere, are left out and
+counted.
+
+    python -m segloc_lab.protocols.accuracy DATA OUT --store docs/results
+
+OUT is a folder that ``kitti00.sh`` has filled.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import small_gicp
+
+from segloc import Config, Localizer, SegmentMap, geometry
+from segloc.batch.run import query_clouds
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
+from segloc.types import Float64, LocalCloud, Pose
+
+from ..kitti00 import PROTOCOLS, query_set
+from ..results.stamp import stamped
+from ..results.store import Origin, Result
+from ..script import head, row, storing
+
+VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
+FARTHEST_M, AGREE_M = 2.5, 0.05
+COLUMNS = (
+    "run", "queries", "error m, median / 95 %", "degrees, median / 95 %", "without reference",
+    "not localized",
+)  # fmt: skip
+Row = tuple[str | int, ...]
+
+
+class Reference:
+    """Where a cloud lies in a map, for clouds whose pose is known to a metre or so."""
+
+    def __init__(self, prior_map: SegmentMap) -> None:
+        self._cloud, self._origin = np.asarray(prior_map.cloud, dtype=np.float64), prior_map.origin
+
+    def pose(self, cloud: LocalCloud, truth: Pose) -> Pose | None:
+        """T_map_sensor; None where two starts do not agree."""
+        T = truth @ geometry.inverse(cloud.T_local_sensor)
+        T = geometry.rigid(T[:3, :3], T[:3, 3] - self._origin)
+        near = np.hypot(*(self._cloud[:, :2] - T[:2, 3]).T) < RADIUS_M + 10
+        target, tree = small_gicp.preprocess_points(self._cloud[near], VOXEL_M)
+        points = cloud.points.astype(np.float64)
+        inside = np.hypot(*points[:, :2].T) < RADIUS_M
+        source, _ = small_gicp.preprocess_points(points[inside], VOXEL_M)
+        ends = []
+        for aside in (0.0, 0.3):
+            start = T @ geometry.yaw_transform(0.0, (aside, aside, 0.0))
+            for limit in (2.0 * CORRESPONDENCE_M, CORRESPONDENCE_M):
+                result = small_gicp.align(
+                    target, source, tree, start, "GICP", max_correspondence_distance=limit
+                )
+                start = np.array(result.T_target_source)
+            ends.append(start)
+        (apart,), _ = pose_errors(ends[1][None], ends[0][None])
+        (moved,), _ = pose_errors(ends[0][None], T[None])
+        if apart > AGREE_M or moved > FARTHEST_M:
+            return None
+        end = geometry.orthonormal(ends[0])
+        return geometry.rigid(end[:3, :3], end[:3, 3] + self._origin) @ cloud.T_local_sensor
+
+
+def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[Float64, int, int]:
+    """Metres and degrees of the localized queries (N, 2), references left out, not localized."""
+    reference, found, out, lost = Reference(localizer.prior_map), [], 0, 0
+    queries = query_set(data, protocol, step)
+    assert queries.truths is not None
+    path = localizer.prior_map.trajectory
+    inside = distances_to_path(queries.truths, path) <= COVERAGE_RADIUS_M
+    clouds = query_clouds(queries.recording, queries.positions[inside], localizer.config)
+    for (cloud, _), truth in zip(clouds, queries.truths[inside], strict=True):
+        answer = localizer.localize(cloud)
+        if answer.T_map_sensor is None:
+            lost += 1
+            continue
+        expected = reference.pose(cloud, truth)
+        if expected is None:
+            out += 1
+            continue
+        found.append(np.concatenate(pose_errors(answer.T_map_sensor[None], expected[None])))
+    return np.array(found).reshape(-1, 2), out, lost
+
+
+def cells(data: Path, out: Path, protocol: str, config: Config, step: int) -> Row:
+    """One protocol as a row of the table."""
+    map_name = f"{PROTOCOLS[protocol].map_name}-{config.method}.segmap"
+    localizer = Localizer(SegmentMap.load(out / map_name), config)
+    off, without, lost = errors(data, protocol, localizer, step)
+    if not len(off):
+        return protocol, 0, "-", "-", without, lost
+    (m, m95), (deg, deg95) = np.percentile(off, [50, 95], axis=0).T
+    metres, degrees = f"{m:.3f} / {m95:.3f}", f"{deg:.2f} / {deg95:.2f}"
+    return protocol, len(off), metres, degrees, without, lost
+
+
+def result(rows: list[Row], out: Path, method: str, step: int) -> Result:
+    """The table as it is stored, if the maps are of this code, too.
+
+    Raises
+    ------
+    DatasetError
+        If they are of other code, or nothing says of which.
+    """
+    runs = [f"{name}-{method}" for name, *_ in rows]
+    origins = {run: stamped(out / run) for run in runs}
+    origin = Origin.of_all({**origins, "now": Origin.now((method,))})
+    command = "python -m segloc_lab.protocols.accuracy DATA OUT --store docs/results"
+    note = f"`{method}`; queries within map coverage" + (f", every {step}." if step > 1 else ".")
+    return Result.of(origin, "kitti00-accuracy", command, COLUMNS, rows, note=note)
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("out", type=Path)
+    options.add_argument("--method", default="profile")
+    options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    args = options.parse_args()
+    config = Config.preset(args.method).model_copy(update={"threads": 1})
+    print(head(*COLUMNS))
+    rows = []
+    for name in PROTOCOLS:
+        if (args.out / f"{name}-{args.method}").is_dir():
+            rows.append(cells(args.data, args.out, name, config, args.step))
+            print(row(*rows[-1]), flush=True)
+    if args.store:
+        print(result(rows, args.out, args.method, args.step).save(args.store))
+
+
+if __name__ == "__main__":
+    main()

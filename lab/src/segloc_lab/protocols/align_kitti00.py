@@ -1,0 +1,181 @@
+"""Three drifting sessions of KITTI 00 brought into one frame.
+
+    python -m segloc_lab.protocols.align_kitti00 DATA
+
+DATA holds ``keyframes/`` and ``keyframes.tum``. The drive is cut in three; each part gets 1 % of
+drift and a frame of its own. Ground truth is good to a metre only across passes, so pairs of poses
+of two sessions are compared with ground truth that ICP corrected: the clouds that each pass saw by
+ground truth, registered with each other.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from segloc import Config, _native, geometry
+from segloc.datasets import open_sequence
+from segloc.frontend.local_cloud import Accumulator, window
+from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.types import Float32, Float64, Int64, Pose
+
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Result
+from ..script import storing
+from ..simulation import OdometryNoise
+from ..training.session_registration import Registration
+
+SESSIONS = ("0:620", "621:1200", "1201:1820")
+DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
+PLACE_M = 5.0
+FALSE_M, FALSE_DEG = 3.0, 5.0
+EVERY = 3  # of the scans with a place in the other session
+CLOUD_M = 16.0
+COMMAND = "python -m segloc_lab.protocols.align_kitti00 DATA --store docs/results"
+COLUMNS = (
+    "sessions",
+    "pairs of poses",
+    "median (m)",
+    "90 % (m)",
+    "largest (m)",
+    "median (degrees)",
+)
+
+Errors = dict[tuple[int, int], Float64]
+"""Metres and degrees that pairs of poses are off, (n, 2), by pair of sessions."""
+
+
+def drifted(recording: Reposed, rng: np.random.Generator) -> Reposed:
+    """The recording with 1 % of drift, in a frame of its own."""
+    frame = geometry.yaw_transform(
+        float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
+    )
+    return Reposed(recording.source, frame @ DRIFT.odometry(recording.poses, rng))
+
+
+def local_cloud(recording: Reposed, i: int) -> tuple[Pose, Float32]:
+    """The pose of what was seen around a scan by ground truth, and the points."""
+    scans = window(recording.poses, i, CLOUD_M, centred=True, max_gap_m=10.0)
+    cloud = Accumulator().gather([recording.scan(k) for k in scans], i - scans.start)
+    return geometry.levelled(recording.poses[i]), _native.voxel_grid(cloud.points, 0.3)
+
+
+def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:
+    """T_a_b of two scans by ground truth that ICP corrected; None where ICP does not fit."""
+    T_a, cloud_a = local_cloud(a, i)
+    T_b, cloud_b = local_cloud(b, j)
+    registration = Registration(geometry.transform(T_a, cloud_a).astype(np.float32))
+    correction = registration.corrected(T_b, cloud_b) @ geometry.inverse(T_b)
+    if not registration.accepted:
+        return None
+    T_a_b: Pose = geometry.inverse(a.poses[i]) @ correction @ b.poses[j]
+    return T_a_b
+
+
+def pairs_across(a: Reposed, b: Reposed) -> list[tuple[int, int]]:
+    """Some scans of b and the nearest of a, where the two passes run over one place."""
+    apart = np.linalg.norm(a.poses[:, None, :2, 3] - b.poses[None, :, :2, 3], axis=2)
+    near = np.flatnonzero(apart.min(axis=0) < PLACE_M)[::EVERY]
+    return [(int(apart[:, j].argmin()), int(j)) for j in near]
+
+
+def errors(truth: list[Reposed], found: Alignment) -> Errors:
+    """How far pairs of poses are off the reference."""
+    result = {}
+    for b in range(len(truth)):
+        for a in range(b):
+            rows = []
+            for i, j in pairs_across(truth[a], truth[b]):
+                wanted = reference(truth[a], i, truth[b], j)
+                if wanted is not None:
+                    delta = geometry.inverse(wanted) @ geometry.inverse(found.poses[a][i])
+                    delta = delta @ found.poses[b][j]
+                    turn = np.degrees(geometry.rotation_angle(delta))
+                    rows.append((float(np.linalg.norm(delta[:3, 3])), turn))
+            result[a, b] = np.array(rows).reshape(-1, 2)
+    return result
+
+
+def false_loops(truth: list[Reposed], found: Alignment) -> int:
+    """Accepted loops that are off the ground truth by more than it may be."""
+    where: list[dict[int, int]] = [
+        {int(n): k for k, n in enumerate(recording.indices)} for recording in truth
+    ]
+    count = 0
+    rows: Iterator[tuple[Int64, Int64]] = zip(found.loop_sessions, found.loop_scans, strict=True)
+    for loop, (sessions, scans) in zip(found.loops, rows, strict=True):
+        ends = [
+            geometry.levelled(truth[s].poses[where[s][int(n)]])
+            for s, n in zip(sessions, scans, strict=True)
+        ]
+        delta = geometry.inverse(geometry.inverse(ends[0]) @ ends[1]) @ loop.T_target_source
+        far = np.linalg.norm(delta[:3, 3]) > FALSE_M
+        turned = np.degrees(geometry.rotation_angle(delta)) > FALSE_DEG
+        count += bool(loop.accepted and (far or turned))
+    return count
+
+
+@contextmanager
+def timed(label: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress that prints how long each part took."""
+    began = time.perf_counter()
+    yield lambda done, total: None
+    print(f"{label}: {time.perf_counter() - began:.0f} s", flush=True)
+
+
+def tell(
+    name: str, command: str, found: Alignment, false: int, off: Errors, store: Path | None
+) -> None:
+    """How far poses of two sessions are off, as a table; of the loops and the time, as its note."""
+    named = {f"{a} and {b}": each for (a, b), each in off.items() if len(each)}
+    named["all"] = np.concatenate([np.zeros((0, 2)), *named.values()])
+    accepted = sum(loop.accepted for loop in found.loops)
+    rejected = len(found.loops) - accepted
+    note = (
+        f"{accepted} loops accepted, {false} of them false, {rejected} rejected; "
+        f"connected components: {len(found.components)}. {time.process_time() / 60:.0f} minutes of "
+        "a core, simulation or reading included."
+    )
+    rows = [(label, *_figures(each)) for label, each in named.items()]
+    stages = (*LOCALIZING, "alignment", "simulation")
+    Result.measured(
+        name, command, COLUMNS, rows, stages=stages, methods=("profile",), note=note
+    ).tell(store)
+
+
+def _figures(off: Float64) -> tuple[int | float | None, ...]:
+    if not len(off):
+        return 0, None, None, None, None
+    metres, degrees = off.T
+    values = (np.median(metres), np.percentile(metres, 90), metres.max(), np.median(degrees))
+    return len(off), *(round(float(value), 2) for value in values)
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--threads", type=int, default=1)
+    args = options.parse_args()
+    truth = []
+    for selection in SESSIONS:
+        part = open_sequence(args.data / "keyframes", "keyframes.tum", selection)
+        assert part.poses is not None
+        truth.append(Reposed(part, part.poses))
+    rng = np.random.default_rng(args.seed)
+    sessions = [drifted(recording, rng) for recording in truth]
+    found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
+    false, off = false_loops(truth, found), errors(truth, found)
+    tell("align-kitti00", COMMAND, found, false, off, args.store)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Six drifting sessions of a simulated town, in two seasons, against the exact truth.
+
+    python -m segloc_lab.protocols.align_simulation [--scene town]
+
+Each session has other lanes, directions, cars and detours, 1 % of drift and a frame of its own;
+every second one is in winter, with a fifth of what can be moved replaced. Needs the extra ``sim``.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from argparse import ArgumentParser, Namespace
+
+import numpy as np
+
+from segloc import Config, geometry
+from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.types import Float64
+
+from ..script import storing
+from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
+from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, Errors, tell, timed
+
+COMMAND = "python -m segloc_lab.protocols.align_simulation"
+
+
+def errors(truths: list[Float64], found: Alignment) -> Errors:
+    """How far pairs of poses of connected sessions are off."""
+    result = {}
+    for members in found.components:
+        for b in members:
+            for a in (k for k in members if k < b):
+                result[a, b] = _errors(truths[a], truths[b], found.poses[a], found.poses[b])
+    return result
+
+
+def _errors(a: Float64, b: Float64, A: Float64, B: Float64) -> Float64:
+    apart = np.linalg.norm(a[:, None, :2, 3] - b[None, :, :2, 3], axis=2)
+    rows = []
+    for j in np.flatnonzero(apart.min(axis=0) < PLACE_M):
+        i = int(apart[:, j].argmin())
+        truth = geometry.inverse(a[i]) @ b[j]
+        delta = geometry.inverse(truth) @ geometry.inverse(A[i]) @ B[j]
+        turn = np.degrees(geometry.rotation_angle(delta))
+        rows.append((float(np.linalg.norm(delta[:3, 3])), turn))
+    return np.array(rows).reshape(-1, 2)
+
+
+def false_loops(truths: list[Float64], found: Alignment) -> int:
+    """Accepted loops that are off the truth."""
+    count = 0
+    rows = zip(found.loops, found.loop_sessions, found.loop_scans, strict=True)
+    for loop, sessions, scans in rows:
+        a, b = (geometry.levelled(truths[s][n]) for s, n in zip(sessions, scans, strict=True))
+        delta = geometry.inverse(geometry.inverse(a) @ b) @ loop.T_target_source
+        count += bool(loop.accepted and np.linalg.norm(delta[:3, 3]) > FALSE_M)
+    return count
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("--scene", choices=SCENES, default="town")
+    options.add_argument("--sensor", choices=SENSORS, default="hdl64e")
+    options.add_argument("--thin", type=int, default=4, help="every n-th firing of the sensor")
+    options.add_argument("--sessions", type=int, default=6)
+    options.add_argument("--length", type=float, default=300.0, help="metres of each")
+    options.add_argument("--seed", type=int, default=5)
+    options.add_argument("--threads", type=int, default=1)
+    args = options.parse_args()
+    seasons = [Conditions(), Conditions(foliage=0.2, replaced=0.2)]
+    drives = simulate_sessions(
+        SCENES[args.scene](args.seed),
+        SENSORS[args.sensor]().thinned(args.thin),
+        [seasons[k % 2] for k in range(args.sessions)],
+        length_m=args.length,
+        seed=args.seed,
+    )
+    sessions = []
+    for k, drive in enumerate(drives):
+        rng = np.random.default_rng([args.seed, k])
+        frame = geometry.yaw_transform(
+            float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
+        )
+        sessions.append(Reposed(drive, frame @ DRIFT.odometry(drive.truth, rng)))
+    found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
+    truths = [drive.truth for drive in drives]
+    name = "align-simulation" if args.scene == "town" else f"align-{args.scene}"
+    command = f"{COMMAND}{_changed(options, args)} --store docs/results"
+    tell(name, command, found, false_loops(truths, found), errors(truths, found), args.store)
+
+
+def _changed(options: ArgumentParser, args: Namespace) -> str:
+    """The options that are not as they come."""
+    names = ("scene", "sensor", "thin", "sessions", "length", "seed")
+    given = ((name, getattr(args, name)) for name in names)
+    return "".join(
+        f" --{name} {value}" for name, value in given if value != options.get_default(name)
+    )
+
+
+if __name__ == "__main__":
+    main()

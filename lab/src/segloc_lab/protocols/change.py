@@ -1,0 +1,279 @@
+r"""Places that changed: mapped in summer, localized later, along the mapped path and against it.
+
+Five simulated worlds are mapped in summer. In another session most leaves have fallen, other cars
+are parked, other people about, and a share of the things that can be moved is replaced. There the
+mapped path is driven again, in another lane, and then back in the opposite direction; all scans are
+queries, each by itself, and so are clouds accumulated by odometry that drifts. It is made harder by
+fewer beams, another sensor, and maps padded with other worlds of the same kind (as in ``city``).
+All methods see the same clouds, cut into the same segments, each with its own preset; each is asked
+with all that a localizer has, and by its segments alone. What is done is kept, a line a set.
+
+    python -m segloc_lab.protocols.change                       # our method
+    python -m segloc_lab.protocols.change --methods profile geo dsm --worlds town
+    python -m segloc_lab.protocols.change --methods profile geo nsm esm \
+      --sensor vlp16 --pad 100000 --clouds single --every 8 --kept SCANS
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc import Localization, SegmentMap
+from segloc.batch.run import query_positions
+from segloc.batch.score import Evaluation, Tolerance
+from segloc.descriptors import Descriptor, create
+from segloc.errors import ConfigError
+
+from .. import script
+from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
+from ..evaluation.intervals import mcnemar, share
+from ..evaluation.scenario import QuerySet
+from ..journal import entries, keep
+from ..padding import padded
+from ..recordings import Kept, Unposed, kept
+from ..results.store import Cell, Result
+from ..simulation import (
+    SCENES,
+    SENSORS,
+    Conditions,
+    Lidar,
+    Route,
+    SimulatedSequence,
+    SpinningLidar,
+    World,
+)
+from ..simulation.drives import lane, mapped_way
+from ..simulation.motion.traversal import simulate_session
+
+SIZES_M = {"town": 200.0, "park": 200.0, "industrial": 220.0, "meadow": 240.0, "forest": 200.0}
+LENGTH_M = 200.0
+COLUMNS = 900
+CLOUDS = ("single", "accumulated")
+ESTIMATOR = "consensus"
+ALONE = "segments alone"
+WAYS = ("all there is", ALONE)
+"""With stems and occupancy, and without both."""
+SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
+
+
+def ways_of(maps: Mapping[str, SegmentMap]) -> dict[str, MappedPlace]:
+    """The maps of one place by several methods, in each of the ways."""
+    return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
+
+
+def mapped_path(world: World, seed: int) -> tuple[int, ...]:
+    """The junctions along the path that is mapped."""
+    return tuple(mapped_way(world, np.random.default_rng([seed, 31]), LENGTH_M))
+
+
+def mapped_drive(world: World, seed: int, sensor: Lidar) -> SimulatedSequence:
+    """The drive that the map is made of: summer, nothing replaced."""
+    route = Route(mapped_path(world, seed), lane(world, 0))
+    return simulate_session(world, 0, route, sensor, seed, name="map")
+
+
+def drives(
+    world: World, seed: int, sensor: Lidar, conditions: Conditions
+) -> dict[str, SimulatedSequence]:
+    """The path in a later session, in another lane, and back against the mapped direction."""
+    path = mapped_path(world, seed)
+    there, back = Route(path, lane(world, 1)), Route(path[::-1], lane(world, 1))
+    return {
+        name: simulate_session(world, 1, route, sensor, seed + k, name=name, conditions=conditions)
+        for k, (name, route) in enumerate({"same direction": there, "opposite": back}.items())
+    }
+
+
+def query_sets(
+    drive: SimulatedSequence | Kept, every: int, accumulated_every_m: float
+) -> dict[str, QuerySet]:
+    """Its scans alone, and clouds accumulated by odometry that drifts."""
+    single = np.arange(0, len(drive), every, dtype=np.int64)
+    accumulated = query_positions(drive.truth, accumulated_every_m, np.inf)
+    odometry = drive.with_odometry()
+    return {
+        "single": QuerySet(Unposed(drive), single, drive.truth[single]),
+        "accumulated": QuerySet(odometry, accumulated, drive.truth[accumulated]),
+    }
+
+
+def evaluations(
+    query_set: QuerySet,
+    descriptors: Mapping[str, Descriptor],
+    places: Mapping[str, MappedPlace],
+    tolerance: Tolerance | None = None,
+) -> dict[tuple[str, str], Evaluation]:
+    """By (method, place); clouds are gathered and segmented once for all."""
+    found: dict[tuple[str, str], list[Localization]] = {}
+    for answers in localized(query_set, descriptors, places, (ESTIMATOR,)):
+        for (method, place, _), answer in answers.items():
+            found.setdefault((method, place), []).append(answer)
+    positions, truths, limits = query_set.positions, query_set.truths, tolerance or Tolerance()
+    return {
+        key: Evaluation(positions, results, places[key[1]].trajectory, truths, limits)
+        for key, results in found.items()
+    }
+
+
+def asked(
+    ways: Mapping[str, MappedPlace], query_set: QuerySet, descriptors: Mapping[str, Descriptor]
+) -> list[dict[str, Any]]:
+    """What each method finds in each way, in values that JSON can hold."""
+    return [
+        {
+            "method": method,
+            "way": way,
+            "right": e.correct[e.within_coverage].tolist(),
+            "false": int(e.false.sum()),
+        }
+        for (method, way), e in evaluations(query_set, descriptors, ways).items()
+    ]
+
+
+def table(answers: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
+    """Columns and rows: a row for each set and way, both directions together."""
+    rows: dict[tuple[str, ...], dict[str, list[bool]]] = {}
+    false: Counter[tuple[str, ...]] = Counter()
+    for entry in answers:
+        key = tuple(str(entry[name]) for name in ("world", "clouds", "sensor", "map", "way"))
+        rows.setdefault(key, {}).setdefault(entry["method"], []).extend(entry["right"])
+        false[key] += entry["false"]
+    methods = tuple(dict.fromkeys(method for found in rows.values() for method in found))
+    columns = ("world", "clouds", "sensor", "map segments", "by", "queries", *methods)
+    if len(methods) > 1:
+        columns += (f"p, {methods[0]} and the best other",)
+    cells = [(*key, *_counted(found, methods), false[key]) for key, found in rows.items()]
+    return (*columns, "false"), cells
+
+
+def _counted(found: Mapping[str, Sequence[bool]], methods: Sequence[str]) -> tuple[Cell, ...]:
+    first, others = found[methods[0]], [found.get(name, ()) for name in methods[1:]]
+    counts = tuple(sum(found[name]) if name in found else None for name in methods)
+    if not others:
+        return len(first), share(sum(first), len(first))
+    best = max((right for right in others if len(right) == len(first)), key=sum, default=None)
+    p = None if best is None else round(mcnemar(first, best), 3)
+    return (len(first), *counts, p)
+
+
+def report(answers: list[dict[str, Any]], store: Path | None) -> None:
+    """Print the table, and keep it where results are."""
+    columns, rows = table(answers)
+    methods = tuple(dict.fromkeys(entry["method"] for entry in answers))
+    command = "python -m segloc_lab.protocols.change --report change.jsonl"
+    note = (
+        "Found of the queries, all of them within map coverage. p: McNemar's exact test, against "
+        "the other method that finds most; no correction for several tests."
+    )
+    sets = [{**each, "right": "".join("01"[right] for right in each["right"])} for each in answers]
+    Result.measured(
+        "change", command, columns, rows, methods=methods, note=note, counts={"sets": sets}
+    ).tell(store)
+
+
+def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> SpinningLidar:
+    """A sensor of so many columns; of its beams, every so many are kept that ``beams`` are left."""
+    sensor = SENSORS[name](columns)
+    if not isinstance(sensor, SpinningLidar):
+        raise ConfigError(f"{name} does not spin")
+    if beams is None:
+        return sensor
+    every = len(sensor.elevations_deg) // beams
+    return replace(sensor, elevations_deg=sensor.elevations_deg[::every])
+
+
+class Places:
+    """Maps of simulated worlds by several methods, alone or among other worlds of their kind."""
+
+    def __init__(self, descriptors: Mapping[str, Descriptor], sensor: Lidar, scans: Path | None):
+        self.descriptors, self.sensor, self.scans = descriptors, sensor, scans
+
+    def maps(self, world: World, seed: int) -> dict[str, SegmentMap]:
+        """Of one world."""
+        drive = kept(mapped_drive(world, seed, self.sensor), self.scans)
+        return build_maps(drive, self.descriptors)
+
+    def mapped(
+        self, name: str, world: World, seed: int, pad: int, others: int
+    ) -> dict[str, MappedPlace]:
+        """A world, padded with ``others`` of its kind up to ``pad`` segments, by ways of asking."""
+        maps = self.maps(world, seed)
+        if len(maps[next(iter(maps))]) < pad:
+            seeds = range(seed + 1, seed + 1 + others)
+            around = [self.maps(SCENES[name](k, size_m=SIZES_M[name]), k) for k in seeds]
+            maps = {
+                m: padded(prior_map, [each[m] for each in around], pad)
+                for m, prior_map in maps.items()
+            }
+        return ways_of(maps)
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line says."""
+    options = script.resumed(__doc__, "change.jsonl")
+    options.add_argument("--methods", nargs="+", default=["profile"])
+    options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
+    options.add_argument("--seed", type=int, default=9000)
+    options.add_argument("--foliage", type=float, default=0.3)
+    options.add_argument("--replaced", type=float, default=0.2)
+    options.add_argument("--every", type=int, default=1, help="scans, 2 m apart, between queries")
+    options.add_argument("--accumulated-every", type=float, default=4.0, metavar="METRES")
+    options.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
+    options.add_argument("--sensor", default="hdl64e", choices=SPINNING, help="of the queries")
+    options.add_argument("--beams", type=int, help="of that sensor; by default all")
+    options.add_argument("--columns", type=int, default=COLUMNS, help="a turn of that sensor")
+    options.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
+    options.add_argument("--pad", type=int, default=0, metavar="SEGMENTS", help="size of the maps")
+    options.add_argument("--others", type=int, default=2, help="worlds that pad a map")
+    options.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
+    return options.parse_args()
+
+
+def measure(args: argparse.Namespace) -> None:
+    """Ask in all worlds, and keep what each has given."""
+    done = {_set_of(entry) for entry in (entries(args.out) if args.out.exists() else [])}
+    conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
+    descriptors = {name: create(name, 1) for name in args.methods}
+    places = Places(descriptors, sensor_of(args.map_sensor), args.kept)
+    sensor = sensor_of(args.sensor, args.columns, args.beams)
+    told = f"{args.sensor}, {args.beams or len(sensor.elevations_deg)} x {args.columns}"
+    for label in args.worlds:
+        world = SCENES[label](args.seed, size_m=SIZES_M[label])
+        sets = [
+            {"world": label, "clouds": clouds, "sensor": told, "map": args.pad or "its own"}
+            for clouds in args.clouds
+        ]
+        left = [each for each in sets if _set_of(each) not in done]
+        if not left:
+            continue
+        ways = places.mapped(label, world, args.seed, args.pad, args.others)
+        found: dict[str, list[dict[str, Any]]] = {each["clouds"]: [] for each in left}
+        for drive in drives(world, args.seed, sensor, conditions).values():
+            queries = query_sets(kept(drive, args.kept), args.every, args.accumulated_every)
+            for clouds in found:
+                found[clouds] += asked(ways, queries[clouds], descriptors)
+        for each in left:
+            for entry in found[each["clouds"]]:
+                keep(args.out, each | entry)
+
+
+def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(str(entry[name]) for name in ("world", "clouds", "sensor", "map"))
+
+
+def main() -> None:
+    args = arguments()
+    if not args.report:
+        measure(args)
+    report([entry for path in args.report or [args.out] for entry in entries(path)], args.store)
+
+
+if __name__ == "__main__":
+    main()

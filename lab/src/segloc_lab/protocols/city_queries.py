@@ -1,0 +1,84 @@
+"""Queries in the tiles of a city, by a process that does nothing else: what they find and cost.
+
+    python -m segloc_lab.protocols.city_queries WORK WAY OUT SEED...
+
+``large_city`` begins it.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc import Config, Localizer, Prior
+from segloc.batch.score import pose_errors
+from segloc.system.stage_times import StageTimes
+from segloc.tiles import TiledMap
+
+from ..city import opened, queries
+from ..memory import held_mb, highest_mb
+from ..script import parser
+from ..stages import processor_clock
+
+WIDE = "ten times as wide"
+WAYS = (
+    *("no prior", "prior", "elsewhere", "elsewhere, prior"),
+    *(f"no prior, {WIDE}", f"elsewhere, {WIDE}"),
+)
+RADIUS_M, METRES, DEGREES = 200.0, 3.0, 5.0
+MEMORY_BYTES = 48_000_000
+"""For tiles that were used last."""
+
+
+def asked(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
+    """Answers to the queries of some towns, with what each cost; memory is of this process."""
+    place, has_prior = way.split(", ")[0], way in ("prior", "elsewhere, prior")
+    tiles = TiledMap(work / ("wide" if WIDE in way else "tiles"), memory_bytes=MEMORY_BYTES)
+    localizer = Localizer(tiles, Config(threads=1), clock=processor_clock)
+    path, rng = localizer.prior_map.trajectory[:, :2, 3], np.random.default_rng(0)
+    ready_mb, answers = held_mb(), []
+    for file in queries(work / "pieces", seeds):
+        cloud, truth = opened(file)
+        about = path[rng.integers(len(path))] if place == "elsewhere" else truth[:2, 3]
+        near = Prior(about + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
+        times = StageTimes(processor_clock)
+        began = time.process_time()
+        query = localizer.describe(cloud, times)
+        described = time.process_time()
+        answer = localizer.locate(query, times, near=near if has_prior else None)
+        ended = time.process_time()
+        again = localizer.locate(query, near=near if has_prior else None)
+        spent_again = time.process_time() - ended
+        outcome = "refused"
+        if answer.T_map_sensor is not None:
+            metres, degrees = pose_errors(answer.T_map_sensor[None], truth[None])
+            right = place != "elsewhere" and metres[0] <= METRES and degrees[0] <= DEGREES
+            outcome = "found" if right else "false"
+        entry: dict[str, Any] = {"query": file.stem, "outcome": outcome}
+        entry["times"] = dict(answer.times_ms)
+        entry |= {"describe_ms": 1e3 * (described - began), "search_ms": 1e3 * (ended - described)}
+        entry |= {"again_ms": 1e3 * spent_again, "same": again.inliers == answer.inliers}
+        answers.append({**entry, "reason": str(getattr(answer, "reason", ""))})
+    return {"answers": answers, "peak_mb": highest_mb(), "ready_mb": ready_mb}
+
+
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("work", type=Path, help="of `large_city`")
+    options.add_argument("way", choices=WAYS)
+    options.add_argument("out", type=Path)
+    options.add_argument("seeds", type=int, nargs="+", metavar="SEED", help="towns")
+    args = options.parse_args()
+    args.out.write_text(json.dumps(asked(args.work, args.way, args.seeds)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Descriptors apart from the pipeline, side by side: areas, and recall in pools of any size.
+
+    python -m segloc_lab.protocols.descriptor_scores DATASET --name real-pairs \\
+      --methods profile geo dsm --store docs/results
+
+Every session of the dataset is searched among all others. With ``--pool`` the table gives recall
+among the 25 nearest where segments of the ``--distractors`` fill the pool up to each of these
+sizes; without, recall among the 1, 5, 25 and 200 nearest of the dataset. A method is the name of a
+descriptor or a file of weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..results.fingerprints import DESCRIBING
+from ..results.store import Cell, Result
+from ..script import shown, storing
+from ..training.dataset import SegmentDataset
+from ..training.scoring import KS, Report, load_descriptor, score_descriptor
+from ..training.shards import load_dataset
+
+AMONG = 25
+"""Of the nearest, in tables of pools."""
+
+
+def by_rank(reports: dict[str, Report]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
+    """Columns and rows: the area, and recall among ever more of the nearest."""
+    columns = ("method", "area under the ROC (95 %)", *(f"recall at {k}" for k in KS))
+    rows: list[tuple[Cell, ...]] = [
+        (name, str(report.auc), *(round(float(r), 3) for r in report.recalls[0][1]))
+        for name, report in reports.items()
+    ]
+    return columns, rows
+
+
+def by_pool(reports: dict[str, Report]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
+    """Columns and rows: recall among :data:`AMONG` in pools of each size."""
+    sizes = [size for size, _ in next(iter(reports.values())).recalls]
+    columns = ("method", *(f"{size} segments" for size in sizes))
+    k = KS.index(AMONG)
+    rows: list[tuple[Cell, ...]] = [
+        (name, *(round(float(found[k]), 3) for _, found in report.recalls))
+        for name, report in reports.items()
+    ]
+    return columns, rows
+
+
+def scored(
+    names: Sequence[str],
+    dataset: SegmentDataset,
+    distractors: Sequence[SegmentDataset],
+    pools: Sequence[int],
+) -> dict[str, Report]:
+    """Each descriptor by its name, or by the name of its file."""
+    return {
+        Path(name).stem: score_descriptor(
+            load_descriptor(name, 1), dataset, distractors, pools=pools
+        )
+        for name in names
+    }
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("dataset", type=Path)
+    options.add_argument("--name", default="descriptor-scores", help="of the stored table")
+    options.add_argument("--methods", nargs="+", default=["profile", "geo", "dsm", "esm"])
+    options.add_argument("--distractors", type=Path, nargs="*", default=[])
+    options.add_argument("--pool", type=int, nargs="*", default=[], help="sizes")
+    given = options.parse_args()
+    others = [load_dataset(path) for path in given.distractors]
+    reports = scored(given.methods, load_dataset(given.dataset), others, given.pool)
+    columns, rows = by_pool(reports) if given.pool else by_rank(reports)
+    what = f"{shown(given.dataset)} --name {given.name} --methods {' '.join(reports)}"
+    if given.pool:
+        what += f" --distractors {' '.join(map(shown, given.distractors))}"
+        what += f" --pool {' '.join(map(str, given.pool))}"
+    queries = next(iter(reports.values())).queries
+    Result.measured(
+        given.name,
+        f"python -m segloc_lab.protocols.descriptor_scores {what} --store docs/results",
+        columns,
+        rows,
+        stages=(*DESCRIBING, "training"),
+        methods=tuple(reports),
+        note=f"{queries} queries, each of a session among all others.",
+    ).tell(given.store)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+r"""A hundred kilometres of simulated towns, mapped by several processes, and queries in its tiles.
+
+    python -m segloc_lab.protocols.large_city WORK --workers 16 --limit 540 --out OUT
+
+Each town is another (``--towns`` seeds from ``--first-seed``), lies at a place of its own in one
+frame, and is driven once for the map: every eighth firing of an HDL-64E, a scan every 2 m. Every
+n-th is driven once more, with other parked cars, in another lane and partly the other way, and is
+queried there; towns that the map does not hold are queried, too, and whatever is found of these is
+false. A query is the cloud of the last 40 m, by noisy odometry. For time and memory queries are
+also asked in a thin map ten times as large, of copies of this one (``wide_city``).
+
+Whatever is finished is kept in WORK, so a run goes on where the last one ended, and ends before the
+limit by itself. Queries are asked by a fresh process that does nothing else: its processor time and
+its largest resident memory are measured. ``OUT --limit 0 --store docs/results`` only reports what
+another machine measured. Needs the extra ``sim``.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc import SegmentMap
+from segloc.map.compact import CompactConfig, compacted
+from segloc.map.parts import concatenated, with_sessions
+from segloc.system.files import replacing
+from segloc.system.processes import all_of, executing, single_threaded_pool
+from segloc.tiles import cut_tiles
+
+from ..city import Piece, done
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Result
+from ..script import storing
+from . import city_queries
+from .city_queries import WAYS
+from .city_report import concise, lines
+from .wide_city import widened
+
+NAME = "large-city"
+ELSEWHERE = 10_000
+"""Added to the seeds of towns that are not in the map."""
+PIECE_S = 110.0
+"""A piece is not begun where less than this is left, and a twentieth of a whole limit."""
+
+
+class City:
+    """The towns of a city, and the folder in which it is made."""
+
+    def __init__(self, options: Namespace) -> None:
+        self.options, self.work = options, options.work
+        self.until: float = time.time() + options.limit
+        self.kept = self.work / "city.json"
+        self.pieces = [self._piece(k, options) for k in range(options.towns)]
+        foreign = replace(self.pieces[0], number=-1, queries=options.queries)
+        self.foreign = [
+            replace(foreign, seed=options.first_seed + ELSEWHERE + k)
+            for k in range(options.elsewhere)
+        ]
+
+    def _piece(self, k: int, options: Namespace) -> Piece:
+        count = 0 if k % options.queried else options.queries
+        drive = options.size, options.length, options.thin
+        return Piece(k, options.first_seed + k, *drive, count, self.work / "pieces")
+
+    def left(self) -> float:
+        """Seconds until the limit."""
+        return self.until - time.time()
+
+    def known(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.kept.read_text()) if self.kept.exists() else {}
+        return found
+
+    def keep(self, **values: Any) -> None:
+        """Add to what was measured."""
+        with replacing(self.kept) as stream:
+            stream.write(json.dumps({**self.known(), **values}, indent=0).encode())
+
+    def build(self) -> bool:
+        """Map all towns; whether all of them are."""
+        last = self.until - self.options.piece_s
+        tasks = [replace(p, until=last) for p in (*self.pieces, *self.foreign)]
+        left = [task for task in tasks if not task.record.exists()]
+        began = time.time()
+        with executing(self.options.workers, None) as executor:
+            made = all_of(done, left, executor)
+        if left:
+            runs = [*self.known().get("runs", []), [time.time() - began, sum(made)]]
+            self.keep(runs=runs)
+        return all(made)
+
+    def cut(self) -> None:
+        """The map of all towns, in tiles."""
+        if "cut" in self.known():
+            return
+        began, before = time.time(), _cpu_s()
+        parts = [
+            with_sessions(part, np.full(len(part), k, np.int32))
+            for k, part in enumerate(SegmentMap.load(p.map_file) for p in self.pieces)
+        ]
+        whole = compacted(concatenated(parts), CompactConfig())
+        joined = time.time() - began, _cpu_s() - before
+        tiles = self.work / "tiles"
+        with executing(self.options.workers, None) as executor:
+            index = cut_tiles(whole, tiles, size_m=self.options.tile, executor=executor)
+        spent = time.time() - began, _cpu_s() - before
+        sizes = sum(tile.bytes for tile in index.tiles), index.coarse.bytes
+        found = {"joined_s": joined, "all_s": spent, "segments": len(whole), "bytes": sizes}
+        found |= {"tiles": len(index.tiles), "thin": index.coarse.segments}
+        self.keep(cut=found)
+
+    def widen(self) -> None:
+        """The same tiles in a thin map ten times as large."""
+        if "wide" not in self.known():
+            self.keep(wide=widened(self.work / "tiles", self.work / "wide", 10))
+
+    def ask(self) -> None:
+        """All queries, in a fresh process for each way of asking: side by side where cores are."""
+        ways = [way for way in WAYS if way not in self.known()]
+        at_once = min(len(ways), self.options.workers)
+        for k in range(0, len(ways), max(at_once, 1)):
+            asking = {way: self._asking(way) for way in ways[k : k + at_once]}
+            for way, process in asking.items():
+                try:
+                    ended = process.wait(max(self.left(), 1.0))
+                except subprocess.TimeoutExpired:
+                    process.kill()  # it is asked again by the next run
+                    continue
+                if ended:
+                    raise SystemExit(f"{way}: ended with status {ended}")
+                self.keep(**{way: json.loads(self._answers(way).read_text())})
+
+    def _asking(self, way: str) -> subprocess.Popen[bytes]:
+        asked = [sys.executable, "-m", city_queries.__name__, str(self.work), way]
+        return subprocess.Popen([*asked, str(self._answers(way)), *map(str, self._seeds(way))])
+
+    def _answers(self, way: str) -> Path:
+        return Path(self.work / f"answers, {way}.json")
+
+    def _seeds(self, way: str) -> list[int]:
+        chosen = self.foreign if way.startswith("elsewhere") else self.pieces
+        return [piece.seed for piece in chosen if piece.queries]
+
+    def scale(self) -> None:
+        """The same small piece for each of one, two and more workers: what of each is left."""
+        for workers in sorted({1, 2, self.options.workers}):
+            name = f"workers {workers}"
+            if name in self.known() or self.left() < self.options.piece_s:
+                continue
+            folder = self.work / "scaling"
+            shutil.rmtree(folder, ignore_errors=True)
+            small = replace(self.pieces[0], size_m=200.0, length_m=400.0, queries=0, folder=folder)
+            tasks = [replace(small, folder=folder / str(k)) for k in range(workers)]
+            with single_threaded_pool(workers) as pool:
+                all_of(abs, range(workers), pool)  # they have started
+                began = time.time()
+                all_of(done, tasks, pool)
+            spent = time.time() - began
+            cpu_s = [json.loads(task.record.read_text())["cpu_s"] for task in tasks]
+            self.keep(**{name: {"wall_s": spent, "cpu_s": cpu_s}})
+
+    def report(self) -> list[tuple[str, str]]:
+        """What was measured, a line each."""
+        known = self.known()
+        files = [piece.record for piece in self.pieces if piece.record.exists()]
+        records = [json.loads(file.read_text()) for file in files] or known.get("records", [])
+        self.keep(records=records)
+        return lines(known, records, self.options.workers)
+
+
+def _cpu_s() -> float:
+    """Processor time of this process and of those that it waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("work", type=Path)
+    options.add_argument("--towns", type=int, default=80)
+    options.add_argument("--first-seed", type=int, default=20_000)
+    options.add_argument("--size", type=float, default=330.0, help="edge of a town, metres")
+    options.add_argument("--length", type=float, default=1250.0, help="metres driven in each")
+    options.add_argument("--thin", type=int, default=8, help="every n-th firing of the sensor")
+    options.add_argument("--tile", type=float, default=150.0, help="edge of a tile, metres")
+    options.add_argument("--queried", type=int, default=4, help="one of so many towns is queried")
+    options.add_argument("--queries", type=int, default=8, help="in each of these")
+    options.add_argument("--elsewhere", type=int, default=6, help="towns that are not in the map")
+    options.add_argument("--workers", type=int, default=16)
+    options.add_argument("--limit", type=float, default=540.0, help="seconds of this run")
+    options.add_argument("--piece-s", type=float, default=PIECE_S)
+    options.add_argument("--out", type=Path, help="a folder for what was measured")
+    args = options.parse_args()
+    city = City(args)
+    if args.limit > 0 and city.build() and city.left() > args.piece_s:
+        city.cut()
+        city.widen()
+        city.ask()
+        city.scale()
+    rows = city.report()
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        shutil.copy(city.kept, args.out / "city.json")
+    command = f"python -m segloc_lab.protocols.large_city WORK --towns {args.towns}"
+    command += f" --first-seed {args.first_seed} --elsewhere {args.elsewhere}"
+    stages, kept = (*LOCALIZING, "tiles"), concise(city.known())
+    Result.measured(
+        NAME, command, ("", "measured"), rows, stages=stages, methods=("profile",), counts=kept
+    ).tell(args.store)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+r"""All real recordings at once: level and turned, in their own maps and in foreign ones.
+
+The corridor of a VLP-16 driven back the other way, a lab seen by a MID-360 on other days, and
+KITTI odometry 00 and ten other drives of it. Each query is localized in the map of its place, in
+the mirror image of that map, and in the maps of all other places. What it answers there is false.
+
+    python -m segloc_lab.protocols.real DATA --out real.json
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc.batch.run import query_clouds
+from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
+from segloc.datasets import NO_POSES, open_sequence
+from segloc.pipeline.answer import answer
+from segloc.types import Float64, Int64, Pose, Recording
+
+from .. import kitti00
+from ..evaluation.negative_maps import mirrored
+from ..recordings import FewerBeams, Files, Turned
+from ..script import storing
+from .real_results import report, result
+
+OUT, BACK = "0:74", "82:104"
+"""The scans of the corridor that are mapped, and those on the way back."""
+TOLERANCE = Tolerance()
+LAB = ("0618", "0622a", "0622b", "0622c")
+
+
+@dataclass(frozen=True)
+class Queries:
+    """Scans of one place, and where each was taken in the frame of the place's maps.
+
+    Names of queries and maps begin with that of the place.
+
+    Attributes
+    ----------
+    name : str
+    recording : Recording
+    positions : (N,) int64
+    truths : (N, 4, 4) float64 or None
+        True T_map_sensor.
+    maps : tuple of str
+        The maps of its place; what is found in any other is false.
+    """
+
+    name: str
+    recording: Recording
+    positions: Int64
+    truths: Float64 | None
+    maps: tuple[str, ...]
+
+
+def maps(data: Path, config: Config) -> dict[str, SegmentMap]:
+    """A map of every place, or of every session."""
+    kitti = data / "kitti00"
+    sources: dict[str, Recording] = {
+        "corridor, out": _corridor(data, OUT),
+        "kitti, first half": kitti00.mapped(kitti, "sparse"),
+        "kitti, later passes": kitti00.mapped(kitti, "single"),
+    }
+    sources |= {f"lab, {s}": _lab(data, s) for s in LAB}
+    return {name: build_map(source, config) for name, source in sources.items()}
+
+
+def _corridor(data: Path, select: str, posed: bool = True) -> Recording:
+    folder = data / "vlp16_corridor"
+    return open_sequence(folder / "scans", folder / "poses.tum" if posed else NO_POSES, select)
+
+
+def _lab(data: Path, session: str, posed: bool = True) -> Recording:
+    folder = data / "mid360_lab" / session
+    return open_sequence(folder / "scans", folder / "poses.tum" if posed else NO_POSES)
+
+
+def queries(data: Path, step: int) -> Iterator[Queries]:
+    """All queries, first those of a level sensor; ``step`` thins those of KITTI."""
+    yield from _corridor_queries(data)
+    yield from _lab_queries(data)
+    yield from _kitti_queries(data / "kitti00", step)
+    starts = Files(data / "kitti_starts")
+    everyone = np.arange(len(starts), dtype=np.int64)
+    yield Queries("starts of other drives", starts, everyone, None, ())
+    yield Queries("starts of other drives, turned", Turned(starts, 25.0), everyone, None, ())
+
+
+def _corridor_queries(data: Path) -> Iterator[Queries]:
+    back = _corridor(data, BACK)
+    truths, here = kitti00.poses_of(back), ("corridor, out",)
+    positions = np.arange(len(back), dtype=np.int64)
+    alone = _corridor(data, BACK, posed=False)
+    yield Queries("corridor, accumulated", back, positions, truths, here)
+    yield Queries("corridor, single", alone, positions, truths, here)
+    for seed in range(3):
+        turned = Turned(alone, 25.0, seed)
+        yield Queries(
+            f"corridor, single, turned ({seed})", turned, positions, _seen(turned, truths), here
+        )
+
+
+def _lab_queries(data: Path) -> Iterator[Queries]:
+    for session in LAB:
+        alone = _lab(data, session, posed=False)
+        truths = kitti00.poses_of(_lab(data, session))
+        positions = np.arange(len(alone), dtype=np.int64)
+        others = tuple(f"lab, {s}" for s in LAB if s != session)
+        yield Queries(f"lab {session}, single", alone, positions, truths, others)
+        turned = Turned(alone, 20.0)
+        yield Queries(
+            f"lab {session}, single, turned", turned, positions, _seen(turned, truths), others
+        )
+
+
+def _kitti_queries(kitti: Path, step: int) -> Iterator[Queries]:
+    for name, p in kitti00.PROTOCOLS.items():
+        chosen = kitti00.query_set(kitti, name, step)
+        truths = chosen.truths
+        assert truths is not None
+        here = ("kitti, first half" if p.map_name == "first" else "kitti, later passes",)
+        yield Queries(f"kitti, {name}", chosen.recording, chosen.positions, truths, here)
+        if not p.accumulated:
+            turned = Turned(chosen.recording, 25.0)
+            seen = _seen(turned, truths, chosen.positions)
+            yield Queries(f"kitti, {name}, turned", turned, chosen.positions, seen, here)
+        if name == "single":
+            few = FewerBeams(chosen.recording, 8)
+            some = slice(None, None, max(1, 5 // step))
+            yield Queries("kitti, 8 beams", few, chosen.positions[some], truths[some], here)
+
+
+def _seen(turned: Turned, truths: Float64, positions: Int64 | None = None) -> Float64:
+    """The poses of the turned sensor."""
+    positions = np.arange(len(truths), dtype=np.int64) if positions is None else positions
+    turns = (turned.T_turned_level(int(i)) for i in positions)
+    return np.stack([T @ geometry.inverse(turn) for T, turn in zip(truths, turns, strict=True)])
+
+
+class Judge:
+    """Localizes queries in all maps, and keeps a record of every answer."""
+
+    def __init__(self, places: dict[str, SegmentMap], config: Config) -> None:
+        self._own = {name: Localizer(place, config) for name, place in places.items()}
+        self._mirrored = cache(lambda name: Localizer(mirrored(places[name]), config))
+        self._first = next(iter(self._own.values()))
+        self.records: list[dict[str, Any]] = []
+
+    def run(self, chosen: Queries) -> None:
+        config, clock = self._first.config, time.process_time
+        clouds = query_clouds(chosen.recording, chosen.positions, config, clock)
+        for k, (cloud, times) in enumerate(clouds):
+            query = self._first.describe(cloud, times)
+            common = times.with_total()["total"]
+            truth = None if chosen.truths is None else chosen.truths[k]
+            T = query.cloud.T_local_sensor
+            for name, localizer in self._places(chosen):
+                start = time.process_time()
+                search = localizer.search(query)
+                found = answer(query.cloud, search.verdict, search.counts(query), {})
+                spent = common + 1e3 * (time.process_time() - start)
+                best = search.verdict.best
+                own = name in chosen.maps
+                near = own and truth is not None and self._covered(localizer, truth)
+                self.records.append(
+                    {
+                        "queries": chosen.name,
+                        "index": int(chosen.recording.indices[chosen.positions[k]]),
+                        "map": name,
+                        "within_coverage": bool(near),
+                        "outcome": outcome(found.T_map_sensor, truth if own else None),
+                        "reason": None if found.reason is None else found.reason.value,
+                        "confidence": round(found.confidence, 4),
+                        "inliers": found.inliers,
+                        "overlap": found.overlap,
+                        "seen": found.seen,
+                        "best": best and outcome(best.T_map_local @ T, truth if own else None),
+                        "ms": round(spent, 1),
+                    }
+                )
+
+    def _places(self, chosen: Queries) -> Iterator[tuple[str, Localizer]]:
+        place = chosen.name.split()[0].rstrip(",")
+        for name, localizer in self._own.items():
+            if name in chosen.maps or not name.startswith(place):
+                yield name, localizer
+        for name in chosen.maps[:1]:
+            yield f"{name}, mirrored", self._mirrored(name)
+
+    @staticmethod
+    def _covered(localizer: Localizer, truth: Pose) -> bool:
+        path = localizer.prior_map.trajectory
+        return bool(distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M)
+
+
+def outcome(estimate: Pose | None, truth: Pose | None) -> str:
+    """Whether an estimate is found, false, or refused; without a truth any is false."""
+    if estimate is None:
+        return "refused"
+    if truth is None:
+        return "false"
+    metres, degrees = pose_errors(estimate[None], truth[None])
+    right = metres[0] <= TOLERANCE.metres and degrees[0] <= TOLERANCE.degrees
+    return "found" if right else "false"
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("--method", default="profile")
+    options.add_argument("--only", default="", help="queries whose name starts so")
+    options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
+    options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
+    options.add_argument("--out", type=Path)
+    args = options.parse_args()
+    config = Config.preset(args.method).model_copy(update={"threads": 1})
+    judge = Judge(_kept(args.data, args.maps, config), config)
+    for chosen in queries(args.data, args.step):
+        if chosen.name.startswith(args.only):
+            judge.run(chosen)
+            report([r for r in judge.records if r["queries"] == chosen.name])
+    print()
+    report(judge.records)
+    if args.out:
+        args.out.write_text(json.dumps(judge.records, indent=0))
+    if args.store:
+        result(judge.records, args.method, args.step).save(args.store)
+
+
+def _kept(data: Path, folder: Path | None, config: Config) -> dict[str, SegmentMap]:
+    """The maps, built once where a folder is given."""
+    if folder is None:
+        return maps(data, config)
+    paths = {path.stem: path for path in sorted(folder.glob("*.segmap"))}
+    if paths:
+        return {name: SegmentMap.load(path) for name, path in paths.items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    built = maps(data, config)
+    for name, each in built.items():
+        each.save(folder / f"{name}.segmap")
+    return built
+
+
+if __name__ == "__main__":
+    main()

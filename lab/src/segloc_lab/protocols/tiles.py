@@ -1,0 +1,144 @@
+r"""KITTI 00 in tiles: what is found with and without a prior, beside the map in one piece.
+
+Queries are those of ``protocols.real``; a prior is the true position, moved at random within half
+of its radius, or one at another place of the map.
+
+    python -m segloc_lab.protocols.tiles DATA OUT --size 250
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
+from segloc.batch.run import query_clouds
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
+from segloc.pipeline.search import Query
+from segloc.tiles import TiledMap, cut_tiles
+from segloc.types import Float64, Pose
+
+from .. import kitti00
+from ..evaluation.intervals import share
+from ..results.fingerprints import LOCALIZING
+from ..results.store import Cell, Result
+from ..script import storing
+from .real import outcome
+
+RADIUS_M, FAR_M = 50.0, 80.0
+SETS = ("accumulated", "sparse")
+
+
+def described(
+    data: Path, name: str, localizer: Localizer, path: Float64, step: int
+) -> Iterator[tuple[Query, Pose]]:
+    """The queries within map coverage, and where they were taken."""
+    chosen = kitti00.query_set(data, name)
+    truths = chosen.truths
+    assert truths is not None
+    near = distances_to_path(truths, path) <= COVERAGE_RADIUS_M
+    rows = np.flatnonzero(near)[::step]
+    clouds = query_clouds(chosen.recording, chosen.positions[rows], localizer.config)
+    for (cloud, times), truth in zip(clouds, truths[rows], strict=True):
+        yield localizer.describe(cloud, times), truth
+
+
+def elsewhere(truth: Pose, path: Float64, rng: np.random.Generator) -> Float64:
+    """A place of the map that is not near the truth."""
+    distances = np.linalg.norm(path[:, :2, 3] - truth[:2, 3], axis=1)
+    far: Float64 = path[distances > RADIUS_M + FAR_M, :2, 3]
+    chosen: Float64 = far[rng.integers(len(far))]
+    return chosen
+
+
+@dataclass(frozen=True)
+class Places:
+    """One map in one piece and in tiles.
+
+    Attributes
+    ----------
+    localizer, tiled : Localizer
+    path : (P, 4, 4) float64
+        The mapped path.
+    """
+
+    localizer: Localizer
+    tiled: Localizer
+    path: Float64
+
+    def ways(self, rng: np.random.Generator) -> dict[str, Callable[[Query, Pose], Localization]]:
+        """How each query is localized."""
+
+        def near(T: Pose) -> Prior:
+            return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
+
+        def wrong(T: Pose) -> Prior:
+            return Prior(elsewhere(T, self.path, rng), RADIUS_M)
+
+        whole, tiled = self.localizer, self.tiled
+        return {
+            "in one piece": lambda query, _: whole.locate(query),
+            "in one piece, prior": lambda query, T: whole.locate(query, near=near(T)),
+            "in one piece, wrong prior": lambda query, T: whole.locate(query, near=wrong(T)),
+            "in tiles": lambda query, _: tiled.locate(query),
+            "in tiles, prior": lambda query, T: tiled.locate(query, near=near(T)),
+            "in tiles, wrong prior": lambda query, T: tiled.locate(query, near=wrong(T)),
+        }
+
+    def rows(self, name: str, queries: list[tuple[Query, Pose]]) -> Iterator[tuple[Cell, ...]]:
+        """What is found in each way, and what it takes."""
+        for way, locate in self.ways(np.random.default_rng(0)).items():
+            outcomes, spent = [], []
+            for query, truth in queries:
+                start = time.process_time()
+                answer = locate(query, truth)
+                spent.append(1e3 * (time.process_time() - start))
+                outcomes.append(outcome(answer.T_map_sensor, truth))
+            found = share(outcomes.count("found"), len(queries))
+            times = round(float(np.median(spent)), 1), round(float(np.mean(spent)), 1)
+            yield name, way, found, outcomes.count("false"), *times
+
+
+def main() -> None:
+    options = storing(__doc__)
+    options.add_argument("data", type=Path)
+    options.add_argument("out", type=Path)
+    options.add_argument("--method", default="profile")
+    options.add_argument("--size", type=float, default=250.0, help="edge of a tile, metres")
+    options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    args = options.parse_args()
+    config = Config.preset(args.method).model_copy(update={"threads": 1})
+    args.out.mkdir(parents=True, exist_ok=True)
+    file = args.out / f"first-{args.method}.segmap"
+    if not file.exists():
+        build_map(kitti00.mapped(args.data, "sparse"), config).save(file)
+    whole = SegmentMap.load(file)
+    index = cut_tiles(whole, args.out / "tiles", size_m=args.size)
+    tiled = Localizer(TiledMap(args.out / "tiles"), config)
+    places = Places(Localizer(whole, config), tiled, whole.trajectory)
+    rows: list[tuple[Cell, ...]] = []
+    for name in SETS:
+        queries = described(args.data, name, places.localizer, places.path, args.step)
+        rows += places.rows(name, list(queries))
+    sizes = [sum(tile.bytes for tile in index.tiles), file.stat().st_size, index.coarse.bytes]
+    of_tiles, of_one, of_thin = (each / 1e6 for each in sizes)
+    Result.measured(
+        "tiles",
+        f"python -m segloc_lab.protocols.tiles DATA OUT --size {args.size:g} "
+        f"--step {args.step} --store docs/results",
+        ("queries", "way", "found", "false", "ms, median", "mean"),
+        rows,
+        stages=(*LOCALIZING, "tiles"),
+        methods=(args.method,),
+        note=f"`{args.method}`; {len(index.tiles)} tiles of {of_tiles:.1f} MB with their margins, "
+        f"{of_one:.1f} MB in one piece, {of_thin:.1f} MB the thin map. Milliseconds of processor "
+        "time of one thread, on a machine with other work; in brackets 95 % by Wilson.",
+    ).tell(args.store)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Simulated worlds, LiDARs and drives: data with exact poses and the identity of every point."""
+
+from __future__ import annotations
+
+from segloc.motion import Motion, deskew
+
+from .drives import demo_sessions, simulate_sessions
+from .motion.flight import Flight
+from .motion.gait import Gait
+from .motion.odometry import OdometryNoise
+from .motion.platforms import (
+    PLATFORMS,
+    Platform,
+    car,
+    carried,
+    drone,
+    handheld,
+    legged,
+    quadruped,
+    wheeled,
+)
+from .motion.route import Route
+from .motion.traversal import SimulatedSequence, simulate_session
+from .objects.scene import Scene
+from .record import record
+from .sensors.catalogue import SENSORS
+from .sensors.lidar import SpinningLidar, hdl32e, hdl64e, os0_128, os1_64, os1_128, vlp16
+from .sensors.linescan import LineLidar, lms151
+from .sensors.ranging import Lidar, Rays, Returns
+from .sensors.rosette import RosetteLidar, SwirlLidar, avia, mid360, solid_state
+from .worlds.forest import forest
+from .worlds.industrial import industrial
+from .worlds.meadow import meadow
+from .worlds.mine import mine
+from .worlds.offices import building, offices
+from .worlds.park import park
+from .worlds.scenes import SCENES
+from .worlds.town import town
+from .worlds.warehouse import warehouse
+from .worlds.world import Conditions, World
+
+__all__ = [
+    "PLATFORMS",
+    "SCENES",
+    "SENSORS",
+    "Conditions",
+    "Flight",
+    "Gait",
+    "Lidar",
+    "LineLidar",
+    "Motion",
+    "OdometryNoise",
+    "Platform",
+    "Rays",
+    "Returns",
+    "RosetteLidar",
+    "Route",
+    "Scene",
+    "SimulatedSequence",
+    "SpinningLidar",
+    "SwirlLidar",
+    "World",
+    "avia",
+    "building",
+    "car",
+    "carried",
+    "demo_sessions",
+    "deskew",
+    "drone",
+    "forest",
+    "handheld",
+    "hdl32e",
+    "hdl64e",
+    "industrial",
+    "legged",
+    "lms151",
+    "meadow",
+    "mid360",
+    "mine",
+    "offices",
+    "os0_128",
+    "os1_64",
+    "os1_128",
+    "park",
+    "quadruped",
+    "record",
+    "simulate_session",
+    "simulate_sessions",
+    "solid_state",
+    "town",
+    "vlp16",
+    "warehouse",
+    "wheeled",
+]

@@ -1,0 +1,232 @@
+"""Helpers that lay out a settlement: which ground is taken, and a growing list of objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from segloc.errors import ConfigError
+from segloc.types import Float32, Float64
+
+from ..objects.mesh import Mesh, loft, rectangle
+from ..objects.terrain import Terrain, relief, roughness
+from .catalogue import Catalogue
+from .roads import RoadNetwork, Street
+from .world import Spots
+
+_KERB = 0.12
+_STEP = 0.5  # of the terrain's grid, metres
+_CELL = 0.25  # of the grid of taken ground, metres
+_HEADROOM = 3.8  # below which branches are cut over streets, metres
+
+
+class Occupancy:
+    """Which ground of a square with a corner at the origin is taken, on a fine grid."""
+
+    def __init__(self, size_m: float) -> None:
+        self.size_m = size_m
+        side = int(np.ceil(size_m / _CELL)) + 1
+        self._taken = np.zeros((side, side), dtype=bool)
+
+    def claim(
+        self, center: Float64, size: tuple[float, float], yaw: float, margin: float = 0.0
+    ) -> bool:
+        """Take a rectangle if it is free with ``margin`` around it; say whether it was."""
+        if not self.free(center, size, yaw, margin):
+            return False
+        rows, inside = self._cells(center, size, yaw)
+        self._taken[rows] |= inside
+        return True
+
+    def free(
+        self, center: Float64, size: tuple[float, float], yaw: float, margin: float = 0.0
+    ) -> bool:
+        """Whether a rectangle and ``margin`` around it are free and lie inside the grid."""
+        wide = (size[0] + 2 * margin, size[1] + 2 * margin)
+        corners = rectangle(center, wide, yaw)
+        if corners.min() < 0 or corners.max() > (len(self._taken) - 1) * _CELL:
+            return False
+        rows, inside = self._cells(center, wide, yaw)
+        return not bool((self._taken[rows] & inside).any())
+
+    def _cells(
+        self, center: Float64, size: tuple[float, float], yaw: float
+    ) -> tuple[tuple[slice, slice], np.ndarray]:
+        corners = rectangle(center, size, yaw)
+        low = np.floor(corners.min(axis=0) / _CELL).astype(int)
+        high = np.ceil(corners.max(axis=0) / _CELL).astype(int) + 1
+        x = np.arange(low[0], high[0]) * _CELL - center[0]
+        y = np.arange(low[1], high[1])[:, None] * _CELL - center[1]
+        c, s = np.cos(yaw), np.sin(yaw)
+        half = _CELL / 2
+        inside = (np.abs(c * x + s * y) <= size[0] / 2 + half) & (
+            np.abs(c * y - s * x) <= size[1] / 2 + half
+        )
+        return (slice(low[1], high[1]), slice(low[0], high[0])), inside
+
+
+@dataclass(frozen=True)
+class Frontage:
+    """One side of one street, and what stands along it.
+
+    Attributes
+    ----------
+    street : Street
+    side : int
+        +1 to the left of the street, -1 to the right.
+    pavement : float
+        Width, metres.
+    character : str
+        What is built: "villas", "terrace", "flats", "mixed" or "green".
+    setback : float
+        Times the usual depth of front gardens.
+    """
+
+    street: Street
+    side: int
+    pavement: float
+    character: str
+    setback: float = 1.0
+
+    def at(self, s: float | Float64, beyond_kerb: float | Float64) -> tuple[Float64, Float64]:
+        """Points and yaws; local +y leads away from the street."""
+        point, yaw = self.street.at(
+            s, self.side * (self.street.half_width + np.asarray(beyond_kerb))
+        )
+        return point, yaw + (0.0 if self.side > 0 else np.pi)
+
+
+@dataclass
+class Site:
+    """A settlement being laid out; ``green`` says how much grows in it, 0 to 1."""
+
+    rng: np.random.Generator
+    terrain: Terrain
+    roads: RoadNetwork
+    ground: Occupancy
+    items: list[tuple[str, Mesh]] = field(default_factory=list)
+    parking: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    people: list[Float64] = field(default_factory=list)
+    bicycles: list[tuple[float, float, float]] = field(default_factory=list)
+    green: float = 0.5
+    catalogue: Catalogue = field(default_factory=Catalogue)
+
+    def like(self, kind: str) -> np.random.Generator:
+        """What to make the next thing of a kind from: see :meth:`Catalogue.source`."""
+        return self.catalogue.source(self.rng, kind)
+
+    def stand(self, kind: str, mesh: Mesh, at: Float64, yaw: float, size: float) -> bool:
+        """Stand an object of about ``size`` metres on free ground; False if there is none."""
+        if self.roads.clearance(at) < size / 2 or not self.ground.claim(at, (size, size), yaw):
+            return False
+        placed = mesh.moved([*at, float(self.terrain.height(*at))], yaw)
+        self.items.append((kind, self.pruned(placed) if kind == "tree" else placed))
+        return True
+
+    def pruned(self, mesh: Mesh) -> Mesh:
+        """A mesh in place without the triangles that hang low over a carriageway."""
+        middle = mesh.triangles.mean(axis=1)
+        ground = self.terrain.height(middle[:, 0], middle[:, 1])
+        low = np.flatnonzero(middle[:, 2] < ground + _HEADROOM)
+        keep = np.ones(len(mesh), dtype=bool)
+        keep[low] = self.roads.clearance(middle[low, :2]) > -0.2
+        return mesh if keep.all() else mesh.only(keep)
+
+    def erect(
+        self,
+        kind: str,
+        mesh: Mesh,
+        at: Float64,
+        size: tuple[float, float],
+        yaw: float,
+        *,
+        clearance: float = 1.2,
+        margin: float = 0.0,
+    ) -> bool:
+        """Put up something large, ``size`` metres, on the mean height of free ground."""
+        steps = np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 5))
+        c, s = np.cos(yaw), np.sin(yaw)
+        plan = np.stack(steps, -1).reshape(-1, 2) * size @ np.array([[c, s], [-s, c]]) + at
+        if self.roads.clearance(plan).min() < clearance:
+            return False
+        if not self.ground.free(at, size, yaw, margin) or not self.ground.claim(at, size, yaw):
+            return False
+        z = float(self.terrain.height(*plan.T).mean())
+        self.items.append((kind, mesh.moved([*at, z], yaw)))
+        return True
+
+    def spots(self) -> Spots:
+        """The places where something may stand that comes and goes."""
+        return Spots(
+            np.array(self.parking).reshape(-1, 5),
+            np.array(self.people).reshape(-1, 2),
+            np.array(self.bicycles).reshape(-1, 3),
+        )
+
+    def ground_line(self, points: Float64) -> Float64:
+        """(n, 3) points on the terrain under (n, 2) points."""
+        return np.column_stack([points, self.terrain.height(points[:, 0], points[:, 1])])
+
+    def clear_start(self, points: Float64, clearance: float) -> Float64:
+        """The points of a (n, 2) line before the first on a road or on what is built already."""
+        taken = (not self.clear_line(point[None], clearance) for point in points)
+        count = next((k for k, blocked in enumerate(taken) if blocked), len(points))
+        return points[:count]
+
+    def clear_line(self, points: Float64, clearance: float) -> bool:
+        """Whether a (n, 2) line stays off the roads and off what is built already."""
+        if (self.roads.clearance(points) < clearance).any():
+            return False
+        return all(self.ground.free(point, (0.3, 0.3), 0.0) for point in points)
+
+
+def check_world(seed: int, size_m: float, smallest: float, largest: float) -> None:
+    """Refuse a seed or a size that no world can be made of.
+
+    Raises
+    ------
+    ConfigError
+        If ``size_m`` is not in ``smallest`` to ``largest`` metres or the seed is negative.
+    """
+    if not smallest <= size_m <= largest:
+        raise ConfigError(f"size_m must be in {smallest:.0f}..{largest:.0f}, not {size_m}")
+    if seed < 0:
+        raise ConfigError(f"seed must not be negative, not {seed}")
+
+
+def paved_ground(
+    rng: np.random.Generator,
+    roads: RoadNetwork,
+    size_m: float,
+    *,
+    slope: float = 0.025,
+    paved_m: float = 2.5,
+) -> tuple[Terrain, Float32]:
+    """Relief with streets, kerb steps, and lawns from ``paved_m`` beyond the kerb; reflectances."""
+    count = int(np.ceil(size_m / _STEP)) + 1
+    axis = _STEP * np.arange(count)
+    x, y = np.meshgrid(axis, axis)
+    clear = roads.clearance(np.stack([x, y], axis=-1))
+    kerb = _KERB * np.clip((clear - 0.1) / 0.3, 0, 1)
+    lawn = np.clip((clear - paved_m) / 1.5, 0, 1)
+    bumps = roughness(rng, x.shape) * (0.008 + 0.032 * lawn)
+    heights = relief(rng, x, y, slope) + kerb + bumps
+    shine = np.where(clear < 0.2, 0.13, np.where(clear < paved_m - 0.5, 0.25, 0.4))
+    cells = shine.astype(np.float32)[:-1, :-1].reshape(-1)
+    return Terrain(np.zeros(2), _STEP, heights), np.repeat(cells, 2)
+
+
+def lay_kerb(site: Site, front: Frontage) -> None:
+    """Kerb stones where the pavement meets the carriageway, not across side roads."""
+    s = np.arange(0.0, front.street.length, 1.0)
+    inner, _ = front.at(s, 0.0)
+    outer, _ = front.at(s, 0.18)
+    along = site.roads.clearance(inner) > -0.15
+    z = site.terrain.height(*front.at(s, -0.3)[0].T) + _KERB
+    profile = [(inner, -0.3), (inner, 0.0), (outer, 0.0), (outer, -0.3)]
+    sections = np.stack([np.column_stack([xy, z + dz]) for xy, dz in profile], axis=1)
+    runs = np.flatnonzero(np.diff(np.concatenate([[0], along.astype(int), [0]])))
+    for begin, end in runs.reshape(-1, 2):
+        if end - begin >= 2:
+            site.items.append(("kerb", loft(sections[begin:end], 0.35)))

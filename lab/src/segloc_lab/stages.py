@@ -1,0 +1,59 @@
+"""Time of a query, stage by stage, by a clock that is handed in."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from segloc.frontend.segmentation import Segmentation
+from segloc.localizer import Localizer
+from segloc.system.stage_times import Clock, StageTimes
+from segloc.types import LocalCloud, Matches, Scan
+
+STAGES = (
+    "segmentation",
+    "preprocessing",
+    "descriptor",
+    "matching",
+    "pruning",
+    "pose",
+    "verification",
+)
+"""Of a query whose local cloud is there."""
+
+
+def processor_clock() -> float:
+    """Seconds of processor time of this process; of the wall where that is too coarse."""
+    return time.perf_counter() if sys.platform == "win32" else time.process_time()
+
+
+def clock_for(threads: int) -> Clock:
+    """The processor's time for one thread, which other work disturbs less; else the wall's."""
+    return processor_clock if threads == 1 else time.perf_counter
+
+
+def single_pass(
+    localizer: Localizer, query: Scan | LocalCloud, watch: StageTimes
+) -> tuple[Segmentation, Matches]:
+    """Every stage of a query once, without a second attempt; the scene and its matches."""
+    cloud = query
+    if isinstance(cloud, Scan):
+        with watch("local cloud"):
+            cloud = localizer.accumulator.gather(cloud)
+    with watch("segmentation"):
+        scene = localizer.segmenter.segment(cloud)
+    with watch("preprocessing"):
+        prepared = localizer.descriptor.prepare(scene.segments)
+    with watch("descriptor"):
+        descriptors = localizer.descriptor.encode(prepared)
+    with watch("matching"):
+        candidates = localizer.matcher.match(descriptors)
+    with watch("pruning"):
+        matches = localizer.matcher.prune(descriptors, candidates)
+    with watch("pose"):
+        hypotheses = localizer.estimator.estimate(
+            scene.segments.centroids, localizer.prior_map.centroids, matches
+        )
+    with watch("verification"):
+        localizer.verifier.verify(localizer.verifier.query(scene), hypotheses)
+    return scene, matches

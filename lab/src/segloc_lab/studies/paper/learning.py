@@ -1,0 +1,218 @@
+"""Short trainings of every trainable method, side by side, none of them twice."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from segloc._native import __version__
+from segloc.descriptors import create
+from segloc.descriptors.base import Descriptor
+from segloc.descriptors.pointset import Judge, PointSetDescriptor
+from segloc.descriptors.profile import ProfileDescriptor
+from segloc.descriptors.random_forest import PairForest
+from segloc.descriptors.segmap import SegMapDescriptor
+from segloc.errors import MissingDependency
+from segloc.system.processes import in_parallel
+
+from ...evaluation.comparison import QUALITY
+from ...training.config import TrainConfig
+from ...training.forest_pairs import ForestConfig
+from ...training.grow_forest import train_forest
+from ...training.shards import INDEX, load_dataset
+
+NETWORKS = ("dsm", "esm", "segmap", "profile")
+FORESTS = ("segmatch-eigen", "segmatch-esf", "nsm")
+
+_WIDE = 1000
+_OWN: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-3, "hard_share": 0.0}}
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long methods are trained for a comparison.
+
+    Attributes
+    ----------
+    steps : dict of str to int
+        By network.
+    forest_queries, forest_segments : int
+        Segments whose candidates a forest is grown on, and segments in all.
+    """
+
+    steps: Mapping[str, int]
+    forest_queries: int
+    forest_segments: int
+
+    def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
+        """The settings of a method's training.
+
+        A forest that prunes learns from candidates that look alike, and says nothing sensible of
+        pairs that do not. Here it is to judge any pair, so it sees 1000 candidates of small maps.
+        """
+        if method in FORESTS:
+            return ForestConfig(
+                queries=self.forest_queries,
+                segments=self.forest_segments,
+                neighbours=_WIDE,
+                map_segments=_WIDE,
+                seed=seed,
+            )
+        return network_config(method, self.steps[method], seed=seed)
+
+
+EFFORTS = {
+    "small": Effort({"dsm": 500, "esm": 120, "segmap": 60, "profile": 500}, 4_000, 30_000),
+    "full": Effort({"dsm": 3000, "esm": 600, "segmap": 200, "profile": 3000}, 8_000, 60_000),
+}
+"""By scale. Every network gets about the same time of one core, half a minute (small) or three
+minutes (full): methods then also differ in how fast they learn."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One method that is trained on one dataset.
+
+    Attributes
+    ----------
+    method : str
+        One of :data:`NETWORKS` or :data:`FORESTS`.
+    data : Path
+        The dataset.
+    config : TrainConfig or ForestConfig
+    root : Path
+        Where weights are kept.
+    """
+
+    method: str
+    data: Path
+    config: TrainConfig | ForestConfig
+    root: Path
+
+    @property
+    def out(self) -> Path:
+        """The weights: another file for another method, configuration or dataset."""
+        digest = hashlib.sha256((self.data / INDEX).read_bytes())
+        key = [__version__, self.method, self.data.name, self.config.model_dump(mode="json")]
+        digest.update(json.dumps(key, sort_keys=True).encode())
+        name = f"{self.method}-{self.data.name}-{digest.hexdigest()[:8]}"
+        return self.root / f"{name}.safetensors"
+
+    @property
+    def finished(self) -> bool:
+        """Whether its weights are there."""
+        return self.out.exists()
+
+
+def network_config(network: str, steps: int, *, seed: int = 0, **more: Any) -> TrainConfig:
+    """The settings of a short training, on one thread.
+
+    They are those of :class:`TrainConfig`, but warm-up, mining and validation fit the few steps;
+    of SegMap the learning rate and the choice of objects, too.
+    """
+    values: dict[str, Any] = {
+        "network": network,
+        "steps": steps,
+        "warmup": min(100, steps // 10),
+        "mine_every": max(1, steps // 5),
+        "mine_objects": 3000,
+        "validate_every": max(1, steps // 2),
+        "validation_limit": 1000,
+        "quality_limit": 4000,
+        "seed": seed,
+    }
+    return TrainConfig(**{**values, **_OWN.get(network, {}), **more})
+
+
+def trained(
+    trainings: Sequence[Training],
+    *,
+    workers: int = 1,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
+    """The weights of every training, in order; those that are there are not trained again.
+
+    A training that was cut off goes on where it was. Each takes one thread, so nothing depends on
+    who does it: so many processes, or an executor.
+
+    Raises
+    ------
+    MissingDependency
+        Without torch, where a network is to be trained, and without scikit-learn for a forest.
+    """
+    missing = [each for each in trainings if not each.finished]
+    if any(each.method in NETWORKS for each in missing):
+        try:
+            importlib.import_module("torch")
+        except ImportError as error:
+            raise MissingDependency("torch", "train", "training") from error
+    progress(0, len(missing))
+    missing.sort(key=_order)  # long ones first: at the end no process waits for another
+    for done, _ in enumerate(in_parallel(_train, missing, workers, executor), start=1):
+        progress(done, len(missing))
+    return [each.out for each in trainings]
+
+
+def _order(training: Training) -> int:
+    slow = ("esm", "segmap", "dsm")
+    return slow.index(training.method) if training.method in slow else len(slow)
+
+
+def _train(training: Training) -> None:
+    """One training, in whatever process."""
+    training.root.mkdir(parents=True, exist_ok=True)
+    dataset, config = load_dataset(training.data), training.config
+    card = {"data": training.data.name, "licence": "for evaluation only"}
+    if isinstance(config, ForestConfig):
+        train_forest(dataset, training.out, training.method, config, card, _silent)
+        return
+    from ...training.train import train
+
+    train(dataset, training.out, config, card, _silent)
+    training.out.with_suffix(".checkpoint").unlink()
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+def load_method(method: str, weights: Path | None, threads: int = 1) -> Descriptor:
+    """A method with weights of its own, or with the shipped ones.
+
+    Parameters
+    ----------
+    method : str
+        A registered name.
+    weights : Path or None
+        Of the network, or of the forest for a method that has one; None for what is shipped.
+    threads : int
+
+    Raises
+    ------
+    WeightsError
+        If the weights are missing or damaged.
+    """
+    if weights is None or method == "geo":
+        return create(method, threads)
+    if method in FORESTS:
+        descriptor = create(method, threads)
+        descriptor.pruner = PairForest.load(weights, descriptor)
+        return descriptor
+    if method == "segmap":
+        return SegMapDescriptor(weights, threads)
+    if method == "profile":
+        return ProfileDescriptor(weights, threads)
+    judge: Judge = "pair" if method.endswith(QUALITY) else "nearest"
+    return PointSetDescriptor(method, weights, judge=judge, threads=threads)
+
+
+def source_of(method: str) -> str:
+    """The training that a method's weights come from: those with and without quality share it."""
+    return method.removesuffix(QUALITY)

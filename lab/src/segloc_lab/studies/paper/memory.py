@@ -1,0 +1,89 @@
+"""What a step of training takes of memory and time, DSM against ESM."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
+from segloc.errors import MissingDependency
+
+from ...bench.harness import in_process, optional
+from ...evaluation.report.study import Cell, Study, Table
+from .network_memory import (
+    has_gpu,
+    inference_mb,
+    saved_mb,
+    step_ms,
+    training_gpu_mb,
+    training_peak_mb,
+)
+from .workspace import Workspace
+
+NAME = "memory"
+BATCH = 64
+PUBLISHED_LESS = 70
+"""Per cent that DSM takes less of a GPU's memory than ESM, as published."""
+
+_DESCRIBED = 300
+_LAYERS: dict[str, tuple[Layer, ...]] = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
+_TEXT = """\
+DSM is ESM with fewer points in its inner layers, and takes less memory for it: the paper reports \
+70 % less of a GPU's for the same batch. What training keeps from the forward to the backward pass \
+is counted tensor by tensor, so that figure is the same on every machine; the peak of the process \
+and the time of a step are those of this one."""
+
+
+def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
+    """Measure a training step of DSM and of ESM, each in a fresh process.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    batch : int
+        Segments.
+    repeats : int
+        Of timed steps; the median counts.
+
+    Raises
+    ------
+    MissingDependency
+        Without torch.
+    """
+    if optional("torch") is None:
+        raise MissingDependency("torch", "train", "measuring training")
+    start = time.monotonic()
+    works: dict[str, tuple[Callable[..., float], tuple[int, ...]]] = {
+        "kept for the backward pass, MB": (saved_mb, (batch,)),
+        "peak of the process, MB": (training_peak_mb, (batch,)),
+        "forward and backward, ms": (step_ms, (batch, repeats)),
+        f"describing {_DESCRIBED} segments, peak, MB": (inference_mb, (_DESCRIBED, 1)),
+    }
+    if in_process(1, has_gpu):
+        works["peak of the GPU, MB"] = (training_gpu_mb, (batch,))
+    rows: list[tuple[Cell, ...]] = []
+    with workspace.progress("Measuring memory") as update:
+        for done, (name, (work, arguments)) in enumerate(works.items()):
+            update(done, len(works))
+            dsm, esm = (in_process(1, work, x, *arguments) for x in _LAYERS.values())
+            less = round(100 * (1 - dsm / esm), 1) if esm > 0 else None
+            rows.append((name, round(dsm, 1), round(esm, 1), less))
+    facts = workspace.facts(time.monotonic() - start, {})
+    tables = (_table(rows, batch), _published())
+    return Study(NAME, "Memory of training", tables, (), facts, _TEXT)
+
+
+def _table(rows: list[tuple[Cell, ...]], batch: int) -> Table:
+    columns = ("", "DSM", "ESM", "less, %")
+    note = (
+        f"A batch of {batch} segments in single precision, one thread. The layers of both are read "
+        "from the paper's parameter counts: of ESM it does not say how many points each layer "
+        "keeps, and here the first two keep all 256."
+    )
+    return Table("memory", "DSM against ESM", columns, tuple(rows), note)
+
+
+def _published() -> Table:
+    row = ("memory of a GPU, the same batch", None, None, PUBLISHED_LESS)
+    return Table("memory-paper", "DSM against ESM", ("", "DSM", "ESM", "less, %"), (row,),
+                 "Section Runtime; without absolute figures.", "paper")  # fmt: skip

@@ -1,0 +1,245 @@
+"""Every method, trained on one domain, on the pairs of another: what ROC curves are made of."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from segloc.descriptors.base import Descriptor
+from segloc.errors import ConfigError, WeightsError
+from segloc.system.processes import in_parallel
+
+from ...evaluation.methods import METHODS
+from ...evaluation.methods import fingerprint as shipped_fingerprint
+from ...evaluation.workspace import mute, silent
+from ...training.shards import INDEX
+from .domain_segments import RECORDED, DomainSize
+from .domains import SIZES, Domains
+from .learning import EFFORTS, FORESTS, NETWORKS, Effort, Training, load_method, source_of, trained
+from .pairs import Described, Pairs, Roc, described, labelled_pairs, pair_scores, roc, trust_scores
+from .workspace import Workspace
+
+SHIPPED = "shipped"
+"""The weights that come with the package, as if they were a domain to train on."""
+
+TITLES = {
+    "kitti": "KITTI (simulated)",
+    "burgess": "Burgess Field (simulated)",
+    "robotcar": "RobotCar (simulated)",
+    RECORDED: "KITTI 00 (real)",
+    SHIPPED: "shipped weights",
+}
+"""Of training and test sets."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is simulated, trained and compared.
+
+    Attributes
+    ----------
+    sizes : dict of str to DomainSize
+        By simulated domain.
+    effort : Effort
+        Of each training.
+    pairs : int
+        Of each kind, of a test set at most.
+    """
+
+    sizes: Mapping[str, DomainSize]
+    effort: Effort
+    pairs: int
+
+
+PLANS = {
+    "small": Plan(SIZES["small"], EFFORTS["small"], 4_000),
+    "full": Plan(SIZES["full"], EFFORTS["full"], 10_000),
+}
+"""By scale."""
+
+
+class Transfer:
+    """The curves of any method, trained on any domain, on any test set; none is made twice.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    plan : Plan, optional
+        By default that of the workspace's scale.
+
+    Raises
+    ------
+    ConfigError
+        If the workspace names methods that there are not.
+
+    Attributes
+    ----------
+    methods : tuple of str
+        Those of :data:`~segloc_lab.evaluation.methods.METHODS` that the workspace names.
+    fingerprints : dict of str to str
+        Of all weights used so far, by method and training set.
+    """
+
+    def __init__(self, workspace: Workspace, plan: Plan | None = None) -> None:
+        self.workspace = workspace
+        self.plan = plan or PLANS[workspace.effort]
+        self.domains = Domains(workspace, self.plan.sizes)
+        self.methods = tuple(m for m in METHODS if m in (workspace.methods or METHODS))
+        if not self.methods:
+            raise ConfigError(f"no method to compare; there are {', '.join(METHODS)}")
+        self.fingerprints: dict[str, str] = {}
+        self._pairs: dict[str, Pairs] = {}
+        self._described: dict[tuple[str, str], Described] = {}
+
+    def prepare(self, domains: Sequence[str]) -> None:
+        """Make the segments of the named domains, and train all methods on each, side by side."""
+        for domain in domains:
+            self.domains.folder(domain, "test")
+        wanted = [
+            self._training(method, domain)
+            for domain in domains
+            for method in dict.fromkeys(map(source_of, self.methods))
+            if method in (*NETWORKS, *FORESTS)
+        ]
+        with self.workspace.progress("Training") as update:
+            space = self.workspace
+            trained(wanted, workers=space.workers, executor=space.executor, progress=update)
+
+    def score(self, cells: Sequence[tuple[str, str]], trusted: Sequence[str] = ()) -> None:
+        """Make all curves of each (source, test) side by side, where there are several processes.
+
+        ``trusted`` are the methods of which :meth:`trust` is made, too. What is made is kept, so
+        that :meth:`curve` and :meth:`trust` find it.
+        """
+        space = self.workspace
+        if space.workers == 1 and space.executor is None:
+            return
+        alone = replace(space, progress=silent, say=mute, workers=1, executor=None)
+        tasks = [_Cell(alone, self.plan, *cell, tuple(trusted)) for cell in cells]
+        with space.progress("Scoring pairs") as update:
+            update(0, len(tasks))
+            found = in_parallel(_score, tasks, space.workers, space.executor)
+            for done, _ in enumerate(found, start=1):
+                update(done, len(tasks))
+
+    def curve(self, method: str, source: str, test: str) -> Roc | None:
+        """How well a method that was trained on ``source`` tells the pairs of ``test`` apart.
+
+        None where there is nothing to tell: weights that are not shipped.
+        """
+
+        def compute(descriptor: Descriptor) -> Roc | None:
+            scores = pair_scores(self._describe(descriptor, test), descriptor.pruner)
+            return roc(scores, self.pairs(test), seed=self.workspace.seed)
+
+        return self._cached("roc", method, source, test, compute)
+
+    def trust(self, method: str, source: str, test: str) -> Roc | None:
+        """The same for the order in which matching trusts its candidates; None if no quality."""
+
+        def compute(descriptor: Descriptor) -> Roc | None:
+            scores = trust_scores(self._describe(descriptor, test))
+            if scores is None:
+                return None
+            return roc(scores, self.pairs(test), seed=self.workspace.seed)
+
+        return self._cached("trust", method, source, test, compute)
+
+    def pairs(self, test: str) -> Pairs:
+        """The labelled pairs of a test set."""
+        if test not in self._pairs:
+            dataset = self.domains.dataset(test, "test")
+            self._pairs[test] = labelled_pairs(
+                dataset, limit=self.plan.pairs, seed=self.workspace.seed
+            )
+        return self._pairs[test]
+
+    def _training(self, method: str, domain: str) -> Training:
+        return Training(
+            method,
+            self.domains.folder(domain, "train"),
+            self.plan.effort.config(method, self.workspace.seed),
+            self.workspace.out / "models",
+        )
+
+    def _weights(self, method: str, source: str) -> Path | None:
+        """What a method was trained to; None for what is shipped or untrained."""
+        base = source_of(method)
+        if source == SHIPPED or base not in (*NETWORKS, *FORESTS):
+            return None
+        return trained([self._training(base, source)])[0]
+
+    def _cached(
+        self,
+        kind: str,
+        method: str,
+        source: str,
+        test: str,
+        compute: Callable[[Descriptor], Roc | None],
+    ) -> Roc | None:
+        weights = self._weights(method, source)
+        try:
+            descriptor = load_method(method, weights)
+        except WeightsError:
+            if weights is None:
+                return None  # nothing of that name is shipped
+            raise
+        own = _fingerprint(descriptor, method, weights)
+        self.fingerprints[f"{method}, {source}"] = own
+        index = self.domains.folder(test, "test") / INDEX
+        settings = {
+            "weights": own,
+            "data": [index.parent.name, hashlib.sha256(index.read_bytes()).hexdigest()],
+            "pairs": self.plan.pairs,
+            "seed": self.workspace.seed,
+        }
+
+        def save(curve: Roc | None, path: Path) -> None:
+            if curve is None:
+                path.touch()
+            else:
+                curve.save(path)
+
+        def load(path: Path) -> Roc | None:
+            return Roc.load(path) if path.stat().st_size else None
+
+        name = f"{kind}-{method}-{source}-{test}"
+        return self.workspace.cached(name, settings, lambda: compute(descriptor), save, load)
+
+    def _describe(self, descriptor: Descriptor, test: str) -> Described:
+        key = descriptor.fingerprint, test
+        if key not in self._described:
+            dataset = self.domains.dataset(test, "test")
+            self._described[key] = described(descriptor, dataset, self.pairs(test))
+        return self._described[key]
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """The curves of all methods for one training set and one test set."""
+
+    workspace: Workspace
+    plan: Plan
+    source: str
+    test: str
+    trusted: tuple[str, ...]
+
+
+def _score(cell: _Cell) -> None:
+    """Make the curves of a cell, in whatever process."""
+    transfer = Transfer(cell.workspace, cell.plan)
+    for method in transfer.methods:
+        transfer.curve(method, cell.source, cell.test)
+    for method in cell.trusted:
+        transfer.trust(method, cell.source, cell.test)
+
+
+def _fingerprint(descriptor: Descriptor, method: str, weights: Path | None) -> str:
+    """Of everything that decides a method's scores."""
+    if weights is None:
+        return shipped_fingerprint(method)
+    pruner = descriptor.pruner.fingerprint if descriptor.pruner is not None else ""
+    digest = hashlib.sha256(f"{descriptor.fingerprint} {pruner}".encode() + weights.read_bytes())
+    return digest.hexdigest()[:16]

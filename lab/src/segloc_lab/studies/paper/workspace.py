@@ -1,0 +1,77 @@
+"""Where a study of the paper runs: a folder, simulated test sets, and KITTI where it is at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from segloc.errors import ConfigError
+
+from ...evaluation import workspace
+from ...results.fingerprints import COMPARING, fingerprints
+from ...simulation.suites import PAPER, SUITES, TestSet
+
+SCALES = ("small", "full", PAPER)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workspace(workspace.Workspace):
+    """The folder, the data and the means of an evaluation.
+
+    Attributes
+    ----------
+    suite, scale : str
+        Of :data:`segloc_lab.simulation.suites.SUITES`; "small", "full", or "paper": poses are asked for
+        as often and as far along as in the paper, which takes hours.
+    only : tuple of str or None
+        Of the test sets of the suite only these.
+    data : Path or None
+        KITTI odometry 00: keyframes, scans and their poses, as ``protocols/kitti00.sh`` reads it.
+    """
+
+    suite: str = "six"
+    scale: str = "small"
+    only: tuple[str, ...] | None = None
+    data: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.scale not in SCALES:
+            raise ConfigError(f"scale must be one of {', '.join(SCALES)}, not {self.scale!r}")
+        if self.suite not in SUITES:
+            raise ConfigError(f"suite must be one of {', '.join(SUITES)}, not {self.suite!r}")
+        names = [test.name for test in SUITES[self.suite]]
+        if unknown := set(self.only or ()) - set(names):
+            raise ConfigError(
+                f"no set {', '.join(sorted(unknown))} in {self.suite}; there are {', '.join(names)}"
+            )
+
+    @property
+    def effort(self) -> str:
+        """By which scale everything but the test sets is measured."""
+        return "full" if self.scale == PAPER else self.scale
+
+    @property
+    def sets(self) -> tuple[TestSet, ...]:
+        """The test sets of the suite, or those of them that are wanted."""
+        tests = SUITES[self.suite]
+        return tests if self.only is None else tuple(t for t in tests if t.name in self.only)
+
+    @property
+    def code(self) -> Mapping[str, str]:
+        """That of queries and of training."""
+        return _code()
+
+    def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
+        """What a study says of itself: enough to repeat it."""
+        data = None if self.data is None else self.data.name
+        only = None if self.only is None else [test.name for test in self.sets]
+        own = {"suite": self.suite, "scale": self.scale, "only": only, "data": data}
+        return {**super().facts(seconds, fingerprints), **own}
+
+
+@cache
+def _code() -> dict[str, str]:
+    return fingerprints((*COMPARING, "training"))

@@ -1,0 +1,106 @@
+"""Aligned sessions -> a dataset to train on, and its pairs of segments as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from segloc.frontend.segmentation import SegmentationConfig
+from segloc.system.files import replacing
+from segloc.types import Float64, Int64, Recording
+
+from .collect import Posed, collect_recordings
+from .dataset import FAR_M, SegmentDataset
+from .extract import ExtractConfig
+from .labels import LabelCounts, pairs_of
+from .shards import Session, finish, load_dataset
+
+MAX_PAIRS = 200_000
+_COLUMNS = ("first", "second", "distance_m", "first_session", "second_session", "match")
+
+
+def write_dataset(
+    folder: Path,
+    recordings: Sequence[Recording],
+    place: str,
+    segmentation: SegmentationConfig,
+    config: ExtractConfig | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> LabelCounts:
+    """Cut aligned recordings of one place into labelled segments, as ``segloc train`` reads them.
+
+    Nothing is registered again: the poses are taken as they are.
+
+    Parameters
+    ----------
+    folder : Path
+    recordings : sequence of Recording
+        With poses in one frame.
+    place : str
+        A name for the place.
+    segmentation : SegmentationConfig
+    config : ExtractConfig, optional
+    progress : callable, optional
+        Called with a line for each session.
+
+    Raises
+    ------
+    DatasetError
+        If no segment was found.
+    """
+    settings = config or ExtractConfig()
+    items = [
+        Posed(Session(place, f"{k:02d}-{recording.name}", "unknown"), recording)
+        for k, recording in enumerate(recordings)
+    ]
+    sessions = collect_recordings(
+        folder, items, settings, segmentation, register=False, progress=progress
+    )
+    return finish(folder, sessions, settings.label)
+
+
+def write_pairs(path: Path, dataset_folder: Path, seed: int = 0) -> int:
+    """Write the pairs of segments of a dataset, as many that match as that do not.
+
+    ``first`` and ``second`` are rows of the dataset as ``load_dataset`` gives it. Those that match
+    show one object (centroids within 0.5 m, as the dataset labels them) and are thinned evenly
+    beyond 200 000; the others are drawn at random among those farther apart than 20 m.
+
+    Returns
+    -------
+    int
+        How many pairs match.
+    """
+    dataset = load_dataset(dataset_folder)
+    matching = pairs_of(dataset.labels, MAX_PAIRS)
+    different = _different(dataset, len(matching[0]), np.random.default_rng(seed))
+    lines = [*_rows(dataset, *matching, 1), *_rows(dataset, *different, 0)]
+    with replacing(path) as stream:
+        text = "".join(",".join(line) + "\n" for line in [list(_COLUMNS), *lines])
+        stream.write(text.encode())
+    return len(matching[0])
+
+
+def _different(
+    dataset: SegmentDataset, count: int, rng: np.random.Generator
+) -> tuple[Int64, Int64]:
+    """Random pairs of one place that are farther apart than 20 m."""
+    first = rng.integers(len(dataset), size=4 * count)
+    second = rng.integers(len(dataset), size=4 * count)
+    far = _distances(dataset.centroids, first, second) > FAR_M
+    far &= dataset.places[first] == dataset.places[second]
+    return first[far][:count], second[far][:count]
+
+
+def _distances(centroids: Float64, first: Int64, second: Int64) -> Float64:
+    distances: Float64 = np.linalg.norm(centroids[first] - centroids[second], axis=1)
+    return distances
+
+
+def _rows(dataset: SegmentDataset, first: Int64, second: Int64, match: int) -> list[list[str]]:
+    distances = _distances(dataset.centroids, first, second)
+    sessions = dataset.sessions[first], dataset.sessions[second]
+    columns = zip(first, second, distances, *sessions, strict=True)
+    return [[str(a), str(b), f"{d:.3f}", str(s), str(t), str(match)] for a, b, d, s, t in columns]

@@ -1,0 +1,281 @@
+"""Labelled segments: what networks and forests are trained on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save
+
+from segloc.errors import DatasetError
+from segloc.system import tensor_file
+from segloc.system.files import replacing
+from segloc.system.tensor_file import TensorFileError
+from segloc.types import Float32, Float64, Int64, Segments
+
+FAR_M = 20.0
+"""Segments of one town count as different objects only beyond this distance, as in SegMap."""
+
+_UNKNOWN = np.empty(0)
+_SQUARE_M = 100.0
+
+
+@dataclass(frozen=True)
+class SegmentDataset:
+    """P raw segments with the objects that they show.
+
+    Attributes
+    ----------
+    points : (M, 3) float32 or float16
+        Raw points of all segments, local frames, metres; in half precision about their centroids
+        where they come from shards.
+    offsets : (P + 1,) int64
+    labels : (P,) int64
+        Segments with the same label show the same object.
+    sessions : (P,) int64
+        Which recording a segment is from.
+    places : (P,) int64
+        Which world a segment is from: segments of different worlds are never the same.
+    centroids : (P, 3) float64
+        In the frame of the world.
+    heights : (P,) float32
+        Height of each centroid above the ground below it, metres.
+    lengths : (P,) float32
+        Way that each segment's local cloud spans, metres; 0 for single scans.
+    sensors : (P,) int64
+        Index into ``sensor_names``.
+    objects : (P,) int64
+        The true object, where a simulation knows it; -1 elsewhere. Unique within a place.
+    sensor_names : tuple of str
+    """
+
+    points: Float32 | NDArray[np.float16]
+    offsets: Int64
+    labels: Int64
+    sessions: Int64
+    places: Int64
+    centroids: Float64
+    heights: Float32
+    lengths: Float32 = field(default_factory=lambda: _UNKNOWN.astype(np.float32))
+    sensors: Int64 = field(default_factory=lambda: _UNKNOWN.astype(np.int64))
+    objects: Int64 = field(default_factory=lambda: _UNKNOWN.astype(np.int64))
+    sensor_names: tuple[str, ...] = ("unknown",)
+
+    def __post_init__(self) -> None:
+        for name, value in (("lengths", 0.0), ("sensors", 0), ("objects", -1)):
+            array = getattr(self, name)
+            if len(array) != len(self):
+                object.__setattr__(self, name, np.full(len(self), value, array.dtype))
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def segment(self, index: int) -> Float32:
+        """The (n, 3) points of one segment, float32."""
+        points: Float32 = self.points[self.offsets[index] : self.offsets[index + 1]].astype(
+            np.float32, copy=False
+        )
+        return points
+
+    def segments(self, indices: NDArray[np.integer] | None = None) -> Segments:
+        """Some segments (all by default) as the descriptors take them."""
+        chosen = np.arange(len(self)) if indices is None else indices
+        points, offsets = packed([self.segment(int(i)) for i in chosen])
+        if len(chosen) == 0:
+            return Segments(points, offsets, np.empty((0, 3)), self.heights[chosen])
+        centroids = np.add.reduceat(points, offsets[:-1], dtype=np.float64)
+        centroids /= np.diff(offsets)[:, None]
+        return Segments(points, offsets, centroids, self.heights[chosen])
+
+    def subset(self, indices: NDArray[np.integer]) -> SegmentDataset:
+        """The named segments as a dataset of their own."""
+        points, offsets = packed([self.segment(int(i)) for i in indices])
+        chosen = {name: getattr(self, name)[indices] for name in _PER_SEGMENT}
+        return SegmentDataset(points, offsets, sensor_names=self.sensor_names, **chosen)
+
+    def different(
+        self, a: NDArray[np.integer], b: NDArray[np.integer], far_m: float = FAR_M
+    ) -> NDArray[np.bool_]:
+        """Whether the segments of `a` and of `b` (broadcast) surely show different objects."""
+        apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > far_m
+        result: NDArray[np.bool_] = (self.labels[a] != self.labels[b]) & (
+            apart | (self.places[a] != self.places[b])
+        )
+        return result
+
+    def limited(self, limit: int, seed: int) -> SegmentDataset:
+        """At most so many segments: whole objects (but the last), so that matches stay together."""
+        if len(self) <= limit:
+            return self
+        rng = np.random.default_rng(seed)
+        names = rng.permutation(np.unique(self.labels))
+        rank = np.empty(int(names.max()) + 1, np.int64)
+        rank[names] = np.arange(len(names))
+        order = np.argsort(rank[self.labels], kind="stable")[:limit]
+        return self.subset(np.sort(order))
+
+    def split(self, share: float, seed: int) -> tuple[SegmentDataset, SegmentDataset]:
+        """Training and validation sets.
+
+        Whole worlds go to one side where at least three were visited twice; validation gets worlds
+        of that kind. Otherwise objects are parted by the square of 100 m that they lie in.
+        """
+        groups, names = self._split_groups()
+        rng = np.random.default_rng(seed)
+        held = rng.permutation(names)[: max(1, round(share * len(names)))]
+        inside = np.isin(groups, held)
+        return self.subset(np.flatnonzero(~inside)), self.subset(np.flatnonzero(inside))
+
+    def _split_groups(self) -> tuple[Int64, Int64]:
+        """A group for each segment, and the groups that validation may get."""
+        pairs = np.unique(np.column_stack([self.places, self.sessions]), axis=0)
+        worlds, sessions = np.unique(pairs[:, 0], return_counts=True)
+        again = worlds[sessions > 1]
+        if len(again) > 2:
+            return self.places, again
+        _, first, number = np.unique(self.labels, return_index=True, return_inverse=True)
+        squares = np.floor(self.centroids[first, :2] / _SQUARE_M)
+        keys = np.column_stack([self.places[first], squares])
+        _, square = np.unique(keys, axis=0, return_inverse=True)
+        groups = square.reshape(-1)[number.reshape(-1)].astype(np.int64)
+        across = np.unique(groups[np.isin(self.places, again)]) if len(again) else groups
+        names = np.unique(across)
+        return (groups, names) if len(names) > 1 else (self.labels, np.unique(self.labels))
+
+    def save(self, path: Path) -> None:
+        """Write a safetensors file.
+
+        Raises
+        ------
+        SeglocError
+            If it cannot be written.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        arrays = {name: getattr(self, name) for name in ("points", "offsets", *_PER_SEGMENT)}
+        names = json.dumps(self.sensor_names)
+        contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        with replacing(path) as stream:
+            stream.write(save(contiguous, {"sensor_names": names}))
+
+    @staticmethod
+    def load(path: Path) -> SegmentDataset:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        DatasetError
+            If the file cannot be read or its arrays do not fit together.
+        """
+        arrays, metadata = read_arrays(path)
+        try:
+            names = json.loads(metadata.get("sensor_names", '["unknown"]'))
+            dataset = SegmentDataset(**arrays, sensor_names=tuple(names))
+        except (TypeError, ValueError) as error:
+            raise DatasetError(f"{path}: not a dataset: {error}") from error
+        return dataset.checked(path)
+
+    def checked(self, path: Path) -> SegmentDataset:
+        """Itself, if its arrays fit together and there is something in them.
+
+        Raises
+        ------
+        DatasetError
+            If they do not; says that they are from ``path``.
+        """
+        P, M = len(self), len(self.points)
+        if P == 0:
+            raise DatasetError(f"{path}: the dataset is empty")
+        shapes = {"points": (M, 3), "offsets": (P + 1,), "centroids": (P, 3)}
+        for name in ("points", "offsets", *_PER_SEGMENT):
+            shape, kind = shapes.get(name, (P,)), "f" if name in _REAL else "i"
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype.kind != kind:
+                raise DatasetError(f"{path}: {name} does not have its shape {shape} and type")
+        if self.offsets[0] != 0 or self.offsets[-1] != M or (np.diff(self.offsets) <= 0).any():
+            raise DatasetError(f"{path}: offsets do not fit the points")
+        if self.sensors.min() < 0 or self.sensors.max() >= len(self.sensor_names):
+            raise DatasetError(f"{path}: a segment's sensor has no name")
+        return self
+
+    @staticmethod
+    def concatenate(parts: Sequence[SegmentDataset]) -> SegmentDataset:
+        """All parts in one; labels, sessions and places of different parts stay apart."""
+        if not parts:
+            raise DatasetError("no dataset to concatenate")
+
+        def shifted(name: str) -> Int64:
+            result, start = [], 0
+            for part in parts:
+                values: Int64 = getattr(part, name)
+                result.append(values + start)
+                start += int(values.max(initial=-1)) + 1
+            return np.concatenate(result)
+
+        starts = np.cumsum([0, *(len(part.points) for part in parts)])
+        offsets = [
+            part.offsets[:-1] + start for part, start in zip(parts, starts[:-1], strict=True)
+        ]
+        names = tuple(dict.fromkeys(name for part in parts for name in part.sensor_names))
+        sensors = [
+            np.array([names.index(name) for name in part.sensor_names])[part.sensors]
+            for part in parts
+        ]
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("points", "centroids", "heights", "lengths", "objects")
+        }
+        return SegmentDataset(
+            **joined,
+            offsets=np.concatenate([*offsets, starts[-1:]]).astype(np.int64),
+            labels=shifted("labels"),
+            sessions=shifted("sessions"),
+            places=shifted("places"),
+            sensors=np.concatenate(sensors).astype(np.int64),
+            sensor_names=names,
+        )
+
+
+def read_arrays(
+    path: Path, names: Iterable[str] | None = None
+) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Arrays of a file in safetensors layout, all of them by default, and its metadata.
+
+    They are read, not mapped into memory: a file may shrink while others write it.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read or lacks one of them.
+    """
+    try:
+        with tensor_file.opened(path) as file:
+            wanted = file.tensors if names is None else names
+            return {name: file.read(name) for name in wanted}, file.metadata
+    except KeyError as error:
+        raise DatasetError(f"{path}: not a dataset: it has no array {error}") from error
+    except (OSError, TensorFileError) as error:
+        raise DatasetError(f"{path}: not a dataset: {error}") from error
+
+
+def packed(parts: Sequence[Float32]) -> tuple[Float32, Int64]:
+    """Segments one after another, (M, 3), and their offsets, (P + 1,)."""
+    points = np.concatenate([np.empty((0, 3), np.float32), *parts])
+    return points, np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
+
+
+_REAL = ("points", "centroids", "heights", "lengths")
+_PER_SEGMENT = (
+    "labels",
+    "sessions",
+    "places",
+    "centroids",
+    "heights",
+    "lengths",
+    "sensors",
+    "objects",
+)

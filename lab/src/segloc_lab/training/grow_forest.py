@@ -1,0 +1,202 @@
+"""Train the random forest by which a method prunes its candidate matches, and export it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from segloc import _native
+from segloc.descriptors import create
+from segloc.descriptors.random_forest import (
+    ForestDescriptor,
+    Layout,
+    PairForest,
+    Trees,
+    save_forest,
+)
+from segloc.errors import ConfigError, MissingDependency
+from segloc.proposals.matching import MatchingConfig
+from segloc.types import Float32
+
+from .dataset import SegmentDataset
+from .forest_pairs import Candidates, ForestConfig, candidates, training_pairs
+
+Progress = Callable[[str], None]
+
+_MOST_ODDS, _BISECTIONS = 4.0, 12
+
+
+@dataclass(frozen=True)
+class ForestScores:
+    """How well a forest sorts the candidates of segments that it was not grown on.
+
+    Attributes
+    ----------
+    auc : float
+        Chance that it finds a right candidate likelier than a wrong one.
+    right_kept, wrong_kept : float
+        Shares of the right and of the wrong candidates that pruning keeps by default.
+    """
+
+    auc: float
+    right_kept: float
+    wrong_kept: float
+
+
+def train_forest(
+    dataset: SegmentDataset,
+    out: Path,
+    method: str,
+    config: ForestConfig | None = None,
+    card: Mapping[str, Any] | None = None,
+    progress: Progress = print,
+) -> ForestScores:
+    """Grow the forest of a method, and write it to ``out`` (a .safetensors file).
+
+    It learns to tell the right ones from the wrong ones among the candidates that matching
+    proposes.
+
+    Parameters
+    ----------
+    dataset : SegmentDataset
+        Split by worlds (or by objects, if there is one world) into training and validation.
+    out : Path
+    method : str
+        One with a forest: segmatch-eigen, segmatch-esf or nsm.
+    config : ForestConfig
+    card : dict, optional
+        Goes into the file: data, command, licence. Figures and settings are added.
+    progress : callable
+
+    Returns
+    -------
+    ForestScores
+        Of the exported forest on the validation set.
+
+    Raises
+    ------
+    ConfigError
+        If the method has no forest.
+    DatasetError
+        If there is no object with two views, or there are not two objects.
+    MissingDependency
+        Without scikit-learn.
+    """
+    config = config or ForestConfig()
+    descriptor = create(method, config.threads)
+    if not isinstance(descriptor, ForestDescriptor):
+        raise ConfigError(f"{method} has no forest to train")
+    model = _classifier(config)
+    some = dataset.limited(config.segments, config.seed)
+    training, validation = some.split(config.validation_share, config.seed)
+    vectors = descriptor.describe(training.segments()).vectors
+    pairs = training_pairs(vectors, training, config)
+    progress(f"{method}: {pairs.same.sum()} right candidates, {(~pairs.same).sum()} wrong ones")
+    layout = descriptor.layout
+    features = _native.pair_features(
+        vectors, vectors, pairs.rows, pairs.columns, layout.row, config.threads
+    )
+    model.fit(features, pairs.same)
+    trees = trees_of([estimator.tree_ for estimator in model.estimators_])
+    held = descriptor.describe(validation.segments()).vectors
+    judged = candidates(held, validation, config, np.random.default_rng(config.seed))
+    trees = _keeping(trees, layout, held, judged, config)
+    scores = _scores(PairForest(trees, layout, descriptor.dim), held, judged, config)
+    progress(f"{method}: {scores}")
+    figures = {"training segments": len(training), "validation segments": len(validation)}
+    text = {name: round(value, 4) for name, value in asdict(scores).items()}
+    full = {**(card or {}), "figures": {**figures, **text}, "config": config.model_dump()}
+    save_forest(out, trees, layout, descriptor.fingerprint, full)
+    return scores
+
+
+def _classifier(config: ForestConfig) -> Any:
+    try:
+        from sklearn.ensemble import RandomForestClassifier
+    except ImportError as error:
+        raise MissingDependency("scikit-learn", "baselines", "training a forest") from error
+    return RandomForestClassifier(
+        config.trees,
+        max_leaf_nodes=config.max_leaves,
+        min_samples_leaf=config.min_pairs,
+        class_weight="balanced",
+        random_state=config.seed,
+        n_jobs=config.threads,
+    )
+
+
+def trees_of(trees: list[Any]) -> Trees:
+    """scikit-learn's trees as arrays, children side by side behind their parent."""
+    roots, parts, start = [], [], 0
+    for tree in trees:
+        roots.append(start)
+        parts.append(_tree_arrays(tree, start))
+        start += tree.node_count
+    feature, threshold, child = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Trees(np.array(roots, np.int32), feature, threshold, child)
+
+
+def _tree_arrays(tree: Any, start: int) -> tuple[NDArray[np.int32], Float32, NDArray[np.int32]]:
+    order = [0]  # breadth first, so that a node's children follow each other
+    first_child = np.full(tree.node_count, -1, np.int32)
+    for position in range(tree.node_count):
+        node = order[position]
+        if tree.children_left[node] >= 0:
+            first_child[position] = start + len(order)
+            order += [tree.children_left[node], tree.children_right[node]]
+    nodes = np.array(order)
+    inner = first_child >= 0
+    shares = tree.value[nodes, 0]
+    answers = (shares[:, 1] / shares.sum(axis=1)).astype(np.float32)
+    threshold = np.where(inner, _rounded_down(tree.threshold[nodes]), answers)
+    return np.where(inner, tree.feature[nodes], 0).astype(np.int32), threshold, first_child
+
+
+def _rounded_down(thresholds: NDArray[np.float64]) -> Float32:
+    """The largest float32 that is not above: float32 features then compare as before."""
+    rounded = thresholds.astype(np.float32)
+    lower = np.nextafter(rounded, np.float32(-np.inf), dtype=np.float32)
+    return np.where(rounded > thresholds, lower, rounded).astype(np.float32)
+
+
+def _keeping(
+    trees: Trees, layout: Layout, vectors: Float32, judged: Candidates, config: ForestConfig
+) -> Trees:
+    """The trees with answers that let pruning keep ``config.right_kept`` of the right candidates.
+
+    Poses are estimated from what pruning leaves, so it is the right ones lost that count. The odds
+    in all leaves grow by one factor, found by bisection.
+    """
+    right = judged.only(judged.same)
+    low, high = -_MOST_ODDS, _MOST_ODDS
+    for _ in range(_BISECTIONS if len(right.rows) else 0):
+        middle = (low + high) / 2
+        forest = PairForest(_weighed(trees, middle), layout, vectors.shape[1])
+        kept = _scores(forest, vectors, right, config).right_kept
+        low, high = (low, middle) if kept > config.right_kept else (middle, high)
+    return _weighed(trees, (low + high) / 2)
+
+
+def _weighed(trees: Trees, log_odds: float) -> Trees:
+    """The odds of all answers times ``exp(log_odds)``."""
+    answers = trees.threshold.astype(np.float64)
+    weighed = answers * np.exp(log_odds)
+    weighed = (weighed / (1 - answers + weighed)).astype(np.float32)
+    return replace(trees, threshold=np.where(trees.first_child < 0, weighed, trees.threshold))
+
+
+def _scores(
+    forest: PairForest, vectors: Float32, judged: Candidates, config: ForestConfig
+) -> ForestScores:
+    likely = forest.probability(vectors, vectors, judged.rows, judged.columns, config.threads)
+    right, wrong = likely[judged.same], np.sort(likely[~judged.same])
+    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
+    auc = float(below.mean() / (2 * len(wrong))) if len(right) and len(wrong) else 0.5
+    least = MatchingConfig().min_probability
+    kept = (float((part >= least).mean()) if len(part) else 0.0 for part in (right, wrong))
+    return ForestScores(auc, *kept)

@@ -1,0 +1,254 @@
+"""How well descriptors tell objects apart: ROC area and recall among the nearest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from segloc import _native
+from segloc.types import Float32
+
+from .dataset import SegmentDataset
+from .labels import groups_of
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Figures of one set of descriptors.
+
+    Attributes
+    ----------
+    auc : float
+        Chance that a random matching pair (of different sessions where there are several) is nearer
+        than a random pair of different objects.
+    recall : float
+        Share of segments with another session's view in the set, of which one is among the 25
+        nearest descriptors of other sessions.
+    recall_first : float
+        The same for the nearest alone.
+    """
+
+    auc: float
+    recall: float
+    recall_first: float
+
+
+def score(
+    vectors: Float32, dataset: SegmentDataset, *, k: int = 25, seed: int = 0, threads: int = 1
+) -> Scores:
+    """Score descriptors (P, dim) of all segments of a dataset."""
+    ranks = _ranks(vectors, dataset, k, threads)
+    ranks = ranks[ranks >= 0]
+    recall = float((ranks < k).mean()) if len(ranks) else 0.0
+    first = float((ranks == 0).mean()) if len(ranks) else 0.0
+    return Scores(_auc(vectors, dataset, np.random.default_rng(seed)), recall, first)
+
+
+def nearest_is_right(
+    vectors: Float32,
+    dataset: SegmentDataset,
+    threads: int = 1,
+    distractors: Float32 | None = None,
+) -> NDArray[np.float32]:
+    """(P,) 1 where the nearest descriptor of another session is of the same object.
+
+    0 where it is not, NaN where no other session shows the object. ``distractors`` (M, dim) make
+    the pool as large as a map's.
+    """
+    ranks = _ranks(vectors, dataset, 1, threads, distractors)
+    return np.where(ranks < 0, np.nan, ranks == 0).astype(np.float32)
+
+
+def _ranks(
+    vectors: Float32,
+    dataset: SegmentDataset,
+    k: int,
+    threads: int,
+    distractors: Float32 | None = None,
+) -> NDArray[np.int64]:
+    """Rank of the first right one among the k nearest of other sessions, (P,).
+
+    k where there is none among them, -1 where no other session shows the object.
+    """
+    ranks = np.full(len(dataset), -1, np.int64)
+    for session in np.unique(dataset.sessions):
+        queries = np.flatnonzero(dataset.sessions == session)
+        others = np.flatnonzero(dataset.sessions != session)
+        queries = queries[np.isin(dataset.labels[queries], dataset.labels[others])]
+        if len(queries) == 0:
+            continue
+        pool, labels = vectors[others], dataset.labels[others]
+        if distractors is not None:
+            pool = np.concatenate([pool, distractors])
+            labels = np.concatenate([labels, np.full(len(distractors), -1)])
+        indices, _ = _native.knn(
+            np.ascontiguousarray(vectors[queries]), np.ascontiguousarray(pool), k, threads
+        )
+        hit = labels[indices] == dataset.labels[queries][:, None]
+        ranks[queries] = np.where(hit.any(axis=1), hit.argmax(axis=1), k)
+    return ranks
+
+
+def _auc(vectors: Float32, dataset: SegmentDataset, rng: np.random.Generator) -> float:
+    a, b = matching_pairs(dataset)
+    if len(a) == 0:
+        return 0.5
+    count = max(len(a), 2000)
+    c, d = rng.integers(len(dataset), size=(2, 4 * count))
+    differ = dataset.different(c, d)
+    c, d = c[differ][:count], d[differ][:count]
+    positive = np.linalg.norm(vectors[a] - vectors[b], axis=1)
+    negative = np.sort(np.linalg.norm(vectors[c] - vectors[d], axis=1))
+    low = np.searchsorted(negative, positive, side="left")
+    high = np.searchsorted(negative, positive, side="right")
+    return float(1.0 - (low + high).mean() / (2 * len(negative))) if len(negative) else 0.5
+
+
+def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of all pairs with one label, of different sessions where there are several."""
+    across = len(np.unique(dataset.sessions)) > 1
+    first: list[NDArray[np.int64]] = []
+    second: list[NDArray[np.int64]] = []
+    for group in groups_of(dataset.labels):
+        i, j = np.triu_indices(len(group), 1)
+        a, b = group[i], group[j]
+        keep = dataset.sessions[a] != dataset.sessions[b] if across else np.ones(len(a), bool)
+        first.append(a[keep])
+        second.append(b[keep])
+    return np.concatenate(first), np.concatenate(second)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4f} ({self.low:.4f} to {self.high:.4f})"
+
+
+def auc_interval(
+    vectors: Float32, dataset: SegmentDataset, *, resamples: int = 500, seed: int = 0
+) -> Interval:
+    """Area under the ROC with a bootstrap interval over places.
+
+    Pairs of one place are not independent, so whole places are drawn: worlds where there are at
+    least five, squares of 100 m otherwise. A pair belongs to the place of its first segment.
+
+    Parameters
+    ----------
+    vectors : (P, dim) float32
+    dataset : SegmentDataset
+    resamples : int
+    seed : int
+    """
+    rng = np.random.default_rng(seed)
+    places = bootstrap_places(dataset)
+    (a, b), (c, d) = matching_pairs(dataset), _different_pairs(dataset, rng)
+    right = -np.linalg.norm(vectors[a] - vectors[b], axis=1)
+    wrong = -np.linalg.norm(vectors[c] - vectors[d], axis=1)
+    return area_interval(right, wrong, places[a], places[c], rng, resamples=resamples)
+
+
+def area_interval(
+    right: NDArray[np.floating],
+    wrong: NDArray[np.floating],
+    right_places: NDArray[np.int64],
+    wrong_places: NDArray[np.int64],
+    rng: np.random.Generator,
+    *,
+    resamples: int = 500,
+) -> Interval:
+    """Area under the ROC of any score, with a bootstrap interval over places.
+
+    Parameters
+    ----------
+    right, wrong : (R,), (W,)
+        Scores of pairs that match and of pairs that do not; high ones say that a pair matches.
+    right_places, wrong_places : (R,), (W,) int64
+        The place of each pair, from 0 on; see :func:`bootstrap_places`.
+    rng : numpy.random.Generator
+    resamples : int
+
+    Returns
+    -------
+    Interval
+        0.5 within 0 and 1 where there are no pairs of one kind.
+    """
+    if len(right) == 0 or len(wrong) == 0:
+        return Interval(0.5, 0.0, 1.0)
+    order = np.argsort(wrong, kind="stable")
+    low = np.searchsorted(wrong[order], right, side="left")
+    high = np.searchsorted(wrong[order], right, side="right")
+
+    def area(weights: NDArray[np.float64]) -> float:
+        below = np.concatenate([[0.0], np.cumsum(weights[wrong_places[order]])])
+        own = weights[right_places]
+        return float(own @ (below[low] + below[high]) / (2 * below[-1] * own.sum()))
+
+    count = int(max(right_places.max(), wrong_places.max())) + 1
+    drawn = [
+        area(weights)
+        for weights in rng.multinomial(count, np.full(count, 1 / count), resamples).astype(float)
+        if weights[right_places].any() and weights[wrong_places].any()
+    ]
+    lower, upper = np.quantile(drawn, [0.025, 0.975]) if drawn else (0.0, 1.0)
+    return Interval(area(np.ones(count)), float(lower), float(upper))
+
+
+def bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
+    """(P,) the place of each segment: its world, or its square of 100 m where worlds are few."""
+    keys = dataset.places[:, None].astype(np.float64)
+    if len(np.unique(dataset.places)) < 5:
+        keys = np.column_stack([keys, np.floor(dataset.centroids[:, :2] / 100.0)])
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def _different_pairs(
+    dataset: SegmentDataset, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Random pairs that surely differ, as many as there are matching ones or 20 000."""
+    count = max(20_000, len(matching_pairs(dataset)[0]))
+    a, b = rng.integers(len(dataset), size=(2, 2 * count))
+    differ = dataset.different(a, b)
+    return a[differ][:count], b[differ][:count]
+
+
+def recall_at_k(
+    queries: Float32,
+    pool: Float32,
+    query_labels: NDArray[np.int64],
+    pool_labels: NDArray[np.int64],
+    ks: tuple[int, ...] = (1, 5, 25, 200),
+    threads: int = 1,
+) -> NDArray[np.float64]:
+    """Share of the queries with a right one among their k nearest in the pool, for each k.
+
+    Parameters
+    ----------
+    queries : (Q, dim) float32
+    pool : (M, dim) float32
+    query_labels : (Q,) int64
+    pool_labels : (M,) int64
+        -1 for distractors. Queries whose label is not in the pool are left out.
+    ks : tuple of int
+    threads : int
+
+    Returns
+    -------
+    (len(ks),) float64
+        NaN where no query has a right one.
+    """
+    known = np.isin(query_labels, pool_labels)
+    if not known.any():
+        return np.full(len(ks), np.nan)
+    indices, _ = _native.knn(
+        np.ascontiguousarray(queries[known]), np.ascontiguousarray(pool), max(ks), threads
+    )
+    hit = pool_labels[indices] == query_labels[known][:, None]
+    return np.array([hit[:, :k].any(axis=1).mean() for k in ks])

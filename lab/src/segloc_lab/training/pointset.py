@@ -1,0 +1,116 @@
+"""DSM and ESM as tasks: prepared points, X-conv, metric losses, native inference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from segloc import _native
+from segloc.descriptors.pointset import POINTS
+from segloc.types import Float32
+
+from .augment import augment
+from .config import TrainConfig
+from .dataset import SegmentDataset, packed
+from .export import export, folded
+from .losses import LOSSES
+from .models import LAYERS, DescriptorNetwork, neighbors_of
+from .pair_fitting import fit_pair_head
+from .pair_heads import pair_loss
+from .quality import fit_logistic, judged
+from .sampling import reorder
+from .tasks import Batch, Inputs, Task
+
+
+class PointSetTask(Task):
+    """An X-conv network on 256 points of each segment.
+
+    The inputs are the points and each layer's neighbours, which are searched beside the training.
+    """
+
+    def network(self, objects: int) -> DescriptorNetwork:
+        return DescriptorNetwork(LAYERS[self.config.network], pair_head=self.config.pair_head)
+
+    def inputs(
+        self,
+        dataset: SegmentDataset,
+        indices: NDArray[np.int64],
+        rng: np.random.Generator | None = None,
+    ) -> Inputs:
+        prepared = prepared_points(dataset, indices, self.config, rng)
+        layers = LAYERS[self.config.network]
+        return torch.from_numpy(prepared), *neighbors_of(prepared, layers, self.config.threads)
+
+    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        assert isinstance(network, DescriptorNetwork)
+        x = network(*batch.inputs).float()
+        loss = LOSSES[self.config.loss](x, batch.same, batch.different)
+        if self.config.pair_weight > 0 and self.config.pair_training == "joint":
+            loss = loss + self.config.pair_weight * self._pair_loss(network, x, batch)
+        return loss
+
+    def _pair_loss(self, network: DescriptorNetwork, x: Tensor, batch: Batch) -> Tensor:
+        logits = network.pair_logits(x[:, None], x[None, :])
+        negatives = [batch.different]
+        if self.config.pair_negatives == "any":
+            negatives.append(batch.different & batch.random[:, None] & batch.random)
+        return pair_loss(logits, batch.same, *negatives)
+
+    def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
+        """By the native network: what inference will see."""
+        assert isinstance(network, DescriptorNetwork)
+        table = [(x.points, x.neighbors, x.dilation, x.channels) for x in network.layers]
+        native = _native.Network(table, folded(network), POINTS)
+        parts = [np.empty((0, native.dim), np.float32)]
+        for first in range(0, len(dataset), 1024):
+            indices = np.arange(first, min(first + 1024, len(dataset)))
+            prepared = prepared_points(dataset, indices, self.config)
+            parts.append(native.describe(prepared, self.config.threads)[0])
+        return np.concatenate(parts)
+
+    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
+        """Fit the heads to finished descriptors of held-out places.
+
+        The quality head to how often the nearest one is right, and FC4 if it was not trained with
+        the descriptor.
+        """
+        assert isinstance(network, DescriptorNetwork)
+        found = judged(self, network, training, held)
+        fit_logistic(network.quality_head, found.vectors[found.known], found.right)
+        if self.config.pair_weight > 0 and self.config.pair_training == "frozen":
+            fit_pair_head(
+                network.pair_head,
+                [(found.vectors, found.dataset)],
+                nearest=self.config.pair_negatives == "batch",
+                seed=self.config.seed,
+                threads=self.config.threads,
+            )
+
+    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
+        assert isinstance(network, DescriptorNetwork)
+        export(network, path, card, self.config.alignment, with_pairs=self.config.pair_weight > 0)
+
+
+def create(config: TrainConfig) -> PointSetTask:
+    """The task of "dsm" and "esm"."""
+    return PointSetTask(config)
+
+
+def prepared_points(
+    dataset: SegmentDataset,
+    indices: NDArray[np.int64],
+    config: TrainConfig,
+    rng: np.random.Generator | None = None,
+) -> Float32:
+    """Segments as the network reads them, (B, 256, 3); augmented where a generator is given."""
+    parts = [dataset.segment(int(i)) for i in indices]
+    if rng is not None:
+        parts = [augment(part, config.augmentation, rng) for part in parts]
+    prepared = _native.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
+    return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))

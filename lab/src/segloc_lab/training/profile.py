@@ -1,0 +1,148 @@
+"""The profile network as a task: shape profiles in, three dense layers, native inference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from segloc import _native
+from segloc.descriptors.pointset import POINTS
+from segloc.descriptors.profile import (
+    KIND,
+    LIMIT,
+    PROFILE_SIZE,
+    PROFILE_VERSION,
+    PreparedSegments,
+    profiles,
+)
+from segloc.descriptors.weightfile import write_weights
+from segloc.types import Float32
+
+from .augment import augment
+from .config import TrainConfig
+from .dataset import SegmentDataset, packed
+from .losses import LOSSES
+from .quality import fit_logistic, judged
+from .tasks import Batch, Inputs, Task
+
+DIM = 32
+WIDTHS = (384, 256)
+_AT_ONCE = 4096
+
+
+class ProfileNetwork(nn.Module):
+    """Profiles (B, 175) to descriptors (B, DIM).
+
+    Numbers are standardised by a batch norm and cut, then pass dense layers of ``WIDTHS`` with ELU
+    and batch norm, and a linear one. ``quality_head`` reads what the last hidden layer makes of
+    them.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.standardise = nn.BatchNorm1d(PROFILE_SIZE, eps=1e-6, momentum=0.02, affine=False)
+        sizes = (PROFILE_SIZE, *WIDTHS)
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        self.norms = nn.ModuleList(nn.BatchNorm1d(width) for width in WIDTHS)
+        self.output = nn.Linear(WIDTHS[-1], DIM)
+        self.quality_head = nn.Linear(WIDTHS[-1], 1)
+
+    def features(self, profile: Tensor) -> Tensor:
+        """What the last hidden layer makes of profiles, (B, WIDTHS[-1])."""
+        x = self.standardise(profile).clamp(-LIMIT, LIMIT)
+        for layer, norm in zip(self.hidden, self.norms, strict=True):
+            x = norm(functional.elu(layer(x)))
+        return x
+
+    def forward(self, profile: Tensor) -> Tensor:
+        """Descriptors (B, DIM)."""
+        result: Tensor = self.output(self.features(profile))
+        return result
+
+
+class ProfileTask(Task):
+    """A small network on the shape profile of each segment."""
+
+    def network(self, objects: int) -> ProfileNetwork:
+        return ProfileNetwork()
+
+    def inputs(
+        self,
+        dataset: SegmentDataset,
+        indices: NDArray[np.int64],
+        rng: np.random.Generator | None = None,
+    ) -> Inputs:
+        prepared = prepared_segments(dataset, indices, self.config, rng)
+        return (torch.from_numpy(profiles(prepared, self.config.threads)),)
+
+    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        x = network(*batch.inputs).float()
+        return LOSSES[self.config.loss](x, batch.same, batch.different)
+
+    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
+        """Fit the quality to how often the nearest descriptor is right, on held-out places."""
+        assert isinstance(network, ProfileNetwork)
+        found = judged(self, network, training, held)
+        rows = [np.empty((0, WIDTHS[-1]), np.float32)]
+        with torch.inference_mode():
+            for first in range(0, len(found.known), _AT_ONCE):
+                some = found.known[first : first + _AT_ONCE]
+                rows.append(network.features(*self.inputs(found.dataset, some)).numpy())
+        fit_logistic(network.quality_head, np.concatenate(rows), found.right)
+
+    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
+        assert isinstance(network, ProfileNetwork)
+        write_weights(path, KIND, folded(network), {"profile": str(PROFILE_VERSION)}, card)
+
+
+def create(config: TrainConfig) -> ProfileTask:
+    """The task of "profile"."""
+    return ProfileTask(config)
+
+
+def prepared_segments(
+    dataset: SegmentDataset,
+    indices: NDArray[np.int64],
+    config: TrainConfig,
+    rng: np.random.Generator | None = None,
+) -> PreparedSegments:
+    """Aligned and sampled segments with heights; augmented where a generator is given."""
+    parts = [dataset.segment(int(i)) for i in indices]
+    heights = dataset.heights[indices].astype(np.float32)
+    if rng is not None:
+        changed = [augment(part, config.augmentation, rng) for part in parts]
+        # What is cut off above or below moves the centroid.
+        rise = [a[:, 2].mean() - b[:, 2].mean() for a, b in zip(changed, parts, strict=True)]
+        parts, heights = changed, heights + np.array(rise, np.float32)
+    points = _native.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
+    return PreparedSegments(points, heights)
+
+
+@torch.no_grad()
+def folded(network: ProfileNetwork) -> dict[str, Float32]:
+    """The tensors of inference (cpp/perceptron.h lists them); the quality is the last output."""
+    norm = network.standardise
+    assert norm.running_mean is not None and norm.running_var is not None
+    tensors = {
+        "input.mean": norm.running_mean,
+        "input.scale": 1.0 / torch.sqrt(norm.running_var + norm.eps),
+        "output.weight": torch.cat([network.output.weight, network.quality_head.weight]).T,
+        "output.bias": torch.cat([network.output.bias, network.quality_head.bias]),
+    }
+    for index, (layer, after) in enumerate(zip(network.hidden, network.norms, strict=True)):
+        assert isinstance(layer, nn.Linear) and isinstance(after, nn.BatchNorm1d)
+        assert after.running_mean is not None and after.running_var is not None
+        scale = after.weight / torch.sqrt(after.running_var + after.eps)
+        tensors[f"hidden.{index}.weight"] = layer.weight.T
+        tensors[f"hidden.{index}.bias"] = layer.bias
+        tensors[f"hidden.{index}.scale"] = scale
+        tensors[f"hidden.{index}.shift"] = after.bias - after.running_mean * scale
+    return {name: tensor.float().contiguous().numpy() for name, tensor in tensors.items()}

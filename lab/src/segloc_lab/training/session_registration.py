@@ -1,0 +1,105 @@
+"""Sessions of one place, brought together where their poses drifted apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from segloc import _native, geometry
+from segloc.likelihood.registration import Aligner, Registered, Target, thinned
+from segloc.system.section import Section
+from segloc.types import Float32, Pose
+
+_LEAST_POINTS = 200
+_SAMPLE = 2000
+LEAST_MET = 0.2
+"""Local clouds that meet less of the structure saw a place that no earlier session knows."""
+
+
+class RegisterConfig(Section):
+    """How local clouds are aligned with earlier sessions, and what is believed."""
+
+    radius_m: float = Field(40.0, gt=0, description="points around the sensor that are aligned")
+    voxel_m: float = Field(0.5, gt=0)
+    max_correspondence_m: float = Field(2.5, gt=0, description="of corresponding points")
+    near_m: float = Field(0.6, gt=0, description="points count as met within this distance")
+    max_shift_m: float = Field(4.0, gt=0, description="larger corrections are not believed")
+    max_turn_deg: float = Field(4.0, gt=0)
+    min_shared: float = Field(0.5, gt=0, le=1, description="share of points that must be met")
+
+
+class Registration:
+    """Corrects poses against the structure that earlier sessions saw.
+
+    Parameters
+    ----------
+    structure : (N, 3) float32
+        World frame.
+    config : RegisterConfig
+
+    Attributes
+    ----------
+    accepted, rejected, alone : int
+        Local clouds that were aligned, that did not fit, and that no earlier session saw.
+    """
+
+    def __init__(self, structure: Float32, config: RegisterConfig | None = None) -> None:
+        self.config = config or RegisterConfig()
+        self._aligner = Aligner(self.config.voxel_m, self.config.max_correspondence_m, threads=1)
+        index = _native.PointIndex(structure, 2 * self.config.near_m)
+        self._target = Target(self._aligner.surface(structure), index)
+        self._seen = len(structure) > 0
+        self._last: Pose | None = None  # the correction that was believed last, world frame
+        self.accepted = self.rejected = self.alone = 0
+        self.shifts_m: list[float] = []
+
+    def corrected(self, T_world_local: Pose, surface: Float32) -> Pose:
+        """The pose that aligns a local cloud's surface (N, 3); unchanged where none did before."""
+        start = T_world_local if self._last is None else self._last @ T_world_local
+        near = surface[(surface[:, :2] ** 2).sum(axis=1) < self.config.radius_m**2]
+        source = _Source(self._aligner.surface(near), thinned(near, _SAMPLE))
+        if not self._seen or self._met(start, source, 2 * self.config.near_m) < LEAST_MET:
+            self.alone += 1
+            self._last = None
+            return T_world_local
+        found = self._registered(start, source)
+        if found is None or not self._believed(T_world_local, found, source):
+            self.rejected += 1
+            return start
+        T = found.T_target_source
+        self.accepted += 1
+        self._last = T @ geometry.inverse(T_world_local)
+        self.shifts_m.append(float(np.linalg.norm(T[:3, 3] - T_world_local[:3, 3])))
+        return T
+
+    def _met(self, T: Pose, source: _Source, radius: float) -> float:
+        """Share of the points with some of the structure within a radius."""
+        if len(source.sample) < _LEAST_POINTS:
+            return 0.0
+        return self._target.overlap(source.sample, T, radius)[0]
+
+    def _registered(self, T: Pose, source: _Source) -> Registered | None:
+        if min(len(self._target.surface), len(source.surface)) < _LEAST_POINTS:
+            return None
+        return self._aligner.register(self._target, source, T, self.config.near_m)
+
+    def _believed(self, before: Pose, found: Registered, source: _Source) -> bool:
+        delta = geometry.inverse(before) @ found.T_target_source
+        turn = math.degrees(geometry.rotation_angle(delta))
+        if (
+            np.linalg.norm(delta[:3, 3]) > self.config.max_shift_m
+            or turn > self.config.max_turn_deg
+        ):
+            return False
+        met = found.overlap if len(source.sample) >= _LEAST_POINTS else 0.0
+        earlier = self._met(before, source, self.config.near_m)
+        return met >= self.config.min_shared and met >= earlier - 0.02
+
+
+@dataclass(frozen=True)
+class _Source:
+    surface: _native.Surface
+    sample: Float32

@@ -1,0 +1,141 @@
+"""What the training loop has to know of a kind of network, and the kinds there are by name."""
+
+from __future__ import annotations
+
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from segloc.errors import ConfigError
+from segloc.types import Float32
+
+from .config import TrainConfig
+from .dataset import SegmentDataset
+
+Inputs = tuple[Tensor, ...]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B segments as a network reads them, and how they are related.
+
+    Attributes
+    ----------
+    inputs : tuple of tensors
+        What the task prepared; the first axis of each is B.
+    labels : (B,) int64
+        Numbers of the objects, from 0 on, over the training set.
+    same, different : (B, B) bool
+        Pairs that are neither say nothing.
+    random : (B,) bool
+        Segments of objects that were drawn at random, not because they are easily mistaken.
+    """
+
+    inputs: Inputs
+    labels: Tensor
+    same: Tensor
+    different: Tensor
+    random: Tensor
+
+    def to(self, device: torch.device) -> Batch:
+        """The batch on a device."""
+        others = (self.labels, self.same, self.different, self.random)
+        move = [t.to(device, non_blocking=True) for t in others]
+        inputs = tuple(t.to(device, non_blocking=True) for t in self.inputs)
+        return Batch(inputs, *move)
+
+
+class Task(ABC):
+    """One kind of network: how it reads segments, what it minimises, how it is written.
+
+    Everything here depends on the configuration and the arguments alone. ``inputs`` is called from
+    threads beside the one that trains.
+
+    Parameters
+    ----------
+    config : TrainConfig
+    """
+
+    max_objects: int | None = None
+    """Train on the objects with most views only, where the network depends on their number."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        self.config = config
+
+    @abstractmethod
+    def network(self, objects: int) -> nn.Module:
+        """A fresh network; ``objects`` is the number of objects of the training set."""
+
+    @abstractmethod
+    def inputs(
+        self,
+        dataset: SegmentDataset,
+        indices: NDArray[np.int64],
+        rng: np.random.Generator | None = None,
+    ) -> Inputs:
+        """Some segments as the network reads them; augmented where a generator is given."""
+
+    @abstractmethod
+    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        """What is to be minimised on a batch, a scalar."""
+
+    @abstractmethod
+    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
+        """Write the weights file that inference reads."""
+
+    def encode(self, network: nn.Module, inputs: Inputs) -> Tensor:
+        """Descriptors (B, dim) of prepared segments, of a network in evaluation mode."""
+        result: Tensor = network(*inputs)
+        return result
+
+    def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
+        """Descriptors (P, dim) of all segments of a dataset."""
+        device = next(network.parameters()).device
+        was_training = network.training
+        network.eval()
+        parts = []
+        with torch.inference_mode():
+            for first in range(0, len(dataset), 256):
+                indices = np.arange(first, min(first + 256, len(dataset)))
+                inputs = tuple(t.to(device) for t in self.inputs(dataset, indices))
+                parts.append(self.encode(network, inputs).float().cpu().numpy())
+        network.train(was_training)
+        return np.concatenate(parts)
+
+    def finish(  # noqa: B027
+        self, network: nn.Module, training: SegmentDataset, held: SegmentDataset
+    ) -> None:
+        """Fit what is fitted to the finished descriptors, before the export.
+
+        ``held`` holds the segments that the network was not trained on.
+        """
+
+
+Factory = Callable[[TrainConfig], Task]
+
+MODULES = {"dsm": "pointset", "esm": "pointset", "profile": "profile", "segmap": "segmap"}
+"""In which module of this package each network is; known without importing torch's users."""
+
+
+def create_task(config: TrainConfig) -> Task:
+    """The task of the configured network.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of that name.
+    """
+    name = config.network
+    if name not in MODULES:
+        raise ConfigError(f"no network {name!r} to train; there are {', '.join(sorted(MODULES))}")
+    module = importlib.import_module(f"{__package__}.{MODULES[name]}")
+    factory: Factory = module.create
+    return factory(config)

@@ -1,0 +1,299 @@
+"""Train a descriptor network on labelled segments, and export it."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from torch import Tensor, nn
+
+from segloc import _native
+from segloc.errors import ConfigError, DatasetError
+from segloc.system.files import replacing
+
+from .batches import Batches
+from .config import TrainConfig
+from .dataset import SegmentDataset
+from .metrics import Scores, score
+from .parallel import Group
+from .tasks import Batch, Task, create_task
+
+Progress = Callable[[str], None]
+_MAY_CHANGE = {"steps", "max_minutes", "threads", "device"}
+_RIVALS = 16
+_LARGEST = 1e15  # what the search for neighbours takes
+_UNREADABLE = (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError)
+
+
+def train(
+    dataset: SegmentDataset,
+    out: Path,
+    config: TrainConfig,
+    card: dict[str, Any] | None = None,
+    progress: Progress = print,
+    task: Task | None = None,
+) -> Scores:
+    """Train a network, and write ``out`` (a .safetensors file) with the best weights.
+
+    The state is kept in ``out`` with the suffix .checkpoint: a run that was cut off goes on from
+    there if it is started again with the same configuration. Under torchrun several processes
+    train together, each on batches of its own.
+
+    Parameters
+    ----------
+    dataset : SegmentDataset
+        Split by worlds (or by objects, if there is one world) into training and validation.
+    out : Path
+    config : TrainConfig
+    card : dict, optional
+        Goes into the weights file: data, command, licence. Figures are added.
+    progress : callable
+    task : Task, optional
+        What is trained; by default what ``config.network`` names.
+
+    Returns
+    -------
+    Scores
+        Of the exported weights on the validation set.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such network or device, or if the training diverges.
+    DatasetError
+        If there are too few objects with two views, or if the state cannot be taken up.
+    """
+    torch.set_num_threads(config.threads)
+    task = task or create_task(config)
+    training, held = dataset.split(config.validation_share, config.seed)
+    validation = held.limited(config.validation_limit, config.seed)
+    with Group(config.device) as group:
+        run = _Run(task, training, validation, group, out.with_suffix(".checkpoint"))
+        run.resume(progress)
+        run.loop(progress if group.leads else _silent)
+        if group.leads:
+            model = run.best_model()
+            task.finish(model, training, held)
+            figures = {
+                "steps": run.best_step,
+                "training segments": len(training),
+                "validation segments": len(validation),
+                **{f"validation {k}": round(v, 4) for k, v in asdict(run.best).items()},
+            }
+            settings = config.model_dump(mode="json", exclude={"max_minutes", "threads"})
+            made = {"torch": torch.__version__, "figures": figures, "config": settings}
+            task.export(model, out, {**(card or {}), **made})
+    return run.best
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+class _Run:
+    """The state of one training run."""
+
+    def __init__(
+        self,
+        task: Task,
+        training: SegmentDataset,
+        validation: SegmentDataset,
+        group: Group,
+        checkpoint: Path,
+    ) -> None:
+        self.task, self.config, self.group = task, task.config, group
+        self.training, self.validation = training, validation
+        self.checkpoint = checkpoint
+        self.batches = Batches(training, task, group.rank)
+        objects = len(self.batches.groups)
+        if objects < self.config.classes:
+            raise DatasetError(
+                f"training needs {self.config.classes} objects with two views, not {objects}"
+            )
+        torch.manual_seed(self.config.seed)
+        self.model = task.network(objects).to(group.device)
+        self.optimizer = torch.optim.Adam(
+            self.model.parameters(),
+            lr=self.config.learning_rate,
+            weight_decay=self.config.weight_decay,
+            foreach=True,
+        )
+        self.step = 0
+        self.seconds = 0.0
+        self.best = Scores(0.0, -1.0, 0.0)
+        self.best_step = 0
+        self.best_state: dict[str, Tensor] = {}
+
+    def loop(self, progress: Progress) -> None:
+        config = self.config
+        start = time.monotonic() - self.seconds
+        losses: list[Tensor] = []
+        for batch in self._upcoming():
+            losses.append(self._advance(batch))
+            self.seconds = time.monotonic() - start
+            expired = self.group.agreed(self.seconds > 60 * config.max_minutes)
+            if self.step % config.validate_every == 0 or self.step == config.steps or expired:
+                scores = self._validate()
+                loss = float(torch.stack(losses).mean())
+                progress(
+                    f"step {self.step} loss {loss:.3f} {_text(scores)} {self.seconds / 60:.1f} min"
+                )
+                losses = []
+                waited = (self.step - self.best_step) / config.validate_every
+                if self.group.agreed(expired or waited >= config.patience):
+                    return
+
+    def _upcoming(self) -> Iterator[Batch]:
+        """The batches that are left; those after a search for mistakable objects follow it."""
+        config = self.config
+        every = config.mine_every if config.hard_share > 0 else config.steps
+        while self.step < config.steps:
+            if self.step > 0 and self.step % every == 0:
+                self.batches.mistakable = self._mine()
+            yield from self.batches.between(
+                self.step, min(config.steps, (self.step // every + 1) * every)
+            )
+
+    def _advance(self, batch: Batch) -> Tensor:
+        config = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = config.learning_rate * _schedule(self.step, config)
+        self.model.train()
+        with self._precision():
+            loss = self.task.loss(self.model, batch.to(self.group.device))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self.group.average_gradients(self.model)
+        nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        self.optimizer.step()
+        self.step += 1
+        return loss.detach()
+
+    def _precision(self) -> AbstractContextManager[Any]:
+        """bfloat16 has the range of single precision, so no loss is scaled."""
+        kind = self.group.device.type
+        if self.config.precision == "bfloat16" or (
+            self.config.precision == "auto" and kind == "cuda"
+        ):
+            return torch.autocast(kind, dtype=torch.bfloat16)
+        return nullcontext()
+
+    def _mine(self) -> NDArray[np.int64]:
+        """Some objects, each with those whose descriptors are nearest to its own, (n, 17)."""
+        groups = self.batches.groups
+        rng = np.random.default_rng([self.config.seed, self.step, 1])
+        some = rng.permutation(len(groups))[: self.config.mine_objects]
+        views = np.array([groups[g][0] for g in some])
+        vectors = self._describe(self.model, self.training.subset(views))
+        indices, _ = _native.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
+        return np.column_stack([some, some[indices[:, 1:]]])
+
+    def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
+        fault = ConfigError(
+            f"descriptors are no usable numbers any more at step {self.step}; "
+            "try a smaller learning_rate"
+        )
+        try:
+            vectors = self.task.describe(self._on_cpu(model), dataset)
+        except ValueError as error:  # the native network takes no such weights
+            raise fault from error
+        if not (np.abs(vectors) < _LARGEST).all():
+            raise fault
+        return vectors
+
+    def _on_cpu(self, model: nn.Module) -> nn.Module:
+        return model if self.group.device.type == "cpu" else copy.deepcopy(model).cpu()
+
+    def _validate(self) -> Scores:
+        self.group.average_buffers(self.model)
+        vectors = self._describe(self.model, self.validation)
+        scores = score(vectors, self.validation, threads=self.config.threads)
+        if scores.recall + scores.auc > self.best.recall + self.best.auc:
+            self.best, self.best_step = scores, self.step
+            self.best_state = {k: v.clone() for k, v in self.model.state_dict().items()}
+        if self.group.leads:
+            self._save()
+        return scores
+
+    def best_model(self) -> nn.Module:
+        """The network with the best weights, on the CPU, in evaluation mode."""
+        model = self.task.network(len(self.batches.groups))
+        model.load_state_dict({k: v.cpu() for k, v in self.best_state.items()})
+        return model.eval()
+
+    def _save(self) -> None:
+        state = {
+            "config": self.config.model_dump_json(exclude=_MAY_CHANGE),
+            "model": self.model.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "seconds": self.seconds,
+            "best": asdict(self.best),
+            "best_step": self.best_step,
+            "best_state": self.best_state,
+            "mistakable": torch.from_numpy(self.batches.mistakable),
+        }
+        self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(self.checkpoint) as stream:
+            torch.save(state, stream)
+
+    def resume(self, progress: Progress) -> None:
+        """Take up the state of a run that was cut off, if there is one."""
+        if not self.checkpoint.exists():
+            return
+        try:
+            state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
+            if not _agrees(state["config"], self.config):
+                raise DatasetError(
+                    f"{self.checkpoint}: belongs to a run with another configuration"
+                )
+            self._take_up(state)
+        except _UNREADABLE as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(":")
+            raise DatasetError(
+                f"{self.checkpoint}: not the state of this run ({reason}); remove it to start anew"
+            ) from error
+        progress(f"going on from step {self.step}")
+
+    def _take_up(self, state: dict[str, Any]) -> None:
+        self.model.load_state_dict(state["model"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.seconds = state["step"], state["seconds"]
+        self.best, self.best_step = Scores(**state["best"]), state["best_step"]
+        self.best_state = state["best_state"]
+        self.batches.mistakable = state["mistakable"].cpu().numpy()
+
+
+def _agrees(saved: str, config: TrainConfig) -> bool:
+    """Whether a run with the saved configuration may go on; unknown values have their defaults."""
+    try:
+        before = TrainConfig.model_validate_json(saved)
+    except ValidationError:
+        return False
+    return before.model_dump(exclude=_MAY_CHANGE) == config.model_dump(exclude=_MAY_CHANGE)
+
+
+def _text(scores: Scores) -> str:
+    return (
+        f"validation auc {scores.auc:.4f} recall@25 {scores.recall:.4f} "
+        f"recall@1 {scores.recall_first:.4f}"
+    )
+
+
+def _schedule(step: int, config: TrainConfig) -> float:
+    """Linear warm-up, then half a cosine down to 1 %."""
+    if step < config.warmup:
+        return (step + 1) / config.warmup
+    done = (step - config.warmup) / max(1, config.steps - config.warmup)
+    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, done)))

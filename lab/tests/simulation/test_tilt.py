@@ -1,0 +1,165 @@
+"""Platforms that tilt and fly: as far as they say, smoothly, and seen in the scans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+
+from segloc_lab.simulation import (
+    Conditions,
+    Flight,
+    Gait,
+    Platform,
+    carried,
+    drone,
+    handheld,
+    legged,
+    meadow,
+    quadruped,
+    simulate_sessions,
+    vlp16,
+    warehouse,
+    wheeled,
+)
+from segloc_lab.simulation.objects.terrain import Terrain
+
+from segloc.errors import ConfigError
+from segloc.types import Float64
+
+LINE = np.array([[0.0, 0.0], [400.0, 0.0]])
+FLAT = Terrain(np.array([-10.0, -10.0]), 420.0, np.zeros((2, 2)))
+
+
+def poses(platform: Platform, seed: int = 0, line: Float64 = LINE) -> Float64:
+    return platform.motion(FLAT, line, np.random.default_rng(seed)).poses
+
+
+def tilts(T: Float64) -> Float64:
+    """Of the z axes from the vertical, degrees."""
+    return np.degrees(np.arccos(np.clip(T[:, 2, 2], -1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("make", "median", "most"),
+    [(handheld, (12, 22), (29, 35)), (quadruped, (4, 9), (10, 18)), (legged, (0.5, 3), (2, 9))],
+)
+def test_tilt_reaches_what_it_says_and_no_more(
+    make: Callable[[], Platform], median: tuple[float, float], most: tuple[float, float]
+) -> None:
+    found = np.concatenate([tilts(poses(make(), seed)) for seed in range(3)])
+    assert median[0] < np.median(found) < median[1]
+    assert most[0] < found.max() < most[1]
+
+
+def test_handheld_rolls_and_pitches_both_ways_slowly_and_with_each_step() -> None:
+    T = poses(handheld())
+    roll, pitch = Rotation.from_matrix(T[:, :3, :3]).as_euler("ZYX", degrees=True)[:, :0:-1].T
+    for angle in (roll, pitch):
+        assert angle.min() < -20
+        assert angle.max() > 20
+        spectrum = np.abs(np.fft.rfft(angle - angle.mean())) ** 2
+        hertz = np.fft.rfftfreq(len(angle), 0.025)
+        assert spectrum[hertz < 0.5].sum() > 0.85 * spectrum.sum()
+    step = np.abs(np.fft.rfft(pitch)) * ((hertz > 1.2) & (hertz < 5))
+    assert hertz[step.argmax()] == pytest.approx(1.8, abs=0.1)
+    assert (
+        np.degrees(
+            Rotation.from_matrix(T[1:, :3, :3].transpose(0, 2, 1) @ T[:-1, :3, :3]).magnitude()
+        ).max()
+        < 5
+    )
+
+
+def test_what_is_carried_level_is_not_changed_by_the_ones_that_lean() -> None:
+    """A gait without lean draws no more random numbers than it did."""
+    gait = carried().gait
+    assert gait is not None
+    stamps = np.arange(0.0, 20.0, 0.025)
+    free = gait.sways(stamps, np.random.default_rng(3))
+    leaning = replace(gait, lean_deg=9.0).sways(stamps, np.random.default_rng(3))
+    np.testing.assert_array_equal(free[:, 1:3, 3], leaning[:, 1:3, 3])
+    assert tilts(leaning).max() > 1.4 * tilts(free).max()
+
+
+@pytest.mark.parametrize("make", [wheeled, handheld, drone])
+def test_a_mount_turns_the_sensor_and_nothing_else(make: Callable[[], Platform]) -> None:
+    plain, mounted = poses(make()), poses(replace(make(), mount_rpy_deg=(10.0, 20.0, -30.0)))
+    np.testing.assert_array_equal(mounted[:, :3, 3], plain[:, :3, 3])
+    turn = plain[:, :3, :3].transpose(0, 2, 1) @ mounted[:, :3, :3]
+    angles = Rotation.from_matrix(turn).as_euler("ZYX", degrees=True)
+    np.testing.assert_allclose(angles, np.tile([-30.0, 20.0, 10.0], (len(turn), 1)), atol=1e-9)
+
+
+def test_a_sensor_that_pitches_forward_looks_down_ahead() -> None:
+    ahead = poses(replace(wheeled(), mount_rpy_deg=(0.0, 20.0, 0.0)))[5]
+    assert ahead[2, 0] == pytest.approx(-np.sin(np.radians(20.0)), abs=1e-6)
+
+
+def test_a_drone_keeps_its_band_and_banks_into_its_bends() -> None:
+    turn = np.linspace(0, np.pi, 80)
+    bend = 30.0 * np.column_stack([np.sin(turn), 1 - np.cos(turn)])
+    line = np.concatenate([[[-60.0, 0.0]], bend, [[-60.0, 60.0]]])
+    still = replace(drone(), flight=Flight(gust_deg=0.0))
+    motion = still.motion(FLAT, line, np.random.default_rng(2))
+    T = motion.poses
+    assert T[:, 2, 3].min() >= 5.0
+    assert T[:, 2, 3].max() <= 30.0
+    in_bend = (motion.travelled > 75) & (motion.travelled < 140)  # type: ignore[operator]
+    left = T[in_bend, 2, 1]
+    assert (left < -0.02).all()  # a bend to the left: the left side is low
+    assert tilts(T).max() < 20
+    assert np.abs(np.diff(T[:, 2, 3])).max() / 0.025 < 3.0  # metres a second
+    long = np.concatenate([poses(drone(), seed)[:, 2, 3] for seed in range(4)])
+    assert long.min() < 8.0
+    assert long.max() > 27.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "world"),
+    [(handheld, lambda: warehouse(7, size_m=50.0)), (drone, lambda: meadow(1, size_m=120.0))],
+)
+def test_scans_are_cast_from_the_tilted_sensor(
+    make: Callable[[], Platform], world: Callable[[], object]
+) -> None:
+    """The ground, taken to the world by the true poses, is level; in the sensor it is not."""
+    sensor = replace(vlp16(400).ideal(), max_range_m=100.0)
+    place = world()
+    drive = simulate_sessions(place, sensor, [Conditions()], length_m=40.0, platform=make())[0]  # type: ignore[arg-type]
+    leaning = int(np.argmax(tilts(drive.truth)))
+    scan, T = drive.scan(leaning), drive.truth[leaning]
+    ground = scan.points[drive.object_ids(leaning) == 0].astype(float)
+    assert len(ground) > 200
+    up = ground @ T[:3, :3].T + T[:3, 3]
+    height = drive.world.terrain.height(up[:, 0], up[:, 1])
+    np.testing.assert_allclose(up[:, 2], height, atol=0.02)
+    again = simulate_sessions(place, sensor, [Conditions()], length_m=40.0, platform=make())[0]  # type: ignore[arg-type]
+    np.testing.assert_array_equal(again.scan(leaning).points, scan.points)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Flight(low_m=0.0),
+        lambda: Flight(low_m=9.0, high_m=8.0),
+        lambda: Flight(gust_deg=-1.0),
+        lambda: Flight(cruise_deg=float("nan")),
+        lambda: replace(wheeled(), mount_rpy_deg=(0.0, float("nan"), 0.0)),
+        lambda: Gait(
+            steps_hz=2, bob_m=0, sway_m=0, pitch_deg=0, roll_deg=0, wander_deg=0, lean_deg=-1.0
+        ),
+        lambda: Gait(
+            steps_hz=2, bob_m=0, sway_m=0, pitch_deg=0, roll_deg=0, wander_deg=0, most_deg=0.0
+        ),
+    ],
+)
+def test_wrong_values_are_refused_in_one_line(make: Callable[[], object]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make()
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,227 @@
+"""The localization study on a tiny test set: right counts, and nothing computed twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.executors import processes
+from samples.tiny_suite import TINY
+from segloc_lab.evaluation import comparison, comparison_pieces
+from segloc_lab.evaluation.comparison import shared_config
+from segloc_lab.evaluation.comparison_study import answered
+from segloc_lab.evaluation.comparison_tables import summaries
+from segloc_lab.evaluation.methods import METHODS, fingerprint, ready
+from segloc_lab.evaluation.report.study import Study, Table
+from segloc_lab.evaluation.scenario import QuerySet
+from segloc_lab.simulation.suites import SUITES
+from segloc_lab.studies.paper import localization
+from segloc_lab.studies.paper.examples import ASIDE_M
+from segloc_lab.studies.paper.scenarios import KittiScenario, SuiteScenario, scenarios
+from segloc_lab.studies.paper.workspace import Workspace
+
+from segloc import Localizer, build_map
+from segloc.batch.run import localize_sequence
+from segloc.descriptors import Descriptor, create
+from segloc.errors import ConfigError, DatasetError
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
+from segloc.types import Recording
+
+METHOD = "geo"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("evaluation")
+
+
+@pytest.fixture
+def workspace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
+    pytest.importorskip("embreex", reason="the simulation needs embreex")
+    monkeypatch.setitem(SUITES, "tiny", (TINY,))
+    return Workspace(folder, suite="tiny", scale="full", methods=(METHOD, "profile"))
+
+
+@pytest.fixture
+def study(workspace: Workspace) -> Study:
+    """From the cache for every test but the first."""
+    return localization.run(workspace)
+
+
+def table(study: Study, name: str) -> Table:
+    return next(each for each in study.tables if each.name == name)
+
+
+@pytest.mark.slow
+def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspace) -> None:
+    """Segments shared by all methods give what a map and a localizer of one method give."""
+    opened = SuiteScenario(TINY, "full", 0).open()
+    query_set = opened.query_sets["test_0"]
+    every_view = MappingConfig(compact=CompactConfig(enabled=False))  # as studies compare methods
+    config = shared_config(METHOD, 1, segments_alone=True)
+    config = config.model_copy(update={"mapping": every_view})
+    localizer = Localizer(build_map(opened.map, config), config)
+    expected = localize_sequence(localizer, query_set.recording, query_set.positions)
+    (found,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    answers = found.answers[METHOD]["test_0"]["map"]["consensus"]
+    assert [a["reason"] for a in answers] == [r.reason for r in expected]
+    assert [a["inliers"] for a in answers] == [r.inliers for r in expected]
+    for answer, result in zip(answers, expected, strict=True):
+        if result.T_map_sensor is not None:
+            np.testing.assert_array_equal(answer["T_map_sensor"], result.T_map_sensor.ravel())
+
+
+@pytest.mark.slow
+def test_the_tables_count_what_was_answered(study: Study) -> None:
+    ours = table(study, "localizations-consensus")
+    assert ours.columns[-2:] == (METHOD, "profile")
+    ((name, kind, sensor, queries, places, *found),) = ours.rows
+    assert (name, kind, sensor) == ("tiny", "City park", "vlp16")
+    assert queries == 8 and isinstance(places, int) and 3 <= places <= 8
+    assert all(isinstance(cell, int) and cell >= 4 for cell in found)
+    for negatives in ("negatives-consensus", "negatives-published"):
+        assert table(study, negatives).rows == (("tiny", 8, 0, 0), ("all", 8, 0, 0))
+    details = table(study, "details")
+    assert {(row[1], row[2]) for row in details.rows} == {
+        (method, estimator) for method in (METHOD, "profile") for estimator in comparison.ESTIMATORS
+    }
+    assert table(study, "localizations-paper").source == "paper"
+    beside = table(study, "differences-consensus")
+    (_, n, *_), (name, others_n, alone, others, p) = beside.rows
+    assert (name, n - others_n) == (METHOD, alone - others)  # type: ignore[operator]
+    assert [n, others_n] == found[::-1] and 0 < float(str(p)) <= 1
+
+
+@pytest.mark.slow
+def test_the_map_shows_every_query(study: Study) -> None:
+    figure, other, example = study.figures
+    assert (figure.fold, other.fold) == ("", "tiny: by other methods")
+    shown = sum(len(figure.series[key][0]) for key in ("localized", "not localized"))
+    assert figure.kind == "map" and shown == 8
+    assert len(figure.series["map"][0]) > 100
+    assert example.name == "query-tiny" and len(example.series["query"][0]) > 1000
+    lines = np.column_stack(example.series["matches that fit"]).reshape(-1, 3, 2)
+    lengths = np.linalg.norm(lines[:, 0] - (ASIDE_M, 0.0) - lines[:, 1], axis=1)
+    assert len(lines) >= 3 and lengths.max() < 1.0  # those that fit end where they should
+
+
+@pytest.mark.slow
+def test_a_second_run_localizes_nothing(
+    study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("was localized again")
+
+    monkeypatch.setattr(comparison, "localize_all", never)
+    again = localization.run(workspace)
+    assert again.tables == study.tables
+
+
+@pytest.mark.slow
+def test_what_is_damaged_is_localized_again(
+    study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (part,) = workspace.out.glob(f"cache/localization-tiny-{METHOD}-*/data")
+    part.write_bytes(part.read_bytes()[:-2])
+    run: list[tuple[str, ...]] = []
+    whole = comparison.localize_all
+
+    def watched(
+        query_sets: dict[str, QuerySet],
+        descriptors: dict[str, Descriptor],
+        places: dict[str, comparison.MappedPlace],
+    ) -> object:
+        run.append(tuple(descriptors))
+        return whole(query_sets, descriptors, places)
+
+    monkeypatch.setattr(comparison, "localize_all", watched)
+    said: list[str] = []
+    again = localization.run(replace(workspace, say=said.append))
+    assert run == [(METHOD,)] * 8  # a piece each query; the other method is as it was
+    assert len(said) == 1 and "damaged" in said[0]
+    assert again.tables == study.tables
+
+
+@pytest.mark.slow
+def test_a_run_that_is_cut_off_goes_on_with_the_next_piece(
+    study: Study, workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(comparison_pieces, "PIECE", 3)
+    build, built = comparison.build_maps, []
+
+    def counted(recording: Recording, *rest: object) -> object:
+        built.append(recording.name)
+        return build(recording, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(comparison_pieces, "build_maps", counted)
+    whole, begun = comparison.localize_all, []
+
+    def cut_off(*arguments: object) -> object:
+        begun.append(arguments)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return whole(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(comparison, "localize_all", cut_off)
+    fresh = replace(workspace, out=tmp_path, methods=(METHOD,))
+    with pytest.raises(KeyboardInterrupt):
+        answered(fresh, scenarios(fresh), ready((METHOD,)))
+    (found,) = answered(fresh, scenarios(fresh), ready((METHOD,)))
+    assert len(begun) == 4  # three pieces of eight queries, one of them begun twice
+    assert len(built) == 2  # the map and the negative one, for all of them
+    assert not list(tmp_path.glob("cache/maps-*"))
+    (expected,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    assert found.answers == expected.answers
+    for name, array in expected.arrays.items():
+        np.testing.assert_array_equal(found.arrays[name], array)
+
+
+@pytest.mark.slow
+def test_false_answers_stand_in_brackets(study: Study, workspace: Workspace) -> None:
+    (result,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
+    first = next(answer for answer in answers if answer["T_map_sensor"] is not None)
+    first["T_map_sensor"][3] += 30.0
+    rows = summaries([result], ready((METHOD,)), "consensus")
+    cell = next(rows).rows[0][-1]
+    assert isinstance(cell, str) and cell.endswith("(1)")
+
+
+def test_methods_without_weights_are_named_with_the_reason() -> None:
+    found = ready()
+    assert set(found.names) | set(found.left_out) == set(METHODS)
+    assert {"geo", "profile", "dsm", "nsm"} <= set(found.names)
+    for name, why in found.left_out.items():
+        assert f"{name} ({why})" in found.note()
+    assert "+forest-" in fingerprint("nsm") and fingerprint("geo") == create("geo").fingerprint
+    with pytest.raises(ConfigError, match="no method 'best'"):
+        ready(("best",))
+
+
+def test_kitti_without_its_folders_is_one_line(tmp_path: Path) -> None:
+    scenario = KittiScenario(tmp_path, False, "small", 0)
+    with pytest.raises(DatasetError, match="keyframes: no such folder; --kitti needs"):
+        scenario.settings()
+
+
+@pytest.mark.slow
+def test_other_processes_answer_the_same(
+    study: Study, workspace: Workspace, tmp_path: Path
+) -> None:
+    (here,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
+    with processes() as (executor, kill):
+
+        @contextmanager
+        def progress(label: str) -> Iterator[Any]:
+            yield kill
+
+        elsewhere = replace(workspace, out=tmp_path, executor=executor, progress=progress)
+        answered(elsewhere, scenarios(elsewhere), ready((METHOD,)))
+    (there,) = answered(replace(elsewhere, executor=None), scenarios(elsewhere), ready((METHOD,)))
+    assert here.answers == there.answers

@@ -1,0 +1,294 @@
+"""Studies on pairs of segments: labels, curves, trainings, and that nothing is done twice."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("sklearn")
+
+from segloc_lab.bench.harness import Row  # noqa: E402
+from segloc_lab.evaluation.report.study import Study, Table  # noqa: E402
+from segloc_lab.studies.paper import domain_segments as making  # noqa: E402
+from segloc_lab.studies.paper import (
+    domains,
+    generalization,
+    learning,
+    memory,
+    roc,
+    rotation,
+    sampling,
+    transfer,
+)
+from segloc_lab.studies.paper import pairs as pair_module  # noqa: E402
+from segloc_lab.studies.paper.domain_segments import SIMULATED, DomainSize  # noqa: E402
+from segloc_lab.studies.paper.domains import Domains  # noqa: E402
+from segloc_lab.studies.paper.learning import Effort, Training, load_method, trained  # noqa: E402
+from segloc_lab.studies.paper.pairs import labelled_pairs  # noqa: E402
+from segloc_lab.studies.paper.transfer import SHIPPED, TITLES  # noqa: E402
+from segloc_lab.studies.paper.workspace import Workspace  # noqa: E402
+from segloc_lab.training import pair_fitting  # noqa: E402
+from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
+from segloc_lab.training.extract import Extract, sorted_extents  # noqa: E402
+from segloc_lab.training.labels import LabelConfig  # noqa: E402
+from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
+from segloc_lab.training.shards import Session, load_dataset, write_shard  # noqa: E402
+
+from segloc.errors import ConfigError, DatasetError  # noqa: E402
+
+SIZES = dict.fromkeys(SIMULATED, DomainSize(1, 1, "small"))
+EFFORT = Effort({"dsm": 3, "esm": 1, "segmap": 1, "profile": 4}, 300, 2000)
+PLAN = transfer.Plan(SIZES, EFFORT, 60)
+METHODS = ("segmatch-eigen", "dsm", "dsm-fq", "geo", "profile")
+OBJECTS, SESSIONS = 70, 5
+SIMULATE = making._simulate
+
+
+def shapes_session(job: Any) -> Session:
+    """In the place of a session of a simulated world: objects 30 m apart."""
+    seed = job.seed + 10 * SIMULATED.index(job.domain) + 5 * (job.split == "test")
+    dataset = shapes_dataset(OBJECTS, SESSIONS, seed)
+    own = dataset.subset(np.flatnonzero(dataset.sessions == job.session))
+    labels = own.labels
+    spots = 30.0 * np.column_stack([labels // 8, labels % 8, np.zeros(OBJECTS)])
+    extents = [sorted_extents(own.segment(i)) for i in range(OBJECTS)]
+    session = Session(f"{job.domain}-{job.split}-{job.seed}", f"session-{job.session}", "none")
+    extract = Extract(
+        own.points, own.offsets, spots + 0.1 * job.session, own.heights, np.array(extents),
+        own.lengths, labels, np.zeros((1, 3), np.float32),
+    )  # fmt: skip
+    write_shard(job.folder, session, extract, "shapes")
+    return session
+
+
+@pytest.fixture(scope="module")
+def patched() -> Iterator[pytest.MonkeyPatch]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(making, "_simulate", shapes_session)
+        patch.setattr(pair_fitting, "STEPS", 20)
+        label = LabelConfig(rule="centroids")  # the shapes are seen from one side only
+        patch.setattr(making, "_EXTRACT", making._EXTRACT.model_copy(update={"label": label}))
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def space(patched: Any, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    return Workspace(tmp_path_factory.mktemp("evaluation"), methods=METHODS)
+
+
+@pytest.fixture(scope="module")
+def curves(space: Workspace) -> Study:
+    return roc.run(space, PLAN)
+
+
+def forbid(patch: pytest.MonkeyPatch, *targets: tuple[object, str]) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("this was done before")
+
+    for module, name in targets:
+        patch.setattr(module, name, refuse)
+
+
+def cells(table: Table, column: str, keys: int = 1) -> dict[Any, Any]:
+    """A column by what the first columns say."""
+    k = table.columns.index(column)
+    return {row[0] if keys == 1 else row[:keys]: row[k] for row in table.rows}
+
+
+def test_pairs_are_labelled_as_in_the_paper(space: Workspace) -> None:
+    dataset = Domains(space, SIZES).dataset("kitti", "test")
+    pairs = labelled_pairs(dataset, limit=50, seed=3)
+    again = labelled_pairs(dataset, limit=50, seed=3)
+    assert all(np.array_equal(getattr(pairs, f), getattr(again, f)) for f in ("first", "second"))
+    assert pairs.same.sum() == (~pairs.same).sum() == 50
+    a, b = pairs.first, pairs.second
+    assert (dataset.sessions[a] != dataset.sessions[b]).all()
+    apart = np.linalg.norm(dataset.centroids[a] - dataset.centroids[b], axis=1)
+    assert (apart[pairs.same] < 0.5).all() and (apart[~pairs.same] > 20).all()
+    everything = labelled_pairs(dataset)
+    assert everything.same.sum() == OBJECTS  # each is in both sessions, once
+    alone = dataset.subset(np.flatnonzero(dataset.sessions == 0))
+    with pytest.raises(DatasetError, match="two sessions"):
+        labelled_pairs(alone)
+    together = dataset.subset(np.flatnonzero(dataset.labels == 0))
+    with pytest.raises(DatasetError, match="20 m"):
+        labelled_pairs(together)
+
+
+def test_simulated_domains_are_made_once_and_hold_true_pairs(
+    patched: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with patched.context() as patch:
+        patch.setattr(making, "_simulate", SIMULATE)
+        check_a_simulated_domain(tmp_path)
+
+
+def check_a_simulated_domain(tmp_path: Path) -> None:
+    size = DomainSize(1, 1, "small")
+    folder = making.simulated(tmp_path, "burgess", "train", size)
+    dataset = load_dataset(folder)
+    pairs = labelled_pairs(dataset)
+    known = dataset.objects[pairs.first], dataset.objects[pairs.second]
+    assert (known[0] == known[1])[pairs.same].mean() > 0.7
+    assert (known[0] == known[1])[~pairs.same].mean() < 0.1
+    with pytest.MonkeyPatch.context() as patch:
+        forbid(patch, (making, "_simulate"))
+        assert making.simulated(tmp_path, "burgess", "train", size) == folder
+    (folder / "index.json").unlink()  # as if it had been cut off at the end
+    with pytest.MonkeyPatch.context() as patch:
+        forbid(patch, (making, "extract_session"))
+        making.simulated(tmp_path, "burgess", "train", size)
+    np.testing.assert_array_equal(load_dataset(folder).labels, dataset.labels)
+    with pytest.raises(ConfigError, match="atlantis"):
+        making.simulated(tmp_path, "atlantis", "train", size)
+
+
+def test_real_domain_aligns_the_passes(
+    kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making, "_PLACES", {"test": {"corner": ("160:170", "992:1003")}})
+    folder = making.recorded(tmp_path, kitti, "test", say=lambda _: None)
+    dataset = load_dataset(folder)
+    assert labelled_pairs(dataset).same.sum() > 50
+    forbid(monkeypatch, (making, "collect_recordings"))
+    assert making.recorded(tmp_path, kitti, "test") == folder
+    with pytest.raises(DatasetError, match=r"keyframes\.tum: no such file"):
+        making.recorded(tmp_path, tmp_path, "test")
+
+
+def test_roc_study(curves: Study, space: Workspace) -> None:
+    areas = curves.tables[0]
+    assert [row[0] for row in areas.rows] == list(METHODS)
+    for domain in SIMULATED:
+        values = cells(areas, TITLES[domain])
+        assert values["geo"] > 0.8  # shapes of their own sizes
+        assert all(0.3 < value <= 1 for value in values.values())
+    assert [figure.kind for figure in curves.figures] == ["roc"] * 3
+    assert all(len(x) == len(y) <= 200 for f in curves.figures for x, y in f.series.values())
+    assert {t.source for t in curves.tables} == {"segloc", "paper"}
+    curves.save(space.out / "roc")
+    assert Study.load(space.out / "roc").tables == curves.tables
+
+
+def test_nothing_is_done_twice(curves: Study, space: Workspace) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        forbid(
+            patch, (making, "_simulate"), (learning, "_train"), (transfer, "described"),
+            (transfer, "roc"),
+        )  # fmt: skip
+        again = roc.run(space, PLAN)
+    assert again.tables == curves.tables
+    for before, after in zip(curves.figures, again.figures, strict=True):
+        for label, (x, y) in before.series.items():
+            np.testing.assert_array_equal(x, after.series[label][0])
+            np.testing.assert_array_equal(y, after.series[label][1])
+
+
+def test_cells_are_scored_side_by_side(curves: Study, space: Workspace, tmp_path: Path) -> None:
+    for part in ("datasets", "models"):
+        shutil.copytree(space.out / part, tmp_path / part)
+    scored: list[str] = []
+    score = transfer._score
+    with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(2) as executor:
+        forbid(patch, (learning, "_train"))
+        patch.setattr(transfer, "_score", lambda cell: scored.append(cell.test) or score(cell))
+        again = roc.run(replace(space, out=tmp_path, executor=executor), PLAN)
+        forbid(patch, (transfer, "described"))
+        roc.run(replace(space, out=tmp_path), PLAN)
+    assert sorted(scored) == sorted(SIMULATED) and again.tables == curves.tables
+
+
+def test_generalization_study(curves: Study, space: Workspace) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        forbid(patch, (learning, "_train"))  # trained for the curves
+        study = generalization.run(space, PLAN)
+    areas, percent = study.tables[:2]
+    assert len(areas.rows) == 3 * 4
+    own = cells(areas, "dsm", 2)[TITLES["kitti"], TITLES["kitti"]]
+    assert own == cells(curves.tables[0], TITLES["kitti"])["dsm"]
+    shipped = [row for row in areas.rows if row[1] == TITLES[SHIPPED]]
+    k = areas.columns.index("dsm-fq")
+    assert len(shipped) == 3 and all(row[k - 1] is not None for row in shipped)
+    assert len({row[k] is None for row in shipped}) == 1  # FC4 is shipped, or it is not
+    for domain in SIMULATED:
+        rows = [row for row in percent.rows if row[0] == TITLES[domain]]
+        assert max(cell for row in rows for cell in row[2:] if cell is not None) == 100
+        assert len({value for (test, _), value in cells(areas, "geo", 2).items()
+                    if test == TITLES[domain]}) == 1  # fmt: skip
+    with pytest.raises(ConfigError, match="no method"):
+        generalization.run(Workspace(space.out, methods=("sift",)), PLAN)
+
+
+def test_every_kind_of_weights_is_trained_and_read(space: Workspace) -> None:
+    data = Domains(space, SIZES).folder("kitti", "train")
+    root = space.out / "models"
+    wanted = [
+        Training(method, data, EFFORT.config(method), root) for method in ("nsm", "esm", "segmap")
+    ]
+    dataset = load_dataset(data)
+    few = labelled_pairs(dataset, limit=10)
+    for training, path in zip(wanted, trained(wanted), strict=True):
+        assert path == training.out and not path.with_suffix(".checkpoint").exists()
+        descriptor = load_method(training.method, path)
+        scores = pair_module.pair_scores(
+            pair_module.described(descriptor, dataset, few), descriptor.pruner
+        )
+        assert scores.shape == (20,) and np.isfinite(scores).all()
+    assert load_method("esm-fq", wanted[1].out).pruner is not None
+    assert load_method("esm", wanted[1].out).rates
+
+
+def test_rotation_study(space: Workspace) -> None:
+    plan = rotation.Plan(steps=2, segments=20, pairs=40, sizes=SIZES)
+    study = rotation.run(space, plan)
+    values = cells(study.tables[0], "mean delta")
+    assert len(values) == 8
+    for name, value in values.items():
+        aligned = "2D" in name or "shipped" in name
+        assert value < 0.02 if aligned else value > 0.02 or "3D" in name
+    assert [len(figure.series) for figure in study.figures] == [3, 3]
+    with pytest.MonkeyPatch.context() as patch:
+        forbid(patch, (learning, "_train"))
+        assert rotation.run(space, plan).tables == study.tables
+
+
+def test_sampling_study(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    row = Row("fps", 1, 2.0, {sampling.NAIVE: 800.0, "NumPy, batched": 400.0})
+    monkeypatch.setattr(sampling, "in_process", lambda *_: row)
+    study = sampling.run(space, sampling.Plan(1, 2, 100, 40, SIZES))
+    speed, worth = study.tables
+    assert [line[2:] for line in speed.rows] == [(400.0, 1.0), (2.0, 200.0), (1.0, 400.0)]
+    assert [line[0] for line in worth.rows] == ["farthest", "random", "inverse density"]
+    assert all(0 <= line[1] <= 1 and 0 <= line[3] <= 1 for line in worth.rows)
+
+
+def test_memory_study(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    def here(_: int, work: Callable[..., Any], *arguments: Any) -> Any:
+        return work(*arguments)
+
+    if not Path("/proc/self/clear_refs").exists():
+        pytest.skip("the peak of a process is measured on Linux only")
+    monkeypatch.setattr(memory, "in_process", here)
+    first, again = (memory.run(space, batch=4, repeats=1).tables[0] for _ in range(2))
+    assert first.rows[0] == again.rows[0]  # counted, not measured
+    assert first.rows[0][1] < 0.3 * first.rows[0][2]
+    assert first.rows[2][1] < first.rows[2][2]
+    monkeypatch.setattr(memory, "optional", lambda *_: None)
+    with pytest.raises(ImportError, match="torch"):
+        memory.run(space)
+
+
+def test_a_dataset_is_read_once(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = Domains(space, SIZES)
+    dataset = found.dataset("burgess", "test")
+    assert isinstance(dataset, SegmentDataset) and found.names == SIMULATED
+    forbid(monkeypatch, (domains, "load_dataset"))
+    assert found.dataset("burgess", "test") is dataset

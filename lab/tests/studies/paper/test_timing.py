@@ -1,0 +1,94 @@
+"""Timing: every stage of every method, on the same segments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from segloc_lab.stages import STAGES
+from segloc_lab.studies.paper import published, timing
+from segloc_lab.studies.paper.gpu import GPU_METHODS, gpu_ms
+from segloc_lab.training.shapes import shapes_dataset
+
+from segloc.descriptors import create
+from segloc.frontend.segmentation import Segmenter
+from segloc.map.segment_map import SegmentMap
+from segloc.types import LocalCloud, Segments
+
+
+@pytest.fixture(scope="module")
+def segments() -> Segments:
+    return shapes_dataset(3, 2, 0).segments(np.arange(6))
+
+
+@pytest.fixture(scope="module")
+def bench() -> timing.Bench:
+    """A map of one cloud of boxes, and that cloud as its query."""
+    rng = np.random.default_rng(0)
+    boxes = [
+        rng.uniform(0, 1, (400, 3)) * [2, 1, 3] + [*rng.uniform(-30, 30, 2), 0.2] for _ in range(20)
+    ]
+    ground = np.column_stack([rng.uniform(-40, 40, (20_000, 2)), rng.normal(0, 0.02, 20_000)])
+    points = np.concatenate([*boxes, ground]).astype(np.float32)
+    cloud = LocalCloud(points, np.eye(4), num_scans=2)
+    scene = Segmenter().segment(cloud)
+    maps = {}
+    for name in ("geo", "nsm", "esm"):
+        descriptor = create(name, 1)
+        maps[name] = SegmentMap.empty(name, descriptor.fingerprint, descriptor.dim)
+        maps[name].add(
+            descriptor.describe(scene.segments),
+            scene.segments.centroids,
+            scene.segments.sizes,
+            session=0,
+            stamp=0.0,
+            cloud=scene.surface if name == "geo" else np.empty((0, 3)),
+        )
+    return timing.Bench(maps, [cloud])
+
+
+def test_every_stage_of_every_method_is_timed(
+    bench: timing.Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(timing, "MAP_SEGMENTS", 500)
+    times = timing.stage_times(bench, 1, 1)
+    assert set(times) == {"geo", "nsm", "esm"}
+    for stages in times.values():
+        assert set(STAGES) < set(stages) and all(ms >= 0 for ms in stages.values())
+    assert len({stages["segmentation"] for stages in times.values()}) == 1
+    assert times["nsm"]["pruning"] > times["geo"]["pruning"]
+    assert times["esm"]["descriptor"] > times["geo"]["descriptor"]
+
+
+def test_the_table_adds_up_and_says_what_was_missing() -> None:
+    stages = dict.fromkeys(STAGES, 2.0) | {"pose, published": 5.0}
+    measured = {
+        "times": {"one core": {"nsm": stages}, "2 cores": {"nsm": stages}},
+        "gpu": {"device": "G", "times": {"nsm": [1.0, 0.5]}},
+        "segments": 100.0,
+        "map": 700,
+        "queries": 5,
+    }
+    descriptors = {"nsm": create("nsm", 1)}
+    table = timing.time_table("x", measured, descriptors)
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    assert [row["processor"] for row in rows] == ["one core", "2 cores", "G"]
+    assert [row["total"] for row in rows] == [14.0, 14.0, 11.5]
+    assert rows[0]["total, published"] == 17.0 and rows[0]["K"] == 200 and rows[0]["numbers"] == 66
+    assert "no GPU" not in table.note
+    descriptors["esm"] = create("esm", 1)
+    alone = timing.time_table("x", {**measured, "gpu": {}}, descriptors)
+    assert "no GPU" in alone.note and alone.rows[-1][:3] == ("esm", "GPU: not measured", None)
+
+
+def test_networks_run_through_the_training_framework(segments: Segments) -> None:
+    pytest.importorskip("torch", reason="the training framework needs PyTorch")
+    found = gpu_ms([segments], GPU_METHODS, 1, device="cpu")
+    assert set(found["times"]) == set(GPU_METHODS) and found["device"] == "cpu"
+    assert all(ms > 0 for pair in found["times"].values() for ms in pair)
+
+
+def test_published_totals_are_the_sums_of_their_stages() -> None:
+    """To a millisecond or two of rounding, as printed; matching includes no K."""
+    for processor, name, _, stages, _, total in published.TIMES:
+        assert abs(sum(stages) - total) <= 15, (processor, name)
+    assert len(published.localizations().rows) == 6

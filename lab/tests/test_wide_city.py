@@ -1,0 +1,46 @@
+"""A thin map among copies of itself: as large as was asked for, and queries are still found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from segloc_lab.bench import inputs
+from segloc_lab.protocols.wide_city import among_copies, widened
+
+from segloc import Config, Localizer, Scan, build_map
+from segloc.tiles import TiledMap, cut_tiles
+
+TIMES = 3
+
+
+@pytest.fixture(scope="module")
+def walk() -> inputs.PlazaWalk:
+    return inputs.PlazaWalk(inputs.Plaza(), steps=6)
+
+
+@pytest.fixture(scope="module")
+def tiles(walk: inputs.PlazaWalk, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("city") / "tiles"
+    cut_tiles(build_map(walk, Config(threads=1)), folder, size_m=50)
+    return folder
+
+
+def test_queries_are_found_among_copies(walk: inputs.PlazaWalk, tiles: Path) -> None:
+    thin = TiledMap(tiles).coarse()
+    assert widened(tiles, tiles.parent / "wide", TIMES) == TIMES * len(thin)
+    wide = TiledMap(tiles.parent / "wide")
+    assert len(wide.coarse()) == TIMES * len(thin)
+    found = Localizer(wide, Config(threads=1)).localize(Scan(walk.scan(3).points))
+    assert found.T_map_sensor is not None
+    assert np.linalg.norm(found.T_map_sensor[:3, 3] - walk.poses[3, :3, 3]) < 0.3
+
+
+def test_copies_lie_apart_and_differ(tiles: Path) -> None:
+    thin = TiledMap(tiles).coarse()
+    larger = among_copies(thin, TIMES)
+    first, second = larger.centroids[: len(thin)], larger.centroids[len(thin) : 2 * len(thin)]
+    np.testing.assert_array_equal(first, thin.centroids)
+    assert second[:, 0].min() > first[:, 0].max() + 900
+    assert (larger.vectors[len(thin) : 2 * len(thin)] != thin.vectors).any(axis=1).all()

@@ -1,0 +1,76 @@
+"""SegMap's network: its size, its heads, and that inference computes what was trained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from segloc_lab.training.batches import Batches  # noqa: E402
+from segloc_lab.training.config import TrainConfig  # noqa: E402
+from segloc_lab.training.segmap import SegMapNetwork  # noqa: E402
+from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
+from segloc_lab.training.tasks import create_task  # noqa: E402
+
+from segloc.descriptors.segmap import SegMapDescriptor  # noqa: E402
+
+torch.set_num_threads(1)
+CONFIG = TrainConfig(network="segmap", classes=4, learning_rate=1e-4)
+
+
+def test_size_and_shapes() -> None:
+    network = SegMapNetwork(11)
+    assert network.trunk_parameters() == 8_591_552
+    descriptor, logits, occupancy = network(torch.zeros(2, 32, 32, 16), torch.ones(2, 3))
+    assert descriptor.shape == (2, 64) and (descriptor >= 0).all()
+    assert logits.shape == (2, 11)
+    assert occupancy.shape == (2, 32, 32, 16)
+
+
+@pytest.mark.slow
+def test_weights_for_inference_compute_the_same(tmp_path: Path) -> None:
+    dataset = shapes_dataset(6, 2, seed=3)
+    task = create_task(CONFIG)
+    torch.manual_seed(0)
+    network = task.network(6)
+    batch = Batches(dataset, task).make(0)
+    before = task.loss(network, batch)
+    before.backward()  # also fills the running statistics of the norms
+    assert torch.isfinite(before)
+    assert all(p.grad is not None for p in network.parameters())
+    network.eval()
+    with torch.no_grad():
+        grids, scales = task.inputs(dataset, np.arange(len(dataset)))
+        expected = network.describe(grids, scales).numpy()
+    native = task.describe(network, dataset)
+    np.testing.assert_allclose(native, expected, atol=1e-4 * np.abs(expected).max())
+    path = tmp_path / "segmap.safetensors"
+    task.export(network, path, {"data": "shapes"})
+    descriptor = SegMapDescriptor(path, threads=1)
+    rounded = descriptor.describe(dataset.segments()).vectors
+    assert descriptor.card["data"] == "shapes"
+    np.testing.assert_allclose(rounded, expected, atol=0.05 * np.abs(expected).max())
+
+
+def test_a_rebuilt_grid_and_a_known_class_cost_nothing() -> None:
+    dataset = shapes_dataset(6, 2, seed=3)
+    task = create_task(CONFIG)
+    batch = Batches(dataset, task).make(0)
+
+    class Perfect(torch.nn.Module):
+        def forward(self, grids, scales):  # type: ignore[no-untyped-def]
+            logits = 50.0 * torch.nn.functional.one_hot(batch.labels, 6)
+            return scales, logits, 100.0 * (grids - 0.5)
+
+    class Ignorant(torch.nn.Module):
+        def forward(self, grids, scales):  # type: ignore[no-untyped-def]
+            return scales, torch.zeros(len(grids), 6), torch.zeros_like(grids)
+
+    assert task.loss(Perfect(), batch) < 1e-6
+    share = float(batch.inputs[0].mean())
+    rebuilt = np.log(2) * (0.9 * share + 0.1 * (1 - share))  # of even odds, weighted
+    expected = np.log(6) + 200 * rebuilt
+    np.testing.assert_allclose(float(task.loss(Ignorant(), batch)), expected, rtol=1e-5)

@@ -1,0 +1,186 @@
+"""Whether poses fit their scans: neighbouring clouds compared at them, and at what they may mean.
+
+A file of poses that is read as it was not meant gives a map that is smeared, and no error. So a few
+pairs of neighbouring clouds are laid on each other at the poses as they are, and at the poses read
+in each of the ways in which they are commonly confused. Where one of these fits clearly better, it
+is named; where none fits, that is said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import _native, geometry
+from ..datasets.signature import in_one_plane
+from ..errors import DatasetError
+from ..frontend.segmentation import SegmentationConfig, heights_above_ground
+from ..likelihood.registration import Aligner
+from ..types import Float32, Float64, Pose, Recording
+from .finding import Fault, Finding
+from .readings import MILLIMETRES, READINGS
+
+_APART_M, _FARTHEST_M = 2.0, 8.0
+_MOST_SCANS_APART = 25
+_METRES = 60.0  # a sensor that moves farther from scan to scan has poses in something smaller
+_SPREAD, _TURNING = 6, 6  # pairs all along the path, and those that turn most
+_RANGE_M, _VOXEL_M, _NEAR_M = 35.0, 0.3, 0.4
+_SAMPLE, _FEWEST = 1500, 100
+_FEWEST_PAIRS = 3
+_ASIDE_M = ((4.0, 0.0), (-4.0, 0.0), (0.0, 4.0), (0.0, -4.0))
+_ALIGN_M = 1.5
+_BETTER, _CLEARLY = 0.08, 0.3  # more points agree, at least, and of those that do not as it is
+_UNRELATED = 0.2  # right poses agree to 0.5 and more, those of another drive to 0.06
+_GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well two neighbouring clouds agree, as shares of points with another near.
+
+    Attributes
+    ----------
+    as_is : float
+        At their poses.
+    read : (R,) float64
+        At the poses read as each of ``READINGS``.
+    chance : float
+        At the poses as they are, some metres aside.
+    aligned : float
+        Where they fit best near their poses.
+    off_m, off_deg : float
+        From their poses to there, horizontally.
+    """
+
+    as_is: float
+    read: Float64
+    chance: float
+    aligned: float
+    off_m: float
+    off_deg: float
+
+    @property
+    def agreement(self) -> float:
+        """0 by chance, 1 if all points agree."""
+        return (self.as_is - self.chance) / max(1.0 - self.chance, 1e-9)
+
+
+def pose_findings(recording: Recording) -> list[Finding]:
+    """What is wrong with the poses of a recording; nothing where they cannot be judged."""
+    fits = measured(recording)
+    if len(fits) < _FEWEST_PAIRS:
+        return []
+    as_is = float(np.mean([fit.as_is for fit in fits]))
+    read = np.mean([fit.read for fit in fits], axis=0)
+    if recording.poses is None or _unit(recording.poses) == 1.0:
+        read[MILLIMETRES] = 0.0  # clouds laid on one spot agree somewhat, whatever they are
+    best = int(read.argmax())
+    better = float(np.mean([fit.read[best] > fit.as_is for fit in fits]))
+    if read[best] - as_is > max(_BETTER, _CLEARLY * (1.0 - as_is)) and better > 0.5:
+        reading = READINGS[best]
+        measure = f"{read[best]:.0%} of neighbouring clouds agree then, {as_is:.0%} as they are"
+        return [Finding(reading.fault, f"{reading.what} ({measure})", reading.remedy)]
+    return _smear(fits)
+
+
+def _smear(fits: list[Fit]) -> list[Finding]:
+    agreement = float(np.median([fit.agreement for fit in fits]))
+    if agreement < _UNRELATED:
+        what = f"neighbouring clouds do not meet at their poses (agreement {agreement:.2f} of 1)"
+        remedy = (
+            "they are of another recording, in another order or on another clock, or their "
+            "odometry was lost: `segloc odometry` makes others"
+        )
+        return [Finding(Fault.POSES_SMEAR, what, remedy)]
+    off_m = float(np.median([fit.off_m for fit in fits]))
+    off_deg = float(np.median([fit.off_deg for fit in fits]))
+    gain = float(np.median([fit.aligned - fit.as_is for fit in fits]))
+    if gain < _GAIN or (off_m < _OFF_M and off_deg < _OFF_DEG):
+        return []
+    what = f"neighbouring clouds are {off_m:.1f} m and {off_deg:.1f} degrees off at their poses"
+    remedy = (
+        "a map of them is smeared: poses of a body need `mount` in the configuration, times of "
+        "another clock need to be shifted, and `segloc odometry` makes others"
+    )
+    return [Finding(Fault.POSES_OFF, what, remedy)]
+
+
+def measured(recording: Recording) -> list[Fit]:
+    """How well pairs of neighbouring clouds agree; pairs that cannot be compared are left out."""
+    poses = recording.poses
+    if poses is None or len(poses) < 2:
+        return []
+    meant = [poses, *(reading.means(poses) for reading in READINGS)]
+    fits = []
+    for i, j in _pairs(poses, _unit(poses)):
+        try:
+            target, source = (
+                _standing(recording.scan(i).points),
+                _standing(recording.scan(j).points),
+            )
+        except DatasetError:
+            continue
+        if min(len(target), len(source)) >= _FEWEST and not in_one_plane(target):
+            fits.append(_fit(target, source, [geometry.inverse(T[i]) @ T[j] for T in meant]))
+    return fits
+
+
+def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
+    """Of two clouds at several poses of the second in the first, the first as they are."""
+    index, sample = (
+        _native.PointIndex(target, _NEAR_M),
+        source[:: 1 + len(source) // _SAMPLE].copy(),
+    )
+
+    def share(poses: list[Pose]) -> Float64:
+        return index.overlap(sample, np.stack(poses), _NEAR_M)[0]
+
+    aligner = Aligner(_VOXEL_M, _ALIGN_M, 1)
+    moved = aligner.align(aligner.surface(target), aligner.surface(source), steps[0])
+    aligned = steps[0] if moved is None else moved.T_target_source
+    off = geometry.inverse(steps[0]) @ aligned
+    aside = [geometry.yaw_transform(0.0, (x, y, 0.0)) @ steps[0] for x, y in _ASIDE_M]
+    shares = share(steps)
+    return Fit(
+        as_is=float(shares[0]),
+        read=shares[1:],
+        chance=float(share(aside).mean()),
+        aligned=float(share([aligned])[0]),
+        off_m=float(np.hypot(off[0, 3], off[1, 3])),
+        off_deg=float(np.degrees(geometry.rotation_angle(off))),
+    )
+
+
+def _unit(poses: Float64) -> float:
+    """Of the positions, in metres as they are; thousands where that is beyond any vehicle."""
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    return 1000.0 if float(np.median(steps)) > _METRES else 1.0
+
+
+def _pairs(poses: Float64, unit: float) -> list[tuple[int, int]]:
+    """Scans that lie a little apart: some all along the path, and some where it turns most."""
+    path = geometry.travelled(poses) / unit
+    ends = np.searchsorted(path, path + _APART_M)
+    ends = np.minimum(ends, np.arange(len(path)) + _MOST_SCANS_APART)
+    starts = np.flatnonzero(ends < len(path))
+    ends = ends[starts]
+    apart = path[ends] - path[starts]
+    near = (apart < _FARTHEST_M) & (apart > 0.1)
+    starts, ends = starts[near], ends[near]
+    if not len(starts):
+        return []
+    spread = np.linspace(0, len(starts) - 1, _SPREAD).round().astype(int)
+    relative = poses[starts, :3, :3].transpose(0, 2, 1) @ poses[ends, :3, :3]
+    turned = np.argsort(np.einsum("nii->n", relative), kind="stable")[:_TURNING]
+    chosen = np.unique(np.concatenate([spread, turned]))
+    return [(int(starts[k]), int(ends[k])) for k in chosen]
+
+
+def _standing(points: Float32) -> Float32:
+    """What stands near the sensor, thinned: ground agrees with anything."""
+    near = points[np.einsum("ij,ij->i", points, points) < _RANGE_M**2]
+    thinned = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M)
+    config = SegmentationConfig()
+    standing = heights_above_ground(thinned, config) > config.structure_height
+    return thinned[standing]

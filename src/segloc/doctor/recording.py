@@ -1,0 +1,123 @@
+"""A recording examined: its facts, and all that is found wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..datasets.inspection import Inspectable, Inspection, inspect
+from ..errors import DatasetError
+from ..frontend.local_cloud import LocalCloudConfig
+from ..types import Recording, Scan
+from .attitudes import attitudes
+from .finding import Fault, Finding
+from .pose_faults import pose_findings
+from .scan_faults import scan_findings
+
+SAMPLE = 20
+"""Scans that are read, spread over the recording."""
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What a recording is, and what is wrong with it.
+
+    Attributes
+    ----------
+    inspection : Inspection
+    attitude : str
+        Where roll and pitch come from.
+    findings : tuple of Finding
+        What is wrong comes first.
+    """
+
+    inspection: Inspection
+    attitude: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing is wrong."""
+        return not any(finding.wrong for finding in self.findings)
+
+
+class Examinable(Recording, Inspectable, Protocol):
+    """A recording that can be inspected."""
+
+
+def examine(
+    recording: Examinable, config: LocalCloudConfig | None = None, sample: int = SAMPLE
+) -> Examination:
+    """Look at a recording's facts, at some of its scans, and at its poses.
+
+    Scans that cannot be read are among the findings, not raised.
+
+    Parameters
+    ----------
+    recording : recording
+        As :func:`segloc.datasets.open_sequence` opens it.
+    config : LocalCloudConfig, optional
+        How the sensor is mounted.
+    sample : int
+        How many scans to read.
+    """
+    config = config or LocalCloudConfig()
+    facts = inspect(recording, sample)
+    posed = recording.poses is not None
+    seen = scan_findings(sampled(recording, sample), config, posed=posed)
+    misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
+    # Where frames are wrong, beams are not where a sensor would have them.
+    lines = facts.problems if misframed else (*facts.problems, *facts.sensor_changes)
+    found = [Finding(Fault.READING, line) for line in lines] + seen
+    if not posed and all(finding.fault is not Fault.FEW_BEAMS for finding in found):
+        found.append(_NO_POSES)
+    said = "not known"
+    if not misframed:
+        stands = attitudes(recording, config, sample)
+        said = stands.said
+        # What is first to be mended is said alone: poses fit no scans that lie on their side, and
+        # poses that are misread are tilted, too.
+        sound = not any(finding.wrong for finding in seen)
+        posing = pose_findings(recording) if sound else []
+        misread = any(finding.wrong for finding in posing)
+        leaning = [one for one in stands.findings if one.fault is not Fault.POSES_TILTED]
+        found += [*(leaning if misread else stands.findings), *posing]
+    order = sorted(found, key=lambda finding: (not finding.wrong, finding.fault is Fault.READING))
+    return Examination(facts, said, tuple(order))
+
+
+_NO_POSES = Finding(
+    Fault.NO_POSES,
+    "no poses",
+    "a map needs some (--poses FILE, or --odometry), and queries are found more often with them",
+    wrong=False,
+)
+_FRAME_FAULTS = {Fault.MILLIMETRES, Fault.WORLD_COORDINATES, Fault.CAMERA_AXES, Fault.Z_DOWN}
+"""Where points are like this, nothing can be said of what depends on them."""
+
+
+def first_fault(
+    recording: Recording, config: LocalCloudConfig | None = None, sample: int = 5
+) -> Finding | None:
+    """What must be mended first before anything can be expected to work; None if nothing is known.
+
+    Faster than :func:`examine`: by ``sample`` scans and the poses alone.
+    """
+    posed = recording.poses is not None
+    found = scan_findings(sampled(recording, sample), config, posed=posed)
+    if not any(finding.wrong for finding in found):
+        found += pose_findings(recording)
+    return next(iter(sorted(found, key=lambda finding: not finding.wrong)), None)
+
+
+def sampled(recording: Recording, count: int) -> list[Scan]:
+    """Scans spread over a recording, without those that cannot be read."""
+    scans = []
+    for i in np.unique(np.linspace(0, len(recording) - 1, max(1, count)).round().astype(int)):
+        try:
+            scans.append(recording.scan(int(i)))
+        except DatasetError:
+            continue
+    return scans

@@ -1,0 +1,171 @@
+"""What is wrong with scans by themselves: their unit, their frame, their axes, what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+import numpy as np
+
+from .. import geometry
+from ..datasets.signature import in_one_plane, signature
+from ..frontend.local_cloud import Accumulator, LocalCloudConfig
+from ..frontend.segmentation import Segmentation, Segmenter
+from ..types import Float32, Scan
+from .finding import Fault, Finding
+from .orientation import floors
+
+_FEWEST_POINTS = 200  # of a scan that is judged
+_BEYOND_M = 400.0  # half of the points are beyond any LiDAR's range
+_SLIM_DEG, _THICK = 20.0, 0.4  # seen from the origin: a small, far blob
+_GROUND, _LITTLE = 0.3, 0.3
+"""So much of what is flat is one floor; and so little, beside it, lies where ground would."""
+_LOW_M = 3.5  # sensors on vehicles and in hands are no higher above ground; ceilings are
+_STEEP_DEG = 35.0
+_FEW_BEAMS = 16
+_FEWEST_SEGMENTS, _STANDING = 2, 0.02
+
+
+def scan_findings(
+    scans: Sequence[Scan], config: LocalCloudConfig | None = None, *, posed: bool = False
+) -> list[Finding]:
+    """What is wrong with some scans of one recording; the first that explains the others.
+
+    Nothing is said of sweeps of one plane.
+
+    Parameters
+    ----------
+    scans : list of Scan
+        As recorded.
+    config : LocalCloudConfig, optional
+        How the sensor is mounted, and what is near.
+    posed : bool
+        Whether the scans' poses are known, so that queries are gathered from several.
+    """
+    config = config or LocalCloudConfig()
+    whole = [scan for scan in scans if len(scan) >= _FEWEST_POINTS]
+    if not whole or in_one_plane(max((scan.points for scan in whole), key=len)):
+        return []
+    for find in (_unit_or_frame, _axes):
+        if fault := find([_mounted(scan, config) for scan in whole]):
+            return [fault]
+    found = [_beams(whole, posed), _nothing_stands(whole, config)]
+    return [each for each in found if each is not None]
+
+
+def _mounted(scan: Scan, config: LocalCloudConfig) -> Float32:
+    """The points as on a base that stands level."""
+    up = Accumulator(config).level(scan)
+    return np.asarray(scan.points @ geometry.upright(up)[:3, :3].T, dtype=np.float32)
+
+
+def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
+    """Millimetres, or points that are not around the sensor."""
+    far = [_far_blob(points) for points in clouds]
+    if np.mean(far) > 0.5:
+        middle = float(np.median([np.linalg.norm(np.median(p, axis=0)) for p in clouds]))
+        return Finding(
+            Fault.WORLD_COORDINATES,
+            f"the sensor is at no plausible place: all points lie to one side, {middle:.0f} m off, "
+            "as points in world coordinates do",
+            "take them back into the sensor's frame, by T_world_sensor^-1",
+        )
+    reach = median(float(np.median(np.linalg.norm(points, axis=1))) for points in clouds)
+    if reach > _BEYOND_M:
+        return Finding(
+            Fault.MILLIMETRES,
+            f"half of the points are farther than {reach:.0f} m: they are in millimetres",
+            "divide them by 1000",
+        )
+    return None
+
+
+def _far_blob(points: Float32) -> bool:
+    """Whether points are seen from the origin as something small and far away."""
+    cloud = points.astype(np.float64)
+    ranges = np.linalg.norm(cloud, axis=1)
+    near, far = np.percentile(ranges, [5, 95])
+    if near < _THICK * far:
+        return False
+    directions = cloud / np.maximum(ranges, 1e-9)[:, None]
+    middle = directions.mean(axis=0)
+    middle /= max(float(np.linalg.norm(middle)), 1e-9)
+    return bool(np.percentile(directions @ middle, 10) > np.cos(np.radians(_SLIM_DEG)))
+
+
+def _axes(clouds: list[Float32]) -> Finding | None:
+    """Axes of which z is not the one that points up."""
+    found = [each for points in clouds if (each := floors(points)) is not None]
+    if not found:
+        return None
+    shares = np.median([each.shares for each in found], axis=0)
+    axis, side = (int(k) for k in np.unravel_index(shares.argmax(), shares.shape))
+    share, metres = shares[axis, side], [each.metres[axis, side] for each in found]
+    other = max(shares[axis, 1 - side], shares[2].max() if axis != 2 else 0.0)
+    upright = (axis, side) == (2, 0)
+    if upright or share < _GROUND or other > _LITTLE * share or np.nanmedian(metres) > _LOW_M:
+        return None
+    if (axis, side) == (2, 1) and any(_looks_up(points) for points in clouds):
+        return _CEILING
+    return _turned("xyz"[axis], "-+"[side])
+
+
+def _looks_up(points: Float32) -> bool:
+    """Whether a sensor looks so steeply up that what is flat above it may be a ceiling."""
+    steep = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    return bool(np.percentile(steep, 98) > np.radians(_STEEP_DEG))
+
+
+_CEILING = Finding(
+    Fault.Z_DOWN,
+    "most of what is flat lies above the sensor",
+    "a ceiling; or z points down, and the signs of y and z are to be changed",
+    wrong=False,
+)
+
+
+def _turned(axis: str, sign: str) -> Finding:
+    what = f"the ground lies towards {sign}{axis}"
+    mount = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
+    if (axis, sign) == ("z", "+"):
+        what = f"{what}: the z axis points down"
+        return Finding(Fault.Z_DOWN, what, f"change the signs of y and z, {mount}[180, 0, 0]}}}}`")
+    if (axis, sign) == ("y", "+"):
+        what = f"{what}: the axes are a camera's (x right, y down, z forward)"
+        remedy = f"write z, -x, -y in place of x, y, z, {mount}[-90, 0, -90]}}}}`"
+        return Finding(Fault.CAMERA_AXES, what, remedy)
+    what = f"{what}, not towards -z: the sensor is tilted by about 90 degrees"
+    return Finding(Fault.TILT, what, "name how it is mounted, `local_cloud: {mount: ...}`")
+
+
+def _beams(scans: Sequence[Scan], posed: bool) -> Finding | None:
+    """Few beams, of which a single scan shows little."""
+    found = signature(max((scan.points for scan in scans), key=len))
+    if posed or found is None or not 4 <= found.beams <= _FEW_BEAMS:
+        return None
+    return Finding(
+        Fault.FEW_BEAMS,
+        f"{found.beams} beams and no poses: a single scan shows little",
+        "with --odometry or --poses FILE queries are accumulated from several, and found far more "
+        "often",
+        wrong=False,
+    )
+
+
+def _nothing_stands(scans: Sequence[Scan], config: LocalCloudConfig) -> Finding | None:
+    """Scans of ground alone."""
+    accumulator, segmenter = Accumulator(config), Segmenter()
+    scenes = [segmenter.segment(accumulator.gather(scan)) for scan in scans[:: 1 + len(scans) // 6]]
+    count = median(len(scene.segments) for scene in scenes)
+    standing = median(_standing(scene) for scene in scenes)
+    if count >= _FEWEST_SEGMENTS or standing > _STANDING:
+        return None
+    return Finding(
+        Fault.ONLY_GROUND,
+        f"nothing but ground in view: {standing:.1%} of the points stand above it",
+        "record where something stands: localization needs walls, trunks, poles, cars",
+    )
+
+
+def _standing(scene: Segmentation) -> float:
+    return len(scene.structure) / max(1, len(scene.structure) + len(scene.ground))

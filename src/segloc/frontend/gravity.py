@@ -1,0 +1,177 @@
+"""Which way is up in a scan: from the floors, ceilings and walls that it shows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from .. import _native, geometry
+from ..system.section import Section
+from ..types import Float32, Float64
+
+_Z = np.array([0.0, 0.0, 1.0])
+_STEP_DEG = 4.0
+_START_DEG = 8.0
+_TOLERANCES_DEG = (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0)
+_FAR, _FARTHEST = 1.5, 3.0
+"""From the air what is nearest may all be roofs: so many times the median range is used at least,
+up to so many times what is used otherwise."""
+_BLOCK = 64  # directions that are scored at once: the table stays in the cache
+_MOST_NORMALS = 2000
+"""Those of more places turn the attitude by less than it is uncertain."""
+_TOGETHER = 13.0
+"""So many neighbouring normals err together: one plane, one registration of the sensor."""
+
+
+class AttitudeConfig(Section):
+    """How the roll and pitch of a single scan are found where neither odometry nor gravity is
+    given."""
+
+    estimate: bool = Field(
+        True, description="estimate them from the scan; otherwise it is taken as level"
+    )
+    max_tilt_deg: float = Field(
+        40.0,
+        ge=0,
+        le=80,
+        description="the vertical is at most so far from the sensor's z axis, or from where its "
+        "mounting has it",
+    )
+    radius_m: float = Field(
+        30.0,
+        ge=1,
+        le=1000,
+        description="points this near the sensor are used, or farther ones where most are far",
+    )
+    voxel_size: float = Field(
+        0.25, ge=0.01, le=10, description="edge of the voxel grid that they are thinned to, metres"
+    )
+    support_m: float = Field(
+        1.0, ge=0.01, le=100, description="points this near one decide on its normal, metres"
+    )
+    min_normals: int = Field(
+        60, ge=3, le=10**6, description="fewer normals of flat places say nothing"
+    )
+    max_sigma_deg: float = Field(
+        3.0, gt=0, le=90, description="an attitude that is less certain is not used, degrees"
+    )
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Which way is up.
+
+    Attributes
+    ----------
+    up : (3,) float64
+        Unit vector against gravity, in the sensor's frame.
+    sigma_deg : float
+        Standard deviation in the direction that is known least, degrees.
+    """
+
+    up: Float64
+    sigma_deg: float
+
+    @property
+    def tilt_deg(self) -> float:
+        """The angle between the sensor's z axis and the vertical."""
+        return angle_deg(self.up, _Z)
+
+
+def angle_deg(a: Float64, b: Float64) -> float:
+    """The angle between two (3,) vectors, degrees; exact for small ones too."""
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)))
+
+
+class AttitudeEstimator:
+    """Finds the vertical to which floors and ceilings are normal and walls parallel.
+
+    Normals of flat places vote for directions on a grid around where up is expected; the best is
+    refined by least squares over the normals that agree, with a tolerance that shrinks.
+    """
+
+    def __init__(self, config: AttitudeConfig | None = None) -> None:
+        self.config = config or AttitudeConfig()
+        self._grid = _directions(self.config.max_tilt_deg)
+
+    def estimate(self, points: Float32, expected: Float64 = _Z) -> Attitude | None:
+        """The attitude of the sensor; None where too little that is flat is in view.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Sensor frame.
+        expected : (3,) float64
+            Unit vector: about where up is. Of the directions that floors and walls allow, the one
+            within ``max_tilt_deg`` of it is meant.
+        """
+        normals = self.normals(points)
+        if len(normals) < self.config.min_normals:
+            return None
+        grid = self._grid @ geometry.upright(expected)[:3, :3]
+        found = _refined(normals, grid[_agreement(normals, grid).argmax()])
+        off = angle_deg(found.up, expected)
+        if off > self.config.max_tilt_deg or found.sigma_deg > self.config.max_sigma_deg:
+            return None
+        return found
+
+    def normals(self, points: Float32) -> Float64:
+        """Unit normals, of either sign, of flat places near the sensor, (M, 3).
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Sensor frame.
+        """
+        config = self.config
+        squares = np.einsum("ij,ij->i", points, points)
+        limit = config.radius_m**2
+        if 2 * np.count_nonzero(squares > limit / _FAR**2) >= len(squares) > 0:
+            typical = float(np.median(squares))
+            limit = max(limit, min(_FAR**2 * typical, _FARTHEST**2 * limit))
+        near = np.flatnonzero(squares < limit)
+        thinned = _native.voxel_grid(points.take(near, axis=0), config.voxel_size)
+        normals = _native.plane_normals(thinned, config.support_m, 10, 0.05, _MOST_NORMALS)
+        return normals.astype(np.float64)
+
+
+def _directions(most_deg: float) -> Float64:
+    """Unit vectors about evenly over the cap around z."""
+    rings = [np.array([[0.0, 0.0, 1.0]])]
+    for tilt in np.radians(np.arange(_STEP_DEG, most_deg + _STEP_DEG / 2, _STEP_DEG)):
+        count = max(6, round(2 * math.pi * math.sin(tilt) / math.radians(_STEP_DEG)))
+        turn = 2 * math.pi * np.arange(count) / count
+        ring = [math.sin(tilt) * np.cos(turn), math.sin(tilt) * np.sin(turn)]
+        rings.append(np.stack([*ring, np.full(count, math.cos(tilt))], axis=1))
+    return np.concatenate(rings)
+
+
+def _agreement(normals: Float64, directions: Float64) -> Float64:
+    """How many normals are about parallel or about orthogonal to each direction, (D,)."""
+    least = math.sin(math.radians(_START_DEG)) ** 2
+    scores = [np.empty(0)]
+    for start in range(0, len(directions), _BLOCK):
+        squared = (directions[start : start + _BLOCK] @ normals.T) ** 2
+        nearest = np.minimum(squared, 1.0 - squared)  # squared sine of the angle to either
+        scores.append(np.maximum(1.0 - nearest / least, 0.0).sum(axis=1))
+    return np.concatenate(scores)
+
+
+def _refined(normals: Float64, up: Float64) -> Attitude:
+    """The least squares direction: along the normals of floors, across those of walls."""
+    for tolerance in _TOLERANCES_DEG:
+        along = np.abs(normals @ up)
+        floors = normals[along > math.cos(math.radians(tolerance))]
+        walls = normals[along < math.sin(math.radians(tolerance))]
+        values, axes = np.linalg.eigh(walls.T @ walls - floors.T @ floors)
+        up = axes[:, 0] * (1.0 if axes[:, 0] @ up > 0 else -1.0)
+    residual = float(values[0]) + len(floors)  # sum of squared sines
+    count = len(floors) + len(walls)
+    curvature = float(values[1] - values[0])
+    if count < 3 or curvature <= 0.0:
+        return Attitude(up, math.inf)
+    variance = max(residual, 0.0) / count / curvature
+    return Attitude(up, math.degrees(math.sqrt(_TOGETHER * variance)))

@@ -1,0 +1,172 @@
+"""Scan(s) -> local cloud: what lies around one pose, seen over a short path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from .. import _native, geometry
+from ..errors import InvalidScan
+from ..system.section import Section
+from ..types import AttitudeSource, Float32, LocalCloud, Pose, Scan
+from .gravity import AttitudeConfig, AttitudeEstimator, angle_deg
+from .mounting import MountConfig
+
+_Z = np.array([0.0, 0.0, 1.0])
+
+
+class LocalCloudConfig(Section):
+    """How scans are gathered."""
+
+    radius_m: float = Field(
+        50.0, ge=1, le=1000, description="points farther away (horizontally) are left out"
+    )
+    window_m: float = Field(
+        40.0, ge=0, le=10_000, description="travelled distance that a query's cloud spans"
+    )
+    max_gap_m: float = Field(
+        10.0, gt=0, le=10_000, description="a longer step between scans ends the window"
+    )
+    attitude: AttitudeConfig = AttitudeConfig()
+    mount: MountConfig = MountConfig()
+
+
+def window(
+    poses: NDArray[np.float64], index: int, length_m: float, *, centred: bool, max_gap_m: float
+) -> range:
+    """The scans around ``index`` that a local cloud is gathered from.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        Poses of consecutive scans.
+    length_m : float
+        Travelled distance that the window spans.
+    centred : bool
+        Half of the path before and half behind the scan (maps); otherwise all of it before the
+        scan (a robot that localizes has no future).
+    max_gap_m : float
+        A longer step between two scans is a break in the recording: the window ends there.
+    """
+    behind, ahead = (length_m / 2, length_m / 2) if centred else (length_m, 0.0)
+    positions = poses[:, :3, 3]
+    first = _walk(positions, index, -1, behind, max_gap_m)
+    last = _walk(positions, index, +1, ahead, max_gap_m)
+    return range(first, last + 1)
+
+
+def _walk(positions: NDArray[Any], index: int, step: int, length: float, max_gap: float) -> int:
+    travelled = 0.0
+    while 0 <= index + step < len(positions):
+        stride = float(np.linalg.norm(positions[index + step] - positions[index]))
+        if stride > max_gap or travelled + stride > length:
+            break
+        travelled += stride
+        index += step
+    return index
+
+
+Scans = Scan | Sequence[Scan] | NDArray[Any]
+"""What a local cloud is gathered from: one scan, an (N, 3) array of points, or several scans."""
+
+
+class Accumulator:
+    """Gathers scans into a local cloud."""
+
+    def __init__(self, config: LocalCloudConfig | None = None) -> None:
+        self.config = config or LocalCloudConfig()
+        self._attitudes = AttitudeEstimator(self.config.attitude)
+
+    def gather(self, scans: Scans, reference: int = -1) -> LocalCloud:
+        """The local cloud of one scan or of several posed ones.
+
+        Parameters
+        ----------
+        scans : Scan, (N, 3) array, or list of Scan
+            With more than one scan, each needs its ``T_odom_sensor``. The roll and pitch of a
+            single scan are those of its pose; without one, of its gravity; without either, they
+            are estimated from the scan. Where that fails the base is taken as level, on which the
+            sensor is mounted as the configuration, or else the scan's ``T_base_sensor``, says.
+        reference : int
+            The scan whose pose is wanted; the last one by default.
+
+        Raises
+        ------
+        InvalidScan
+            If there is no scan, one of several has no pose, or they are something else.
+        """
+        scans = _listed(scans)
+        anchor = scans[reference]
+        if len(scans) == 1 and anchor.T_odom_sensor is None:
+            return self._alone(anchor)
+        T_local_odom = geometry.inverse(geometry.levelled(odometry_pose(anchor)))
+        clouds = [self._moved(T_local_odom @ odometry_pose(scan), scan.points) for scan in scans]
+        T_local_sensor = T_local_odom @ odometry_pose(anchor)
+        return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
+
+    def _alone(self, scan: Scan) -> LocalCloud:
+        """The local cloud of a scan without a pose."""
+        up, attitude = self._up(scan)
+        T_local_sensor = geometry.upright(up)
+        points = self._moved(T_local_sensor, scan.points)
+        return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
+
+    def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
+        weighed = scan.gravity is not None
+        expected = self.level(scan) if scan.gravity is None else -scan.gravity
+        if not self.config.attitude.estimate or (weighed and not scan.gravity_error_deg):
+            return expected, "given"
+        most = scan.gravity_error_deg if weighed else 180.0
+        found = self._attitudes.estimate(scan.points, expected)
+        if found is None or angle_deg(found.up, expected) > most:
+            return expected, "given" if weighed else "assumed"
+        return found.up, "estimated"
+
+    def level(self, scan: Scan, unknown: NDArray[np.float64] = _Z) -> NDArray[np.float64]:
+        """Where up is in the sensor's frame while its base stands level, (3,) float64.
+
+        ``unknown`` where nothing says how the sensor is mounted.
+        """
+        configured = self.config.mount.T_base_sensor
+        T_base_sensor = scan.T_base_sensor if configured is None else configured
+        return unknown if T_base_sensor is None else T_base_sensor[2, :3].copy()
+
+    def _moved(self, T_local_sensor: Pose, points: Float32) -> Float32:
+        """The points of a scan that belong to the local cloud, in its frame."""
+        return _native.moved_crop(points, T_local_sensor, self.config.radius_m)
+
+
+def _listed(scans: Scans) -> Sequence[Scan]:
+    if isinstance(scans, Scan):
+        return [scans]
+    if isinstance(scans, np.ndarray):
+        return [Scan(scans)]
+    if not isinstance(scans, (list, tuple)):
+        kind = type(scans).__name__
+        raise InvalidScan(
+            f"scans must be a Scan, an (N, 3) array or a list of Scan, not {kind}: "
+            "make a list of a generator, and a Scan of points"
+        )
+    if not scans:
+        raise InvalidScan("no scan given")
+    for i, scan in enumerate(scans):
+        if not isinstance(scan, Scan):
+            raise InvalidScan(f"scans[{i}] must be a Scan, not {type(scan).__name__}")
+    return scans
+
+
+def odometry_pose(scan: Scan) -> Pose:
+    """The pose by which a scan is accumulated.
+
+    Raises
+    ------
+    InvalidScan
+        If it has none.
+    """
+    if scan.T_odom_sensor is None:
+        raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
+    return scan.T_odom_sensor

@@ -1,0 +1,162 @@
+"""Local cloud -> segments: voxel grid, ground removal, exact Euclidean clusters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from .. import _native
+from ..system.section import Section
+from ..types import Float32, Int64, LocalCloud, Segments
+
+WIDEST_LINK = 1.25
+"""Points that lie so much closer together than the tolerance link up, nearly all of an object."""
+LINK = 1.7
+"""Where they lie farther apart, the tolerance becomes so many times their distance."""
+FEWEST_POINTS = 8
+"""Of a segment, however far apart they are: fewer have no shape."""
+SPACING_SAMPLE = 128
+"""Points whose neighbours are looked for."""
+
+HeightAboveGround = Annotated[float, Field(ge=-100, le=100)]
+
+
+class ClusterConfig(Section):
+    """Parameters that follow the density of the cloud.
+
+    They are for clouds whose points lie closer together than ``tolerance / WIDEST_LINK``.
+    :meth:`widened` adapts them to sparser ones.
+    """
+
+    voxel_size: float = Field(ge=0.01, le=10, description="edge of the voxel grid, metres")
+    tolerance: float = Field(
+        ge=0.01, le=50, description="points closer than this belong together, metres"
+    )
+    min_points: int = Field(ge=1, le=10**9, description="points of the smallest segment")
+    max_points: int = Field(15_000, ge=1, le=10**9, description="points of the largest segment")
+    height_cuts: tuple[HeightAboveGround, ...] = Field(
+        (0.6, 1.2),
+        min_length=1,
+        max_length=16,
+        description="clusters are formed above each of these heights over ground, metres",
+    )
+
+    def widened(self, points: Float32) -> ClusterConfig:
+        """These settings, or where the points are too far apart for them, others that link them.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Above ground, in the order of a voxel grid.
+        """
+        most_apart = self.tolerance / WIDEST_LINK
+        spacing = _native.point_spacing(points, most_apart, SPACING_SAMPLE)
+        if spacing <= most_apart:
+            return self
+        fewer = self.min_points * (most_apart / spacing) ** 2  # an object's points are its surface
+        changes = {
+            "tolerance": max(self.tolerance, LINK * spacing),
+            "min_points": min(self.min_points, max(FEWEST_POINTS, round(fewer))),
+        }
+        return self.model_copy(update=changes)
+
+
+class SegmentationConfig(Section):
+    """Segmentation of accumulated clouds and of single scans."""
+
+    accumulated: ClusterConfig = ClusterConfig(voxel_size=0.2, tolerance=0.4, min_points=30)
+    single: ClusterConfig = ClusterConfig(voxel_size=0.1, tolerance=0.7, min_points=10)
+    ground_cell: float = Field(
+        1.0, ge=0.05, le=100, description="edge of a cell of the ground grid, metres"
+    )
+    ground_slope: float = Field(0.2, gt=0, le=10, description="steepest ground, rise over run")
+    ground_step: float = Field(
+        0.3, gt=0, le=100, description="neighbouring cells of ground differ by less, metres"
+    )
+    structure_height: float = Field(
+        0.4,
+        ge=-100,
+        le=100,
+        description="points higher above ground than this serve verification, metres",
+    )
+    ground_voxel: float = Field(
+        1.0, ge=0.01, le=100, description="the others are thinned to this, metres"
+    )
+
+
+def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32:
+    """The height of each of (N, 3) points above the ground below it, (N,), metres."""
+    return _native.heights_above_ground(
+        points, config.ground_cell, config.ground_slope, config.ground_step
+    )
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """What one local cloud was divided into.
+
+    Attributes
+    ----------
+    segments : Segments
+    structure : (N, 3) float32
+        The voxelised points above ground, local frame: what verification compares with the map.
+    ground : (M, 3) float32
+        The others, thinned: they hold the height and the tilt of a pose.
+    """
+
+    segments: Segments
+    structure: Float32
+    ground: Float32
+
+    @property
+    def surface(self) -> Float32:
+        """Structure and ground, (N + M, 3)."""
+        return np.concatenate([self.structure, self.ground])
+
+
+class Segmenter:
+    """Divides a local cloud into segments (arXiv 2301.13583: Euclidean segmentation)."""
+
+    def __init__(self, config: SegmentationConfig | None = None) -> None:
+        self.config = config or SegmentationConfig()
+
+    def segment(self, cloud: LocalCloud) -> Segmentation:
+        """Voxelise, remove the ground, cluster above each height cut.
+
+        An object may give a segment at each cut: where a hedge joins two cars below, the upper cut
+        still parts them.
+        """
+        config = self.config
+        cluster = config.single if cloud.num_scans == 1 else config.accumulated
+        points = cloud.points
+        if cloud.voxel_size != cluster.voxel_size:
+            points = _native.voxel_grid(points, cluster.voxel_size)
+        heights = heights_above_ground(points, config)
+        above = heights > config.structure_height
+        structure = points.take(np.flatnonzero(above), axis=0)
+        cluster = cluster.widened(structure)
+        members, offsets = _native.clusters_above(
+            points,
+            heights,
+            cluster.height_cuts,
+            cluster.tolerance,
+            cluster.min_points,
+            cluster.max_points,
+        )
+        low = points.take(np.flatnonzero(~above), axis=0)
+        ground = _native.voxel_grid(low, config.ground_voxel)
+        segments = _measured(points.take(members, axis=0), heights.take(members), offsets)
+        return Segmentation(segments, structure, ground)
+
+
+def _measured(points: Float32, heights: Float32, offsets: Int64) -> Segments:
+    """Segments with their centroids and mean heights."""
+    if len(offsets) == 1:
+        return Segments(points, offsets, np.empty((0, 3)), np.empty(0, np.float32))
+    counts = np.diff(offsets)[:, None]
+    centroids = np.add.reduceat(points, offsets[:-1], dtype=np.float64) / counts
+    mean_heights = np.add.reduceat(heights, offsets[:-1], dtype=np.float64) / counts[:, 0]
+    return Segments(points, offsets, centroids, mean_heights.astype(np.float32))

@@ -1,0 +1,143 @@
+"""The one look of all pictures: colours, a ground plan, a scale; and pictures without a window."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import MissingDependency
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GREEN, RED, ORANGE, BLUE = "#12a150", "#e5243b", "#f0883e", "#2e62d6"
+"""What is right, what is false, the query or what is refused, and the truth."""
+DARK, PATH, GREY, PALE = "#3f4756", "#7d8aa0", "#c3c9d4", "#e6e9ef"
+"""Text; paths and frames; the map; what hardly counts."""
+PALETTE = (
+    "#3b7dd8", "#e0702b", "#2a9d5c", "#c43d5d", "#8a63c9",
+    "#b08d1f", "#1fa3a8", "#d65fb2", "#7d8794", "#6b8e23",
+)  # fmt: skip
+"""Of series, one after another."""
+TITLE_PT, TEXT_PT, SMALL_PT = 13.0, 9.0, 8.0
+
+_ROUND = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_CELLS_ALONG = 1600
+_GOLDEN = 0.381966
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """A colour as three numbers, 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def hue(k: int) -> float:
+    """The hue of the k-th of many things, in [0, 1): far from that of the ones before."""
+    return (_GOLDEN * k) % 1.0
+
+
+def blank(size_in: tuple[float, float], dpi: int, **options: Any) -> Figure:
+    """An empty white picture of so many inches; ``options`` are those of matplotlib's ``Figure``.
+
+    Raises
+    ------
+    MissingDependency
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependency("matplotlib", "report", "drawing") from error
+    figure = Figure(figsize=size_in, dpi=dpi, facecolor="white", **options)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png(figure: Figure, description: str = "") -> bytes:
+    """A PNG image, the same for the same picture; the description is kept in it as text."""
+    image, said = io.BytesIO(), {"Description": description} if description else {}
+    figure.savefig(image, format="png", metadata={"Software": None, **said})
+    return image.getvalue()
+
+
+def plan(axes: Axes, low: Any, high: Any) -> None:
+    """Make axes a ground plan without a frame, from one corner to the other, metres."""
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+
+
+def chart(axes: Axes, xlabel: str = "", ylabel: str = "") -> None:
+    """Make axes a quiet chart."""
+    axes.spines[["top", "right"]].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(PATH)
+    axes.tick_params(labelsize=SMALL_PT, colors=DARK, length=2)
+    axes.grid(True, color=PALE, lw=0.8)
+    axes.set_axisbelow(True)
+    axes.set_xlabel(xlabel, fontsize=TEXT_PT, color=DARK)
+    axes.set_ylabel(ylabel, fontsize=TEXT_PT, color=DARK)
+
+
+def title(figure: Figure, text: str, y: float = 0.975) -> None:
+    """A heading at the upper left."""
+    figure.text(0.02, y, text, fontsize=TITLE_PT, fontweight="bold", color=DARK, va="center")
+
+
+def legend(axes: Axes, **place: Any) -> None:
+    """What means what, upper right if nothing else is said."""
+    axes.legend(
+        **{"loc": "upper right", "borderpad": 0.8, **place},
+        frameon=True, framealpha=0.9, edgecolor="none", fontsize=TEXT_PT, labelcolor=DARK,
+    )  # fmt: skip
+
+
+def dots(axes: Axes, points: Any, **style: Any) -> None:
+    """Points from above, (N, 2 or more)."""
+    axes.scatter(points[:, 0], points[:, 1], **{"linewidths": 0, **style})
+
+
+def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
+    """Many points from above as shades of grey: one image, however many there are."""
+    if not len(points):
+        return
+    cell = max(0.3, float((high - low).max()) / _CELLS_ALONG)
+    shape = np.maximum(((high - low) / cell).astype(int), 1)
+    edges = np.stack([low, high], axis=1)
+    counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=shape, range=edges)
+    shade = np.log1p(counts)
+    shade /= max(float(np.percentile(shade[shade > 0], 97)), 1e-9) if shade.any() else 1.0
+    axes.imshow(
+        shade.T,
+        origin="lower",
+        extent=(low[0], high[0], low[1], high[1]),
+        cmap="Greys",
+        vmin=0.0,
+        vmax=1.6,
+        interpolation="antialiased",
+        zorder=0,
+    )
+
+
+def scale(axes: Axes) -> None:
+    """A bar of a round length at the lower left of a ground plan."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    length = max((step for step in _ROUND if step <= (right - left) / 5), default=1)
+    margin = 0.02 * max(right - left, high - low)
+    x, y = left + margin, low + margin
+    axes.plot([x, x + length], [y, y], color=DARK, lw=2.5, solid_capstyle="butt", zorder=9)
+    axes.annotate(
+        f"{length} m",
+        (x + length / 2, y),
+        xytext=(0, 4),
+        textcoords="offset points",
+        ha="center",
+        fontsize=TEXT_PT,
+        color=DARK,
+        zorder=9,
+    )

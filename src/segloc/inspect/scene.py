@@ -1,0 +1,193 @@
+"""A map, the answers to queries and one of them in detail, as a scene of viser's."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import geometry
+from ..map.segment_map import SegmentMap
+from ..types import Float32, Float64
+from .pictures import BLUE, GREEN, ORANGE, PATH, RED, hue, rgb
+from .results import Outcome, Shown
+from .seen import Seen
+
+Colors = NDArray[np.uint8]
+
+COLORS: dict[Outcome, tuple[int, int, int]] = {
+    "found": rgb(GREEN),
+    "refused": rgb(ORANGE),
+    "false": rgb(RED),
+}
+FIXED = ("map", "path", "queries")
+ROBOT = ("map", "path", "robot")
+OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-up", "text")
+"""Layers that can be hidden: of the map, of a map with a robot, of the query that is looked at."""
+_GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
+_LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
+_MOST_POINTS = 400_000
+_BREAK_M = 35.0  # poses farther apart are not joined
+_MARKER_M = 0.4  # points larger than this mark something
+_ABOVE_M = 3.0  # of markers over the path
+
+
+class SceneApi(Protocol):
+    """What is asked of viser's scene."""
+
+    def add_point_cloud(self, name: str, points: Any, colors: Any, **style: Any) -> Any: ...
+    def add_line_segments(self, name: str, points: Any, colors: Any, **style: Any) -> Any: ...
+    def add_label(self, name: str, text: str, **style: Any) -> Any: ...
+
+
+class MapScene:
+    """Draws a map, and queries on it; coordinates are the map's, less its origin.
+
+    Parameters
+    ----------
+    api : SceneApi
+    prior_map : SegmentMap
+    """
+
+    def __init__(self, api: SceneApi, prior_map: SegmentMap) -> None:
+        self._api, self._map = api, prior_map
+        self.layers: dict[str, list[Any]] = {name: [] for name in (*FIXED, "robot", *OF_QUERY)}
+        self._hidden: set[str] = set()
+
+    def show(self, layer: str, visible: bool) -> None:
+        """Show or hide a layer; it stays so."""
+        (self._hidden.discard if visible else self._hidden.add)(layer)
+        for handle in self.layers[layer]:
+            handle.visible = visible
+
+    def clear(self, layer: str) -> None:
+        """Remove what is drawn in a layer."""
+        for handle in self.layers[layer]:
+            handle.remove()
+        self.layers[layer] = []
+
+    def local(self, points: Any) -> Float32:
+        """Points of the map's frame in that of the scene."""
+        return np.asarray(points - self._map.origin, dtype=np.float32)
+
+    def draw_map(self) -> None:
+        """The cloud by height, the segments' centroids, and the path."""
+        cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MOST_POINTS]
+        if len(cloud):
+            self.points("map", "/map/cloud", cloud, _by_height(cloud), 0.12)
+        path = (self._map.trajectory[:, :3, 3] - self._map.origin).astype(np.float32)
+        pairs = np.stack([path[:-1], path[1:]], axis=1)
+        near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < _BREAK_M
+        self.lines("path", "/map/path", pairs[near], np.array(_BLUE), 0.25)
+
+    def draw_queries(self, queries: Sequence[Shown]) -> None:
+        """A marker each, by outcome; those that are refused where the best pose was, if kept."""
+        for outcome, color in COLORS.items():
+            places = [
+                place
+                for query in queries
+                if query.outcome == outcome and (place := self._place(query)) is not None
+            ]
+            if places:
+                points = np.array(places, dtype=np.float32) + np.array([0, 0, _ABOVE_M], np.float32)
+                colors = np.tile(np.array(color, np.uint8), (len(points), 1))
+                self.points("queries", f"/queries/{outcome}", points, colors, 1.2)
+
+    def _place(self, query: Shown) -> Float64 | None:
+        T = query.T_map_sensor
+        if T is None and query.seen is not None:
+            T = query.seen.T_map_local
+        return None if T is None else np.asarray(T[:3, 3] - self._map.origin)
+
+    def middle(self, query: Shown | None) -> Float64:
+        """Where to look: at a query, or else at the middle of the map."""
+        place = None if query is None else self._place(query)
+        if place is not None:
+            return place
+        cloud = self._map.cloud
+        return np.median(cloud, axis=0).astype(np.float64) if len(cloud) else np.zeros(3)
+
+    def draw_query(self, query: Shown, prefix: str = "/query") -> None:
+        """One query in place of another: cloud, segments, matches, runner-up, and its outcome."""
+        for layer in OF_QUERY:
+            self.clear(layer)
+        at = self.middle(query) + [0.0, 0.0, 3.0 * _ABOVE_M]
+        text = f"{query.index}: {query.outcome}"  # the panel has the rest
+        label = self._api.add_label(f"{prefix}/label", text, position=tuple(at))
+        self._keep("text", label)
+        if query.seen is not None and query.seen.T_map_local is not None:
+            self._draw_seen(query.seen, prefix)
+
+    def _draw_seen(self, seen: Seen, prefix: str) -> None:
+        T = seen.T_map_local
+        assert T is not None
+
+        def placed(points: Float32) -> Float32:
+            return (geometry.transform(T, points) - self._map.origin).astype(np.float32)
+
+        off = ~seen.on_map
+        red = np.tile(np.array(_RED, np.uint8), (int(off.sum()), 1))
+        self.points("cloud", f"{prefix}/off_map", placed(seen.points[off]), red, 0.18)
+        green = np.tile(np.array(_GREEN, np.uint8), (int((~off).sum()), 1))
+        self.points("cloud", f"{prefix}/on_map", placed(seen.points[~off]), green, 0.18)
+        lifted = placed(seen.segment_points)
+        self.points("segments", f"{prefix}/segments", lifted, _distinct(seen.segment_of), 0.26)
+        known = seen.matched < len(self._map.centroids)
+        there = (self._map.centroids[seen.matched[known]] - self._map.origin).astype(np.float32)
+        lines = np.stack([placed(seen.centroids[known]), there], axis=1)
+        fits = seen.inliers[known]
+        self.lines("other matches", f"{prefix}/other_matches", lines[~fits], np.array(_GREY), 0.04)
+        lines = lines.copy()
+        lines[:, 0, 2] += 6.0  # nearly upright: so that matches that agree can be seen
+        self.lines("matches that agree", f"{prefix}/inliers", lines[fits], np.array(_GREEN), 0.3)
+        if seen.T_map_other is not None:
+            other = (seen.T_map_other[:3, 3] - self._map.origin).astype(np.float32)[None]
+            red_one = np.array([_RED], np.uint8)
+            self.points("runner-up", f"{prefix}/runner_up", other, red_one, 1.5)
+            name = f"{prefix}/runner_up_label"
+            self._keep("runner-up", self._api.add_label(name, "runner-up", position=other[0]))
+
+    def points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:
+        """Add points, (N, 3), in the scene's frame, to a layer."""
+        if len(points):
+            # In random order, so that a part is the whole of it, thinner. Half a float would put
+            # points half a metre off a kilometre away.
+            mixed = np.random.default_rng(0).permutation(len(points))
+            style: dict[str, Any] = {
+                "point_size": size,
+                "point_shading": "flat",
+                "precision": "float32",
+            }
+            if size > _MARKER_M:
+                style["point_shape"] = "circle"
+            handle = self._api.add_point_cloud(name, points[mixed], colors[mixed], **style)
+            self._keep(layer, handle)
+
+    def lines(
+        self, layer: str, name: str, lines: Float32, color: NDArray[Any], width: float
+    ) -> None:
+        """Add lines, (N, 2, 3), in the scene's frame, to a layer."""
+        if len(lines):
+            colors = np.broadcast_to(color.astype(np.uint8), (len(lines), 2, 3)).copy()
+            handle = self._api.add_line_segments(name, lines, colors, thickness=width)
+            self._keep(layer, handle)
+
+    def _keep(self, layer: str, handle: Any) -> None:
+        handle.visible = layer not in self._hidden
+        self.layers[layer].append(handle)
+
+
+def _by_height(points: Float32) -> Colors:
+    low, high = np.percentile(points[:, 2], [2, 98])
+    share = ((points[:, 2] - low) / max(high - low, 1e-6)).clip(0.0, 1.0)[:, None]
+    return np.asarray(_LOW + share * (_HIGH - _LOW), dtype=np.uint8)
+
+
+def _distinct(owners: NDArray[np.int64]) -> Colors:
+    """A colour for each segment, neighbours apart."""
+    count = int(owners.max()) + 1 if len(owners) else 0
+    wheel = [colorsys.hsv_to_rgb(hue(k), 0.75, 0.9) for k in range(count)]
+    return (255 * np.array(wheel).reshape(-1, 3)).astype(np.uint8)[owners]

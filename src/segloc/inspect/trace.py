@@ -1,0 +1,199 @@
+"""What each stage made of one query, kept for showing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .. import geometry
+from ..likelihood import ConfidenceModel, Evidence
+from ..likelihood.confidence import FEATURES
+from ..localization import Localization
+from ..localizer import Localizer
+from ..pipeline.answer import answer
+from ..pipeline.search import Query, Search
+from ..prior import Prior
+from ..system.stage_times import StageTimes
+from ..types import Float32, Int64, LocalCloud, Pose, Segments
+
+Bools = NDArray[np.bool_]
+
+_BEYOND_M = 2.0  # around a query, of the map's points that it is compared with
+
+
+@dataclass(frozen=True)
+class Part:
+    """One feature of the confidence.
+
+    Attributes
+    ----------
+    name : str
+        As the confidence model has it.
+    log_odds : float
+        What it adds to the log-odds of the pose being right.
+    words : str
+        What was measured, and what of it at the best different place.
+    """
+
+    name: str
+    log_odds: float
+    words: str
+
+
+BEYOND = "beyond"
+"""The part of a confidence that is as high as any: what the others say more than that."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One query, stage by stage. Points are in the local frame, float32, metres.
+
+    Attributes
+    ----------
+    name : str
+    result : Localization
+    T_local_sensor : (4, 4) float64
+    ground, structure : (G, 3), (S, 3) float32
+        The cloud, thinned: what was taken for ground, and what stands on it.
+    segments : Segments
+    pairs : (K, 2) int64
+        The best match of each segment that has one, the one that fits the pose where one does: its
+        row, and that of the map's segment.
+    inliers : (K,) bool
+        Which of them fit the best pose.
+    T_map_local : (4, 4) float64 or None
+        The best pose, believed or not.
+    on_map : (S,) bool
+        Which points of the structure have a point of the map near them there.
+    constant : float
+        The log-odds that the parts are added to.
+    parts : tuple of Part
+        Empty where nothing was compared.
+    """
+
+    name: str
+    result: Localization
+    T_local_sensor: Pose
+    ground: Float32
+    structure: Float32
+    segments: Segments
+    pairs: Int64
+    inliers: Bools
+    T_map_local: Pose | None
+    on_map: Bools
+    constant: float
+    parts: tuple[Part, ...]
+
+
+def trace(
+    localizer: Localizer,
+    cloud: LocalCloud,
+    name: str = "query",
+    times: StageTimes | None = None,
+    near: Prior | None = None,
+) -> Trace:
+    """Localize a local cloud, as :meth:`Localizer.localize` does, and keep what each stage made."""
+    times = times or StageTimes(localizer.clock)
+    query = localizer.describe(cloud, times)
+    found = localizer.search(query, times, near=near)
+    result = answer(cloud, found.verdict, found.counts(query), times.with_total(), found.near)
+    best = found.verdict.best
+    T = None if best is None else best.T_map_local
+    pairs, inliers = _pairs(localizer, query, found, T)
+    model, evidence = localizer.verifier.model, found.verdict.evidence
+    return Trace(
+        name=name,
+        result=result,
+        T_local_sensor=cloud.T_local_sensor,
+        ground=query.scene.ground,
+        structure=query.scene.structure,
+        segments=query.scene.segments,
+        pairs=pairs,
+        inliers=inliers,
+        T_map_local=T,
+        on_map=_on_map(localizer, query.scene.structure, T),
+        constant=model.constant,
+        parts=() if evidence is None else _parts(model, evidence),
+    )
+
+
+def _pairs(
+    localizer: Localizer, query: Query, found: Search, T_map_local: Pose | None
+) -> tuple[Int64, Bools]:
+    """One match of each segment, and whether it fits the pose."""
+    matches, config = found.matches, localizer.estimator.config
+    if not len(matches):
+        return np.empty((0, 2), np.int64), np.empty(0, bool)
+    fits = np.zeros(len(matches), dtype=bool)
+    if T_map_local is not None:
+        centroids = geometry.transform(T_map_local, query.scene.segments.centroids)
+        x, y, z = (localizer.prior_map.centroids[matches.map] - centroids[matches.query]).T
+        fits = x**2 + y**2 < config.inlier_tolerance**2
+        fits &= np.abs(z) < config.height_tolerance
+    order = np.lexsort((np.arange(len(matches)), ~fits))  # those that fit, then best first
+    _, first = np.unique(matches.query[order], return_index=True)
+    chosen = order[first]
+    return np.stack([matches.query[chosen], matches.map[chosen]], axis=1), fits[chosen]
+
+
+def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> Bools:
+    """Which points of a query lie on the map's cloud at a pose."""
+    prior_map = localizer.prior_map
+    if T_map_local is None or not len(points) or not len(prior_map.cloud):
+        return np.zeros(len(points), dtype=bool)
+    placed = geometry.transform(T_map_local, points) - prior_map.origin
+    low, high = placed.min(axis=0) - _BEYOND_M, placed.max(axis=0) + _BEYOND_M
+    near = ((prior_map.cloud > low) & (prior_map.cloud < high)).all(axis=1)
+    if not near.any():
+        return np.zeros(len(points), dtype=bool)
+    radius = localizer.config.verification.overlap_radius
+    distances, _ = cKDTree(prior_map.cloud[near]).query(placed, distance_upper_bound=radius)
+    return np.asarray(np.isfinite(distances))
+
+
+def _parts(model: ConfidenceModel, evidence: Evidence) -> tuple[Part, ...]:
+    words = _measured(evidence)
+    parts = [
+        Part(name, model.weights[name] * feature, words[name])
+        for name, feature in zip(FEATURES, model.features(evidence), strict=True)
+    ]
+    beyond = model.constant + sum(part.log_odds for part in parts) - model.max_log_odds
+    if beyond > 0:
+        parts.append(Part(BEYOND, -beyond, "no confidence is higher: the model has seen no more"))
+    return tuple(parts)
+
+
+def _measured(evidence: Evidence) -> dict[str, str]:
+    """What each feature was measured of."""
+    score, rivals = evidence.score, evidence.rivals
+    seen = "nothing of the map is in view"
+    if score.seen is not None:
+        seen = f"{score.seen:.0%} of the map in view is seen"
+    overlaps = [rival.overlap for rival in rivals]
+    rivals_seen = [rival.seen for rival in rivals if rival.seen is not None]
+    flush, ground = "no walls to compare", "no ground to compare"
+    if evidence.is_settled:
+        flush = "the segments leave no doubt"
+    elif score.flush is not None:
+        flush = f"{score.flush:.0%} of the walls is flush with the map's"
+    rivals_flush = [rival.flush for rival in rivals if rival.flush is not None]
+    if score.ground is not None:
+        ground = f"{score.ground:.0%} of the ground lies on the map's ground"
+    lies = f"{score.overlap:.0%} of the cloud lies on the map"
+    return {
+        "in_view": f"{score.judged} points of the map are in view",
+        "inliers": f"{score.inliers} segments agree",
+        "inliers_over_rival": f"{evidence.inlier_ratio:.1f} times as many as elsewhere",
+        "overlap_over_rival": f"{lies}, {_elsewhere(overlaps)}",
+        "seen_over_rival": f"{seen}, {_elsewhere(rivals_seen)}",
+        "flush": flush,
+        "flush_over_rival": f"{flush}, {_elsewhere(rivals_flush)}",
+        "ground": ground,
+    }
+
+
+def _elsewhere(shares: list[float]) -> str:
+    return f"{max(shares):.0%} elsewhere" if shares else "elsewhere nothing to compare it with"

@@ -1,0 +1,148 @@
+"""Poses around a candidate at which the clouds fit about as well: better starts, and rivals.
+
+Corridors and rows of pillars look alike a few metres on, and halls look alike from the other end:
+segments found there say little about which of the places it is, but the clouds do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from .. import _native, geometry
+from ..geometry import Separation
+from ..system.section import Section
+from ..types import Float32, Float64, Pose
+
+_SLIGHTLY_DEG = (0.0, -8.0, -4.0, 4.0, 8.0)
+_BETTER = 1.05
+"""Another start is tried where the clouds fit so many times as well."""
+_RISE_M, _STOREYS_M, _STOREYS_SAMPLE = 0.4, 10.0, 1000
+"""Storeys are looked for in steps of this, up and down to where the map ends so near."""
+_STOREY_FITS = 0.8
+"""Another storey is a rival at which the clouds fit so many times as well."""
+_ABOUT_DEG = (90.0, 180.0, 270.0)
+"""Places built by people look alike when one turns by right angles."""
+
+
+class NearbyConfig(Section):
+    """How the surroundings of a candidate are searched."""
+
+    half_width_m: float = Field(
+        15.0, ge=0, le=40, description="the pose is shifted so far along x and y, metres"
+    )
+    cell_m: float = Field(0.5, ge=0.25, le=5, description="in steps of this, metres")
+    range_m: float = Field(
+        30.0, ge=1, le=90, description="points this near the sensor are compared, metres"
+    )
+    most: int = Field(4, ge=0, le=100, description="rivals that are kept")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Poses around a candidate.
+
+    Attributes
+    ----------
+    start : (4, 4) float64
+        Where, at the place of the candidate, the clouds roughly fit best.
+    rivals : list of (4, 4) float64
+        Different places where they do, best first.
+    """
+
+    start: Pose
+    rivals: list[Pose]
+
+
+class NearbySearch:
+    """Shifts and turns a candidate, and compares the clouds at all these poses.
+
+    Parameters
+    ----------
+    index : PointIndex
+        Of the map's cloud.
+    config : NearbyConfig
+    separation : Separation
+        Poses closer than this are one place.
+    """
+
+    def __init__(
+        self, index: _native.PointIndex, config: NearbyConfig, separation: Separation
+    ) -> None:
+        self._index, self._config, self._separation = index, config, separation
+        degrees = (*_SLIGHTLY_DEG, *_ABOUT_DEG)
+        self._headings = [math.radians(d) for d in degrees]
+        self._slight = np.abs(degrees) < separation.degrees
+
+    def around(self, points: Float32, T: Pose) -> Surroundings:
+        """The best poses around T, which takes (N, 3) points to the frame of the map's cloud."""
+        config = self._config
+        counts, used = self._index.correlate(
+            points, T, self._headings, config.cell_m, config.half_width_m, config.range_m
+        )
+        share = counts / np.maximum(4.0 * used, 1.0)[:, None, None]
+        shifts = (np.arange(share.shape[1]) - share.shape[1] // 2) * config.cell_m
+        distance = np.hypot(shifts[:, None], shifts[None, :])
+        here = self._slight[:, None, None] & (distance < self._separation.metres)
+        start = _argmax(np.where(here, share, -1.0))
+        elsewhere = self._peaks(np.where(here, -1.0, share), shifts)
+        rivals = [self._moved(T, peak, shifts) for peak in islice(elsewhere, config.most)]
+        if share[start] < _BETTER * share[0][distance == 0.0][0]:
+            return Surroundings(T, rivals)
+        return Surroundings(self._moved(T, start, shifts), rivals)
+
+    def storeys(self, points: Float32, T: Pose, radius: float) -> list[Pose]:
+        """Poses above and below T at which the clouds fit nearly as well as at T.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+        T : (4, 4) float64
+            Takes them to the frame of the map's cloud.
+        radius : float
+            A point fits with a point of the map so near, metres.
+        """
+        x, y, z = (float(v) for v in T[:3, 3])
+        near = self._index.sample(x, y, _STOREYS_M, _STOREYS_SAMPLE)
+        if not len(near) or np.ptp(near[:, 2]) < self._separation.height:
+            return []
+        steps = np.arange(near[:, 2].min() - z, near[:, 2].max() - z, _RISE_M)
+        poses = np.repeat(T[None], len(steps) + 1, axis=0)
+        poses[1:, 2, 3] += steps
+        share, _ = self._index.overlap(points, poses, radius)
+        here, share = share[0], np.where(np.abs(steps) > self._separation.height, share[1:], 0.0)
+        found = []
+        while len(share) and share.max() > 0.0 and share.max() >= _STOREY_FITS * here:
+            best = int(share.argmax())
+            found.append(poses[best + 1])
+            share[np.abs(steps - steps[best]) < self._separation.height] = 0.0
+        return found
+
+    def _peaks(self, share: Float64, shifts: Float64) -> Iterator[tuple[int, int, int]]:
+        """The largest shares, each at another place than those before it."""
+        while True:
+            peak = _argmax(share)
+            if share[peak] <= 0.0:
+                return
+            yield peak
+            h, i, j = peak
+            close = np.hypot(shifts[:, None] - shifts[i], shifts[None, :] - shifts[j])
+            alike = self._slight if self._slight[h] else np.arange(len(share)) == h
+            share[alike[:, None, None] & (close < self._separation.metres)] = -1.0
+
+    def _moved(self, T: Pose, at: tuple[int, int, int], shifts: Float64) -> Pose:
+        h, i, j = at
+        moved = T @ geometry.yaw_transform(self._headings[h])
+        moved[:2, 3] += shifts[j], shifts[i]
+        return moved
+
+
+def _argmax(share: NDArray[np.float64]) -> tuple[int, int, int]:
+    h, i, j = np.unravel_index(int(share.argmax()), share.shape)
+    return int(h), int(i), int(j)

@@ -1,0 +1,282 @@
+"""Loops found while a robot drives: what a SLAM back-end ties its pose graph with."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from .. import geometry
+from ..config import Config
+from ..descriptors import create
+from ..frontend.rolling_cloud import RollingCloud
+from ..frontend.segmentation import Segmenter
+from ..localizer import Localizer
+from ..map.build import View, add_view, empty_map
+from ..map.segment_map import SegmentMap
+from ..pipeline.search import Query
+from ..system.checks import checked_pose
+from ..types import Float64, LocalCloud, Pose, Scan
+from .config import AlignConfig
+from .consistency import supported
+from .loops import Chain, Loop, registered
+from .submap_registration import SubmapRegistration
+from .submaps import Submap, lean_submap
+
+
+class LoopConfig(AlignConfig):
+    """When loops are looked for, and when they are believed."""
+
+    part_m: float = Field(80.0, gt=0, description="travel of the parts that are searched")
+    min_support: int = Field(
+        1, ge=0, description="other loops that must agree before a loop is told; 0: none"
+    )
+    reach_m: float = Field(
+        25.0, gt=0, description="parts nearer than this, plus the drift since, are searched"
+    )
+    max_parts: int = Field(64, ge=1, description="parts that are kept; the oldest are forgotten")
+
+
+@dataclass(frozen=True)
+class LoopClosure:
+    """Two scans of one place.
+
+    Attributes
+    ----------
+    i, j : int
+        Numbers of the scans, counted from 0 as they were added; i is the earlier one.
+    T_i_j : (4, 4) float64
+        From the sensor's frame at scan j to that at scan i.
+    covariance : (6, 6) float64
+        Of a small rotation (rad) and then a translation (m), both in the frame of j.
+    confidence : float
+        Calibrated probability, in [0, 1], that the place is right, before other loops agreed.
+    """
+
+    i: int
+    j: int
+    T_i_j: Pose
+    covariance: Float64
+    confidence: float
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A keyframe: what was seen at it, in which scan."""
+
+    scan: int
+    travelled: float
+    T_local_sensor: Pose
+    submap: Submap
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A stretch of the path, as a map in the odometry's frame."""
+
+    nodes: range
+    localizer: Localizer | None
+
+
+class LoopDetector:
+    """Finds the places that a robot comes back to, scan by scan.
+
+    Every few metres what was seen over the last stretch is localized in the map of each earlier
+    part of the path that may be near. What is found is registered with the nearest keyframe there,
+    and told once another loop agrees with it through odometry.
+
+    Parameters
+    ----------
+    config : Config, optional
+        How segments are cut, described and localized.
+    settings : LoopConfig, optional
+
+    Notes
+    -----
+    Memory is bounded by ``max_parts``; odometry may drift, but not jump.
+    """
+
+    def __init__(self, config: Config | None = None, settings: LoopConfig | None = None) -> None:
+        self.config, self.settings = _quick(config or Config()), settings or LoopConfig()
+        local, voxel = self.config.local_cloud, self.config.segmentation.accumulated.voxel_size
+        short = local.model_copy(update={"window_m": self.settings.submap_m})
+        self._long, self._short = RollingCloud(local, voxel), RollingCloud(short, voxel)
+        self._segmenter = Segmenter(self.config.segmentation)
+        self._descriptor = create(self.config.method, self.config.threads, self.config.weights)
+        self._nodes: dict[int, _Node] = {}
+        self._submaps: dict[int, Submap] = {}
+        self._register = SubmapRegistration(self._submaps, self.settings, self.config.threads)
+        self._parts: deque[_Part] = deque()
+        self._growing: SegmentMap | None = None
+        self._first = 0  # node that the growing part begins with
+        self._count = self._scans = 0
+        self._travelled, self._last = 0.0, None
+        self._found: list[tuple[Loop, float]] = []
+        self._told: set[tuple[int, int]] = set()
+
+    _last: Pose | None
+
+    def __len__(self) -> int:
+        """How many keyframes are kept."""
+        return len(self._nodes)
+
+    def add(self, scan: Scan | np.ndarray, T_odom_sensor: ArrayLike) -> list[LoopClosure]:
+        """Take the next scan, and say what loops are believed by now that were not before.
+
+        Parameters
+        ----------
+        scan : Scan or (N, 3) array
+            Points in the sensor's frame, metres, its motion undone.
+        T_odom_sensor : (4, 4) array
+            In the odometry's frame, whose z axis points up.
+
+        Raises
+        ------
+        InvalidScan
+            If it is no scan, or the pose is no rigid transform; nothing is changed then.
+        """
+        scan = scan if isinstance(scan, Scan) else Scan(scan)
+        T = checked_pose(T_odom_sensor, "T_odom_sensor")
+        self._long.add(scan, T)
+        self._short.add(scan, T)
+        number, self._scans = self._scans, self._scans + 1
+        if self._last is not None:
+            self._travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
+        self._last = T
+        newest = self._nodes.get(self._count - 1)
+        if newest and self._travelled - newest.travelled < self.settings.every_m:
+            return []
+        return self._visit(number, T)
+
+    def _visit(self, number: int, T_odom_sensor: Pose) -> list[LoopClosure]:
+        """Make a keyframe here, and look where it was seen before."""
+        node, query = self._keyframe(number, T_odom_sensor)
+        self._nodes[self._count], self._submaps[self._count] = node, node.submap
+        for part in self._near(node):
+            self._look(part, query, self._count)
+        self._count += 1
+        return self._tell()
+
+    def _keyframe(self, number: int, T_odom_sensor: Pose) -> tuple[_Node, Query]:
+        T_odom_local, settings = geometry.levelled(T_odom_sensor), self.settings
+        cloud = self._long.cloud()
+        scene = self._segmenter.segment(cloud)
+        descriptors = self._descriptor.describe(scene.segments)
+        short = self._segmenter.segment(self._short.cloud())
+        self._grow(View(T_odom_local, float(number), scene), number)
+        assert self._growing is not None
+        add_view(self._growing, View(T_odom_local, float(number), scene), descriptors)
+        short_descriptors = self._descriptor.describe(short.segments)
+        add_view(self._growing, View(T_odom_local, float(number), short), short_descriptors)
+        radius = self.config.local_cloud.radius_m
+        submap = lean_submap(T_odom_local, scene, descriptors, short, settings, radius)
+        T_local_sensor = geometry.inverse(T_odom_local) @ T_odom_sensor
+        level = LocalCloud(submap.scene.structure, np.eye(4))
+        node = _Node(number, self._travelled, T_local_sensor, submap)
+        return node, Query(level, submap.scene, descriptors)
+
+    def _grow(self, view: View, number: int) -> None:
+        """Begin the next part where the last is long enough; the oldest is forgotten."""
+        first = self._nodes.get(self._first)
+        ended = first and self._travelled - first.travelled >= self.settings.part_m
+        if self._growing is not None and not ended:
+            return
+        if self._growing is not None:
+            prior_map = self._growing
+            localizer = Localizer(prior_map, self.config) if len(prior_map) else None
+            self._parts.append(_Part(range(self._first, self._count), localizer))
+            if len(self._parts) > self.settings.max_parts:
+                self._forget(self._parts.popleft())
+        self._first = self._count
+        origin = view.T_map_local[:3, 3]
+        self._growing = empty_map(self._descriptor, self.config, origin)
+
+    def _forget(self, part: _Part) -> None:
+        for k in part.nodes:
+            del self._nodes[k], self._submaps[k]
+        self._found = [f for f in self._found if f[0].target in self._nodes]
+
+    def _near(self, node: _Node) -> list[_Part]:
+        """Parts far back along the path that may be near, as far as odometry is to be trusted."""
+        settings, near = self.settings, []
+        for part in self._parts:
+            ago = node.travelled - self._nodes[part.nodes[-1]].travelled
+            if ago < settings.min_travel_m or part.localizer is None:
+                continue
+            places = np.stack([self._submaps[k].T_odom_local[:2, 3] for k in part.nodes])
+            away = np.linalg.norm(places - node.submap.T_odom_local[:2, 3], axis=1).min()
+            if away <= settings.reach_m + settings.drift * ago:
+                near.append(part)
+        return near
+
+    def _look(self, part: _Part, query: Query, source: int) -> None:
+        assert part.localizer is not None
+        answer = part.localizer.locate(query)
+        T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
+        if T_odom_local is None:
+            return
+        poses = np.stack([self._submaps[k].T_odom_local for k in part.nodes])
+        target = part.nodes[
+            int(np.linalg.norm(poses[:, :3, 3] - T_odom_local[:3, 3], axis=1).argmin())
+        ]
+        guess = geometry.inverse(self._submaps[target].T_odom_local) @ T_odom_local
+        loop = registered(target, source, guess, "found", self._register, self.settings)
+        if loop is not None and loop.accepted:
+            self._found.append((replace(loop, inliers=answer.inliers), answer.confidence))
+
+    def _tell(self) -> list[LoopClosure]:
+        """The loops that enough others agree with, each once."""
+        here = self._travelled
+        reach = 2.0 * self.settings.support_m
+        self._found = [f for f in self._found if here - self._nodes[f[0].source].travelled <= reach]
+        told = []
+        for loop, (_, confidence) in zip(self._agreeing(), self._found, strict=True):
+            key = (loop.target, loop.source)
+            if loop.accepted and key not in self._told:
+                self._told.add(key)
+                told.append(self._closure(loop, confidence))
+        self._told &= {(loop.target, loop.source) for loop, _ in self._found}
+        return told
+
+    def _agreeing(self) -> list[Loop]:
+        """The loops that were found of late; those that too few agree with have a reason."""
+        loops = [loop for loop, _ in self._found]
+        if not loops or not self.settings.min_support:
+            return loops
+        ends = sorted({k for loop in loops for k in (loop.target, loop.source)})
+        place = {k: n for n, k in enumerate(ends)}
+        chain = Chain(
+            np.zeros(len(ends), np.int64),
+            np.array([self._nodes[k].travelled for k in ends]),
+            np.stack([self._submaps[k].T_odom_local for k in ends]),
+            [],
+        )
+        placed = [
+            replace(loop, target=place[loop.target], source=place[loop.source]) for loop in loops
+        ]
+        judged = supported(chain, placed, self.settings)
+        return [
+            replace(loop, reason=verdict.reason)
+            for loop, verdict in zip(loops, judged, strict=True)
+        ]
+
+    def _closure(self, loop: Loop, confidence: float) -> LoopClosure:
+        """A loop between the local frames of two keyframes as one between their sensors."""
+        i, j = self._nodes[loop.target], self._nodes[loop.source]
+        T = geometry.inverse(i.T_local_sensor) @ loop.T_target_source @ j.T_local_sensor
+        covariance = geometry.rotated_covariance(loop.covariance, j.T_local_sensor)
+        assert covariance is not None
+        return LoopClosure(i.scan, j.scan, T, covariance, confidence)
+
+
+def _quick(config: Config) -> Config:
+    """Without what searches a whole map where segments say little: another keyframe will do."""
+    return config.model_copy(
+        update={
+            "occupancy": config.occupancy.model_copy(update={"enabled": False}),
+            "stems": config.stems.model_copy(update={"enabled": False}),
+        }
+    )

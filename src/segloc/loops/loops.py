@@ -1,0 +1,189 @@
+"""Loops: pairs of submaps that show one place, found by localizing submaps in maps of parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import geometry
+from ..config import Config
+from ..localizer import Localizer
+from ..map.segment_map import SegmentMap
+from ..pipeline.search import Query
+from ..types import Float64, Int64, LocalCloud, Pose
+from .config import AlignConfig
+from .graph import Edges
+from .submap_registration import SubmapRegistration, Submaps
+from .submaps import Session
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Two submaps of one place, as far as is known.
+
+    Attributes
+    ----------
+    target, source : int
+        Numbers of the submaps, counted over all sessions.
+    T_target_source : (4, 4) float64
+    covariance : (6, 6) float64
+        Of rotation (rad) and translation (m), frame of the source.
+    kind : str
+        "found" by localization, or "dense": neighbours after the first optimisation.
+    inliers : int
+        Segments that agreed; 0 for dense ones.
+    shared : float
+        Share of one cloud that met the other's.
+    reason : str
+        Why it is not believed; "" if it is.
+    before, after : (6,) float64 or None
+        Residual in rotation (rad) and translation (m) by the poses before and after alignment;
+        None between sessions that share no frame.
+    weight : float
+        How far the last optimisation believed it.
+    """
+
+    target: int
+    source: int
+    T_target_source: Pose
+    covariance: Float64
+    kind: str
+    inliers: int
+    shared: float
+    reason: str = ""
+    before: Float64 | None = None
+    after: Float64 | None = None
+    weight: float = 0.0
+
+    @property
+    def accepted(self) -> bool:
+        return not self.reason
+
+
+@dataclass(frozen=True)
+class Chain:
+    """All submaps of all sessions, one after another.
+
+    Attributes
+    ----------
+    session : (N,) int64
+        Which session each belongs to.
+    travelled : (N,) float64
+        Metres travelled in its session.
+    odometry : (N, 4, 4) float64
+        T_odom_local, each in the frame of its session.
+    parts : list of (K,) int64
+        The submaps of each part of each session, one after another.
+    """
+
+    session: Int64
+    travelled: Float64
+    odometry: Float64
+    parts: list[Int64]
+
+    @classmethod
+    def of(cls, sessions: list[Session], part_m: float) -> Chain:
+        numbers = np.repeat(np.arange(len(sessions)), [len(s.anchors) for s in sessions])
+        travelled = np.concatenate([session.node_travelled for session in sessions])
+        odometry = np.concatenate([session.node_poses for session in sessions])
+        first = np.cumsum([0, *(len(s.anchors) for s in sessions)])
+        parts = [
+            nodes + start
+            for session, start in zip(sessions, first, strict=False)
+            for nodes in session.parts(part_m)
+        ]
+        return cls(numbers.astype(np.int64), travelled, odometry, parts)
+
+    def __len__(self) -> int:
+        return len(self.session)
+
+    @property
+    def sessions(self) -> int:
+        """How many there are."""
+        return int(self.session.max(initial=-1)) + 1
+
+    def first(self, session: int) -> int:
+        """The number of a session's first submap."""
+        return int(np.searchsorted(self.session, session))
+
+
+@dataclass(frozen=True)
+class PartNodes:
+    """The submaps of a part, and their T_odom_local, (K, 4, 4)."""
+
+    nodes: Int64
+    odometry: Float64
+
+
+def loops_in_part(
+    part: PartNodes,
+    prior_map: SegmentMap,
+    sources: Sequence[int],
+    submaps: Submaps,
+    config: Config,
+    settings: AlignConfig,
+) -> list[Loop]:
+    """Localize submaps in the map of a part."""
+    localizer = Localizer(prior_map, config)
+    register = SubmapRegistration(submaps, settings, config.threads)
+    loops = []
+    for source in sources:
+        submap = submaps[source]
+        level = LocalCloud(submap.scene.structure, np.eye(4))
+        answer = localizer.locate(Query(level, submap.scene, submap.descriptors))
+        T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
+        if T_odom_local is None:
+            continue
+        distances = np.linalg.norm(part.odometry[:, :3, 3] - T_odom_local[:3, 3], axis=1)
+        nearest = int(distances.argmin())
+        guess = geometry.inverse(part.odometry[nearest]) @ T_odom_local
+        target = int(part.nodes[nearest])
+        loop = registered(target, source, guess, "found", register, settings)
+        if loop is not None:
+            loops.append(replace(loop, inliers=answer.inliers))
+    return loops
+
+
+def registered(
+    target: int,
+    source: int,
+    guess: Pose,
+    kind: str,
+    register: SubmapRegistration,
+    settings: AlignConfig,
+) -> Loop | None:
+    """A loop from a guess of its pose; None where the submaps cannot be aligned."""
+    fit = register.fit(target, source, guess)
+    if fit is None:
+        return None
+    reason = ""
+    if fit.shift_m > settings.max_shift_m:
+        reason = f"ICP moved it by {fit.shift_m:.1f} m"
+    elif fit.shared < settings.min_shared:
+        reason = f"too little shared ({fit.shared:.2f} < {settings.min_shared:.2f})"
+    T = fit.T_target_source
+    return Loop(target, source, T, fit.covariance, kind, 0, fit.shared, reason)
+
+
+def one_a_pair(loops: list[Loop]) -> list[Loop]:
+    """Of loops between the same submaps the one with most inliers, by source, then target."""
+    best: dict[tuple[int, int], Loop] = {}
+    for loop in loops:
+        key = (loop.source, loop.target)
+        if key not in best or loop.inliers > best[key].inliers:
+            best[key] = loop
+    return [best[key] for key in sorted(best)]
+
+
+def edges_of(loops: list[Loop]) -> Edges:
+    """Loops as edges of a graph."""
+    return Edges(
+        np.array([loop.target for loop in loops], np.int64),
+        np.array([loop.source for loop in loops], np.int64),
+        np.array([loop.T_target_source for loop in loops], np.float64).reshape(-1, 4, 4),
+        np.array([loop.covariance for loop in loops], np.float64).reshape(-1, 6, 6),
+    )

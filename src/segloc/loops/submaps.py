@@ -1,0 +1,201 @@
+"""A session as a chain of submaps: what was seen around points a few metres apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from .. import _native, geometry
+from ..config import Config
+from ..descriptors import create
+from ..errors import DatasetError
+from ..frontend.local_cloud import Accumulator, window
+from ..frontend.segmentation import Segmentation, Segmenter
+from ..map.build import View, add_view, empty_map
+from ..map.segment_map import SegmentMap
+from ..types import Descriptors, Float32, Float64, Int64, Pose, Recording, Segments
+from .config import AlignConfig
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Submap:
+    """What was seen around one scan of a session.
+
+    Attributes
+    ----------
+    T_odom_local : (4, 4) float64
+        The levelled pose of the scan.
+    scene : Segmentation
+        Of the cloud that a query spans, without the points of its segments.
+    descriptors : Descriptors
+        Of its segments.
+    structure, surface : (N, 3) float32
+        Of the shorter cloud that submaps are aligned by: points above ground; all points.
+    """
+
+    T_odom_local: Pose
+    scene: Segmentation
+    descriptors: Descriptors
+    structure: Float32
+    surface: Float32
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording as a chain of places at which submaps stand, and of parts.
+
+    Attributes
+    ----------
+    name : str
+    indices : (N,) int64
+        The numbers of the scans.
+    poses : (N, 4, 4) float64
+        T_odom_sensor, as recorded.
+    travelled : (N,) float64
+        Metres travelled up to each scan.
+    anchors : (S,) int64
+        Positions of the scans that submaps stand at.
+    """
+
+    name: str
+    indices: Int64
+    poses: Float64
+    travelled: Float64
+    anchors: Int64
+
+    @classmethod
+    def of(cls, recording: Recording, settings: AlignConfig) -> Session:
+        """A recording with poses; no scan is read.
+
+        Raises
+        ------
+        DatasetError
+            If there are no scans, or no poses.
+        """
+        poses = posed(recording)
+        travelled = geometry.travelled(poses)
+        anchors = geometry.stations(travelled, settings.every_m)
+        return cls(recording.name, recording.indices, poses, travelled, anchors)
+
+    @property
+    def node_poses(self) -> Float64:
+        """T_odom_local of the submaps, (S, 4, 4)."""
+        return np.stack([geometry.levelled(self.poses[k]) for k in self.anchors])
+
+    @property
+    def node_travelled(self) -> Float64:
+        """Metres travelled up to each submap, (S,)."""
+        return self.travelled[self.anchors]
+
+    def parts(self, length_m: float) -> list[Int64]:
+        """The submaps of each stretch of such a length: it has hardly drifted."""
+        stretch = (self.node_travelled // length_m).astype(np.int64)
+        return np.split(np.arange(len(self.anchors)), np.flatnonzero(np.diff(stretch)) + 1)
+
+
+def posed(recording: Recording) -> Float64:
+    """The poses that a session is aligned by, (N, 4, 4).
+
+    Raises
+    ------
+    DatasetError
+        If there are no scans, or no poses.
+    """
+    if not len(recording):
+        raise DatasetError(f"{recording.name}: no scan in it")
+    if recording.poses is None:
+        raise DatasetError(f"{recording.name}: aligning needs odometry: a pose for every scan")
+    return recording.poses
+
+
+def describe_session(
+    recording: Recording,
+    session: Session,
+    config: Config,
+    settings: AlignConfig,
+    progress: Progress | None = None,
+) -> Iterator[tuple[list[Submap], SegmentMap]]:
+    """Cut a recording into parts: the submaps of each, and its map in the session's own frame.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read.
+    """
+    reader = _Reader(recording, session.poses, config)
+    done = 0
+    for nodes in session.parts(settings.part_m):
+        part = empty_map(reader.descriptor, config, session.poses[0, :3, 3])
+        submaps = []
+        for anchor in session.anchors[nodes]:
+            submaps.append(_submap(reader, int(anchor), settings, part))
+            done += 1
+            if progress:
+                progress(done, len(session.anchors))
+        yield submaps, part
+
+
+class _Reader:
+    """Gathers, segments and describes; neighbouring clouds share scans, each read once."""
+
+    def __init__(self, recording: Recording, poses: Float64, config: Config) -> None:
+        self.config, self.poses = config, poses
+        length = config.local_cloud.window_m
+        some = [len(self.window(i, length)) for i in range(0, len(poses), 10)]
+        self.read = lru_cache(maxsize=2 * max(some))(recording.scan)
+        self.accumulator = Accumulator(config.local_cloud)
+        self.segmenter = Segmenter(config.segmentation)
+        self.descriptor = create(config.method, config.threads)
+
+    def window(self, anchor: int, length_m: float) -> range:
+        gap = self.config.local_cloud.max_gap_m
+        return window(self.poses, anchor, length_m, centred=True, max_gap_m=gap)
+
+    def view(self, anchor: int, length_m: float) -> tuple[Segmentation, Descriptors]:
+        scans = self.window(anchor, length_m)
+        cloud = self.accumulator.gather([self.read(i) for i in scans], anchor - scans.start)
+        scene = self.segmenter.segment(cloud)
+        return scene, self.descriptor.describe(scene.segments)
+
+
+def _submap(reader: _Reader, anchor: int, settings: AlignConfig, prior_map: SegmentMap) -> Submap:
+    T_odom_local = geometry.levelled(reader.poses[anchor])
+    scene, descriptors = reader.view(anchor, reader.config.local_cloud.window_m)
+    short, short_descriptors = reader.view(anchor, settings.submap_m)
+    for seen, described in ((scene, descriptors), (short, short_descriptors)):
+        add_view(prior_map, View(T_odom_local, float(anchor), seen), described)
+    radius_m = reader.config.local_cloud.radius_m
+    return lean_submap(T_odom_local, scene, descriptors, short, settings, radius_m)
+
+
+def lean_submap(
+    T_odom_local: Pose,
+    scene: Segmentation,
+    descriptors: Descriptors,
+    short: Segmentation,
+    settings: AlignConfig,
+    radius_m: float,
+) -> Submap:
+    """What is to be kept of a place: of the cloud that a query spans, and of a shorter one."""
+    structure = _within(scene.structure, radius_m)
+    lean = Segmentation(_without_points(scene.segments), structure, scene.ground)
+    radius = settings.icp_radius
+    aligned = _within(short.structure, radius), _within(short.surface, radius)
+    return Submap(T_odom_local, lean, descriptors, *aligned)
+
+
+def _without_points(segments: Segments) -> Segments:
+    """Where segments lie is needed for long, their points are not."""
+    offsets = np.zeros_like(segments.offsets)
+    return Segments(np.empty((0, 3), np.float32), offsets, segments.centroids, segments.heights)
+
+
+def _within(points: Float32, radius: float) -> Float32:
+    """Thinned to what registration needs."""
+    near = (points[:, :2] ** 2).sum(axis=1) < radius**2
+    return np.ascontiguousarray(_native.voxel_grid(np.ascontiguousarray(points[near]), 0.3))

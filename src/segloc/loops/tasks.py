@@ -1,0 +1,200 @@
+"""What is done for each recording, part and pair of submaps, by whatever executes tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from ..config import Config
+from ..errors import DatasetError
+from ..system.files import folder_in
+from ..system.processes import all_of
+from ..types import Recording
+from .config import AlignConfig
+from .dense import Pair, tied
+from .growing_map import PartsVote, blocks_of, known_parts, thin
+from .loops import Chain, Loop, PartNodes, Progress, loops_in_part, one_a_pair
+from .submap_store import SubmapStore, forget
+from .submaps import Session, describe_session
+
+Stage = Callable[[str], AbstractContextManager[Progress]]
+
+_VOTERS, _PAIRS = 32, 64
+"""Submaps, and pairs of them, of a task."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where a run's work is done: its store, settings, and who executes tasks.
+
+    Attributes
+    ----------
+    store : SubmapStore
+        That all tasks see.
+    config : Config
+    settings : AlignConfig
+    executor : Executor or None
+        None: this process.
+    """
+
+    store: SubmapStore
+    config: Config
+    settings: AlignConfig
+    executor: Executor | None = None
+
+    def on_its_own(self) -> Workspace:
+        """What a task takes along."""
+        return replace(self, executor=None)
+
+
+@contextmanager
+def opened_workspace(
+    config: Config, settings: AlignConfig, executor: Executor | None, folder: str | Path | None
+) -> Iterator[Workspace]:
+    """A workspace in a folder, which is removed at the end; workers have one thread each."""
+    if executor is not None:
+        config = config.model_copy(update={"threads": 1})
+    with folder_in(folder, ".segloc-align-") as made:
+        try:
+            yield Workspace(SubmapStore(made), config, settings, executor)
+        finally:
+            forget()
+
+
+# --- recordings -> submaps and parts --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Described:
+    """A session to be described: its submaps and parts are counted on from the first ones."""
+
+    number: int
+    recording: Recording
+    session: Session
+    first_submap: int
+    first_part: int
+
+
+def describe(workspace: Workspace, task: Described, progress: Progress | None = None) -> None:
+    """Put a session's submaps and parts in the store.
+
+    Raises
+    ------
+    DatasetError
+        If nothing in it could be segmented; names the session.
+    """
+    submap, segments = task.first_submap, 0
+    try:
+        parts = describe_session(
+            task.recording, task.session, workspace.config, workspace.settings, progress
+        )
+        for k, (submaps, prior_map) in enumerate(parts, task.first_part):
+            for each in submaps:
+                workspace.store.put(submap, each)
+                submap += 1
+            workspace.store.put_map(f"part_{k}", prior_map)
+            workspace.store.put_map(f"thin_{k}", thin(prior_map))
+            segments += len(prior_map)
+        if not segments:
+            scans = len(task.recording)
+            raise DatasetError(f"{task.session.name}: no segment found in {scans} scans")
+    except DatasetError as error:  # sessions may have one name, so that faults need the number, too
+        raise DatasetError(f"session {task.number}: {error}") from error
+
+
+def describe_all(workspace: Workspace, tasks: Sequence[Described], stage: Stage) -> None:
+    """Put all sessions in the store."""
+    if workspace.executor is not None:
+        with stage("Describing sessions") as update:
+            all_of(partial(describe, workspace.on_its_own()), tasks, workspace.executor, update)
+        return
+    for task in tasks:
+        with stage(f"Describing session {task.number + 1} of {len(tasks)}") as update:
+            describe(workspace, task, update)
+
+
+# --- submaps -> loops -----------------------------------------------------------------------------
+
+
+def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = None) -> list[Loop]:
+    """Localize every submap in the parts before it that most of it votes for.
+
+    Returns
+    -------
+    list of Loop
+        What localization found and registration refined, believed or not; no two of the same
+        submaps.
+    """
+    tasks = [
+        (k, PartNodes(chain.parts[k], chain.odometry[chain.parts[k]]), sources)
+        for k, sources in _searched(workspace, chain).items()
+    ]
+    look = partial(_loops, workspace.on_its_own())
+    found = all_of(look, tasks, workspace.executor, progress)
+    return one_a_pair([loop for loops in found for loop in loops])
+
+
+def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
+    """By part the submaps that are to be localized in it."""
+    settings = workspace.settings
+    found: dict[int, list[int]] = {k: [] for k in range(len(chain.parts))}
+    voters: dict[range, list[int]] = {}
+    for source, known in enumerate(known_parts(chain, settings.min_travel_m).tolist()):
+        for block in blocks_of(known) if known > settings.searched_parts else ():
+            voters.setdefault(block, []).append(source)
+        for part in range(known) if known <= settings.searched_parts else ():
+            found[part].append(source)
+    tasks = [
+        (block, sources[k : k + _VOTERS * len(block)])  # so many that the block's map pays
+        for block, sources in sorted(voters.items(), key=lambda item: (item[0].start, item[0].stop))
+        for k in range(0, len(sources), _VOTERS * len(block))
+    ]
+    ballots: dict[int, list[tuple[int, int]]] = {}
+    for votes in all_of(partial(_votes, workspace.on_its_own()), tasks, workspace.executor):
+        for source, part, inliers in votes:
+            ballots.setdefault(source, []).append((-inliers, part))
+    for source, ballot in ballots.items():
+        for _, part in sorted(ballot)[: settings.searched_parts]:
+            found[part].append(source)
+    return {k: sorted(sources) for k, sources in found.items() if sources}
+
+
+def _votes(workspace: Workspace, task: tuple[range, list[int]]) -> list[tuple[int, int, int]]:
+    """Submap, part and votes for it, of submaps that vote for the parts of a block."""
+    block, sources = task
+    parts = [workspace.store.map(f"thin_{k}") for k in block]
+    vote = PartsVote(parts, workspace.config, workspace.settings)
+    return [
+        (source, block.start + part, inliers)
+        for source in sources
+        for part, inliers in vote.of(workspace.store[source]).items()
+    ]
+
+
+def _loops(workspace: Workspace, task: tuple[int, PartNodes, list[int]]) -> list[Loop]:
+    part, nodes, sources = task
+    prior_map = workspace.store.map(f"part_{part}")
+    if not len(prior_map):
+        return []
+    config, settings = workspace.config, workspace.settings
+    return loops_in_part(nodes, prior_map, sources, workspace.store, config, settings)
+
+
+# --- neighbours -> dense loops --------------------------------------------------------------------
+
+
+def tie(
+    workspace: Workspace, pairs: Sequence[Pair], progress: Progress | None = None
+) -> list[Loop]:
+    """The loops of those pairs that can be aligned."""
+    tasks = [pairs[k : k + _PAIRS] for k in range(0, len(pairs), _PAIRS)]
+    found = all_of(partial(_tied, workspace.on_its_own()), tasks, workspace.executor, progress)
+    return [loop for loops in found for loop in loops]
+
+
+def _tied(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
+    return tied(pairs, workspace.store, workspace.settings, workspace.config.threads)

@@ -1,0 +1,107 @@
+"""A verdict -> the answer to a query: the pose of its sensor, or why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .. import geometry
+from ..likelihood import RefinedScore, Score, Verdict
+from ..localization import Localization, Localized, NotLocalized, Reason, RunnerUp
+from ..prior import Prior
+from ..types import LocalCloud, Pose
+
+NOT_FLAT = (
+    "unknown attitude (too little that is flat is in view to tell how the sensor stands, and taken "
+    "as level it is not found: give its gravity or a pose)"
+)
+
+_OF_THE_QUERY = (Reason.NO_POINTS, Reason.NO_SEGMENTS, Reason.AMBIGUOUS, Reason.UNKNOWN_ATTITUDE)
+"""Reasons that say nothing against the prior."""
+
+
+def answer(
+    cloud: LocalCloud,
+    verdict: Verdict,
+    counts: Mapping[str, int],
+    times_ms: Mapping[str, float],
+    near: Prior | None = None,
+) -> Localization:
+    """What is told of a query.
+
+    Parameters
+    ----------
+    cloud : LocalCloud
+        The query.
+    verdict : Verdict
+    counts : dict
+        How many items each stage produced.
+    times_ms : dict
+        Milliseconds each stage took.
+    near : Prior, optional
+        Where it was looked for.
+    """
+    best, T_local_sensor = verdict.best, cloud.T_local_sensor
+    common: dict[str, Any] = {
+        "counts": counts,
+        "times_ms": times_ms,
+        "stamp": cloud.stamp,
+        "attitude": cloud.attitude,
+        "confidence": verdict.confidence,
+        "runner_up": _runner_up(verdict, T_local_sensor),
+        **_measured(verdict),
+    }
+    if verdict.reason is not None or best is None:
+        return NotLocalized(**_why(verdict, cloud, counts, near), **common)
+    covariance = best.covariance if isinstance(best, RefinedScore) else None
+    return Localized(
+        T_map_sensor=best.T_map_local @ T_local_sensor,
+        covariance=geometry.rotated_covariance(covariance, T_local_sensor),
+        **common,
+    )
+
+
+def _measured(verdict: Verdict) -> dict[str, float | None]:
+    """What was measured of the best candidate."""
+    best = verdict.best
+    if best is None:
+        return {}
+    evidence = verdict.evidence
+    return {
+        "inliers": best.inliers,
+        "overlap": best.overlap,
+        "seen": best.seen if isinstance(best, Score) else None,
+        "inlier_ratio": None if evidence is None else evidence.inlier_ratio,
+        "rmse": best.rmse,
+    }
+
+
+def _why(
+    verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int], near: Prior | None
+) -> dict[str, Any]:
+    """The first stage that was left with nothing, or else what the verdict says."""
+    why = _why_anywhere(verdict, cloud, counts)
+    if near is None or why["reason"] in _OF_THE_QUERY:
+        return why
+    message = f"{Reason.NOT_NEAR_PRIOR} ({near}: {why['message']})"
+    return {"reason": Reason.NOT_NEAR_PRIOR, "message": message}
+
+
+def _why_anywhere(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
+    for what, reason in (
+        ("points", Reason.NO_POINTS),
+        ("segments", Reason.NO_SEGMENTS),
+        ("matches", Reason.NO_MATCHES),
+    ):
+        if counts[what] == 0:
+            return {"reason": reason, "message": reason.value}
+    if verdict.undecided and cloud.attitude == "assumed":
+        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
+    return {"reason": verdict.reason, "message": verdict.message}
+
+
+def _runner_up(verdict: Verdict, T_local_sensor: Pose) -> RunnerUp | None:
+    other = verdict.runner_up
+    if other is None:
+        return None
+    return RunnerUp(other.T_map_local @ T_local_sensor, other.inliers, other.overlap)

@@ -1,0 +1,89 @@
+"""How landmarks are merged, matched and judged."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from ...system.section import Section
+from ..pose import PoseConfig
+
+
+class StemConfig(Section):
+    """How stems are found in clouds, and used."""
+
+    enabled: bool = Field(
+        True, description="where segments decide nothing, search by stems and other upright things"
+    )
+    fewest: int = Field(6, ge=3, le=1000, description="stems of a query that may tell a pose")
+    most: int = Field(20_000, ge=3, le=10**6, description="of a map: those that most points show")
+    lowest_m: float = Field(0.5, ge=-10, le=100, description="looked at above this over ground")
+    highest_m: float = Field(5.0, gt=0, le=100, description="and below this, metres")
+    slice_m: float = Field(0.6, ge=0.05, le=10, description="in slices of this height")
+    tolerance: float = Field(
+        0.3, ge=0.02, le=5, description="points of a slice closer than this belong together, metres"
+    )
+    widest_m: float = Field(1.2, gt=0, le=20, description="what is wider is no stem")
+    link_m: float = Field(
+        0.3, gt=0, le=5, description="a stem moves less than this from slice to slice"
+    )
+    fewest_points: int = Field(4, ge=3, le=10_000, description="points of a stem")
+    least_length_m: float = Field(0.9, gt=0, le=50, description="of what is seen of a stem")
+
+
+class Effort(Section):
+    """How many matches are looked for."""
+
+    neighbours: int = Field(
+        4, ge=2, le=32, description="a landmark makes triangles with pairs of so many around it"
+    )
+    alike: int = Field(1, ge=1, le=100, description="map triangles proposed for each")
+    most_landmarks: int = Field(
+        32, ge=3, le=10_000, description="of a query: those nearest to the sensor"
+    )
+    most_matches: int = Field(400, ge=3, le=30_000, description="the best ones are kept")
+    most_candidates: int = Field(6, ge=1, le=1000, description="poses that are compared")
+
+
+class LandmarkConfig(Section):
+    """All settings of landmarks."""
+
+    merge_radius: float = Field(
+        0.5, gt=0, le=10, description="detections closer than this are one landmark, metres"
+    )
+    min_views: int = Field(
+        2, ge=1, le=1000, description="landmarks seen less often are left out of the map"
+    )
+    efforts: tuple[Effort, ...] = Field(
+        (
+            Effort(),
+            Effort(
+                neighbours=10, alike=8, most_landmarks=64, most_matches=3000, most_candidates=24
+            ),
+        ),
+        min_length=1,
+        description="one after the other, until a pose is believed or is ambiguous",
+    )
+    key_noise_m: float = Field(0.2, gt=0, le=10, description="of the sides of a triangle")
+    key_noise_height_m: float = Field(0.5, gt=0, le=10, description="of differences of height")
+    key_noise_diameter_m: float = Field(0.1, gt=0, le=10, description="of diameters")
+    most_key_noise: float = Field(
+        4.0, gt=0, le=100, description="triangles that differ by more of it do not match"
+    )
+    pose: PoseConfig = PoseConfig(max_candidates=24)
+    tolerance: float = Field(
+        0.5, gt=0, le=10, description="a landmark lies on one of the map below this, metres"
+    )
+    height_tolerance: float = Field(2.0, gt=0, le=100, description="the same along z, metres")
+    max_refined: int = Field(4, ge=2, le=100, description="candidates that are refined")
+    min_support: float = Field(
+        10.0, ge=3, le=1000, description="landmarks on the map, weighted by how well they fit"
+    )
+    min_share: float = Field(
+        0.2, ge=0, le=1, description="the same as a share of the query's landmarks"
+    )
+    min_confidence: float = Field(
+        0.8, ge=0, le=1, description="probability above which a pose is believed"
+    )
+    max_rival: float = Field(
+        0.75, gt=0, le=1, description="ambiguous where another place has this share of the support"
+    )

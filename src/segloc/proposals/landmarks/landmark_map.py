@@ -1,0 +1,160 @@
+"""The map of landmarks: what was seen from several poses, each thing once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...errors import MapFormatError, SeglocError
+from ...map import file as mapfile
+from ...system.checks import MOST_METRES, check_finite, checked_pose, checked_rows
+from ...types import Float64, Int64
+from .config import LandmarkConfig
+from .landmarks import Landmarks
+from .merging import Merger
+
+DESCRIPTOR, FINGERPRINT = "landmarks", "landmarks-1"
+_VOXEL_M = 0.3  # of the cloud, which has no points
+
+
+@dataclass(frozen=True)
+class LandmarkMap:
+    """Landmarks in one frame whose z axis points up. Made by :class:`LandmarkMapper` or loaded.
+
+    Attributes
+    ----------
+    positions : (M, 3) float64
+        Means of all views, metres.
+    axes : (M, 3) float64
+    diameters : (M,) float64
+        Metres.
+    views : (M,) int64
+        How often each was seen.
+    trajectory : (V, 4, 4) float64
+        T_map_sensor of each view.
+
+    Raises
+    ------
+    InvalidScan
+        If shapes do not fit, or a value is not finite or beyond all reason.
+    """
+
+    positions: Float64
+    axes: Float64
+    diameters: Float64
+    views: Int64
+    trajectory: Float64
+
+    def __post_init__(self) -> None:
+        positions = checked_rows(self.positions, "positions", (-1, 3), np.float64)
+        check_finite(positions, "positions", MOST_METRES)
+        count = len(positions)
+        columns = {
+            "positions": positions,
+            "axes": checked_rows(self.axes, "axes", (count, 3), np.float64),
+            "diameters": checked_rows(self.diameters, "diameters", (count,), np.float64),
+            "views": checked_rows(self.views, "views", (count,), np.int64),
+            "trajectory": checked_rows(self.trajectory, "trajectory", (-1, 4, 4), np.float64),
+        }
+        for name, rows in columns.items():
+            object.__setattr__(self, name, rows)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @classmethod
+    def build(
+        cls, views: Iterable[tuple[Landmarks, ArrayLike]], config: LandmarkConfig | None = None
+    ) -> LandmarkMap:
+        """A map of landmarks seen from known poses.
+
+        Parameters
+        ----------
+        views : iterable of (Landmarks, (4, 4) array)
+            What was seen, and T_map_sensor, where the map's z axis points up.
+        config : LandmarkConfig, optional
+        """
+        mapper = LandmarkMapper(config)
+        for landmarks, T_map_sensor in views:
+            mapper.add(landmarks, T_map_sensor)
+        return mapper.map()
+
+    def save(self, path: str | Path) -> None:
+        """Write a ``.segmap`` file, whole or not at all.
+
+        Raises
+        ------
+        SeglocError
+        """
+        count = len(self)
+        arrays: dict[str, mapfile.Array] = {
+            "origin": np.zeros(3),
+            "centroids": self.positions,
+            "stamps": np.zeros(count),
+            "trajectory": self.trajectory,
+            "vectors": np.column_stack([self.axes, self.diameters]),
+            "cloud": np.empty((0, 3), np.float32),
+            "sizes": np.minimum(self.views, np.iinfo(np.int32).max),
+            "session": np.zeros(count),
+        }
+        mapfile.write(path, mapfile.Contents(arrays, DESCRIPTOR, FINGERPRINT, _VOXEL_M, {}))
+
+    @classmethod
+    def load(cls, path: str | Path) -> LandmarkMap:
+        """Read a file that :meth:`save` wrote.
+
+        Raises
+        ------
+        MapFormatError
+            If it cannot be read, or is a map of something else.
+        """
+        contents = mapfile.read(path)
+        if contents.fingerprint != FINGERPRINT or contents.arrays["vectors"].shape[1] != 4:
+            raise MapFormatError(
+                f"{path}: a map of {contents.descriptor}, not of landmarks: "
+                "load it by SegmentMap.load(path)"
+            )
+        arrays = contents.arrays
+        vectors = arrays["vectors"].astype(np.float64)
+        views = arrays["sizes"].astype(np.int64)
+        return cls(arrays["centroids"], vectors[:, :3], vectors[:, 3], views, arrays["trajectory"])
+
+
+class LandmarkMapper:
+    """Makes a map of landmarks view by view.
+
+    Parameters
+    ----------
+    config : LandmarkConfig, optional
+    """
+
+    def __init__(self, config: LandmarkConfig | None = None) -> None:
+        self._config = config or LandmarkConfig()
+        self._merger = Merger(self._config.merge_radius)
+        self._trajectory: list[Float64] = []
+
+    def add(self, landmarks: Landmarks, T_map_sensor: ArrayLike) -> None:
+        """Add what was seen from one pose.
+
+        Raises
+        ------
+        SeglocError
+            If it is given something else than landmarks and a rigid pose.
+        """
+        if not isinstance(landmarks, Landmarks):
+            raise SeglocError(f"a map is made of Landmarks, not of {type(landmarks).__name__}")
+        T = checked_pose(T_map_sensor, "T_map_sensor")
+        self._merger.add(landmarks.moved(T))
+        self._trajectory.append(T)
+
+    def map(self) -> LandmarkMap:
+        """The landmarks seen so far, without those that too few views show."""
+        columns, views = self._merger.merged()
+        keep = views >= self._config.min_views
+        columns = columns[keep]
+        trajectory = np.array(self._trajectory).reshape(-1, 4, 4)
+        return LandmarkMap(columns[:, :3], columns[:, 3:6], columns[:, 6], views[keep], trajectory)

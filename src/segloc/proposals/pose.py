@@ -1,0 +1,183 @@
+"""Matches -> candidate poses."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from .. import _native
+from ..geometry import Separation
+from ..system.section import Section
+from ..types import Candidate, Float64, Int64, Matches, Pose
+from .consistency import ConsistencyConfig, ConsistentMatches
+
+
+class PoseConfig(Section):
+    """How candidate poses are found."""
+
+    estimator: Literal["consensus", "prosac", "ransac", "geometric_consistency"] = Field(
+        "consensus", description="consensus: yaw and translation, by votes; the others: SE(3)"
+    )
+    consistency: ConsistencyConfig = ConsistencyConfig()
+    edge_tolerance: float = Field(
+        0.5, gt=0, le=100, description="edges of a sample differ by less, metres (prosac, ransac)"
+    )
+    inlier_tolerance: float = Field(
+        0.6, gt=0, le=100, description="a match fits a pose below this, metres"
+    )
+    height_tolerance: float = Field(1.0, gt=0, le=1000, description="the same along z, metres")
+    min_edge: float = Field(
+        3.0,
+        gt=0,
+        le=1000,
+        description="samples closer than this are not used, metres (prosac, ransac)",
+    )
+    distinct_radius: float = Field(
+        1.0, ge=0, le=1000, description="segments closer than this count as one inlier, metres"
+    )
+    separation: Separation = Separation()
+    max_refined: int = Field(128, ge=1, le=100_000, description="candidates refined by consensus")
+    max_draws: int = Field(
+        2_000_000, ge=1, le=10**9, description="samples of prosac and ransac at most"
+    )
+    chance: float = Field(
+        0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"
+    )
+    max_candidates: int = Field(8, ge=1, le=1000, description="candidates handed to verification")
+
+
+class Agreement:
+    """How many distinct segments of a query agree with a pose that was not estimated of them.
+
+    Parameters
+    ----------
+    query : (P, 3) float64
+        Segment centroids of the query cloud, local frame (z up).
+    map_centroids : (M, 3) float64
+        Segment centroids of the map, map frame (z up).
+    matches : Matches
+    config : PoseConfig
+    """
+
+    def __init__(
+        self, query: Float64, map_centroids: Float64, matches: Matches, config: PoseConfig
+    ) -> None:
+        self._from = np.ascontiguousarray(query[matches.query].T)
+        self._to = np.ascontiguousarray(map_centroids[matches.map].T)
+        self._objects = _objects(query, config.distinct_radius)[matches.query]
+        self._config = config
+
+    def __call__(self, T_map_local: Pose) -> int:
+        """Distinct objects with a match that fits the pose."""
+        config = self._config
+        off = [self._off(T_map_local[axis], axis) for axis in (0, 1)]
+        fits = np.flatnonzero(off[0] ** 2 + off[1] ** 2 < config.inlier_tolerance**2)
+        level = np.abs(self._off(T_map_local[2], 2, fits)) < config.height_tolerance
+        return len(set(self._objects[fits[level]].tolist()))
+
+    def _off(self, row: Float64, axis: int, some: Int64 | slice = slice(None)) -> Float64:
+        """By how much some of the matches miss along an axis, by its row of the pose."""
+        x, y, z = self._from[:, some]
+        moved: Float64 = row[0] * x + row[1] * y + row[2] * z + row[3]
+        return self._to[axis, some] - moved
+
+
+def _objects(centroids: Float64, radius: float) -> Int64:
+    """The object of each of (P, 3) segments: one with the first that is so near, seen from above.
+
+    An object cut at two heights is two segments.
+    """
+    x, y = centroids[:, 0], centroids[:, 1]
+    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < radius**2
+    objects = np.arange(len(centroids), dtype=np.int64)
+    first = near.argmax(axis=1) if len(near) else objects  # near[i, i] is true
+    for i in np.flatnonzero(first < objects):
+        objects[i] = objects[first[i]]
+    return objects
+
+
+class PoseEstimator:
+    """Finds poses on which many matches agree; several, at different places, best first."""
+
+    def __init__(
+        self, config: PoseConfig | None = None, *, threads: int = 0, seed: int = 0
+    ) -> None:
+        self.config = config or PoseConfig()
+        self._threads = threads
+        self._seed = seed
+        self._find = {
+            "consensus": self._consensus,
+            "prosac": self._sampled,
+            "ransac": self._sampled,
+            "geometric_consistency": self._consistent,
+        }[self.config.estimator]
+
+    def estimate(self, query: Float64, map_centroids: Float64, matches: Matches) -> list[Candidate]:
+        """Candidate poses T_map_local.
+
+        Parameters
+        ----------
+        query : (P, 3) float64
+            Segment centroids of the query cloud, local frame (z up).
+        map_centroids : (M, 3) float64
+            Segment centroids of the map, map frame (z up).
+        matches : Matches
+        """
+        poses, inliers = self._find(query, map_centroids, matches)
+        return [Candidate(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
+
+    def agreement(self, query: Float64, map_centroids: Float64, matches: Matches) -> Agreement:
+        """How many segments agree with any pose; parameters are those of :meth:`estimate`."""
+        return Agreement(query, map_centroids, matches, self.config)
+
+    def _consensus(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> tuple[Float64, Int64]:
+        config = self.config
+        poses, inliers, _ = _native.consensus(
+            query,
+            map_centroids,
+            matches.query,
+            matches.map,
+            inlier_tolerance=config.inlier_tolerance,
+            height_tolerance=config.height_tolerance,
+            distinct_radius=config.distinct_radius,
+            separation=config.separation.metres,
+            separation_deg=config.separation.degrees,
+            max_refined=config.max_refined,
+            max_hypotheses=config.max_candidates,
+            threads=self._threads,
+        )
+        return poses, inliers
+
+    def _sampled(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> tuple[Float64, Int64]:
+        config = self.config
+        return _native.prosac(
+            query,
+            map_centroids,
+            matches.query,
+            matches.map,
+            ordered=config.estimator == "prosac",
+            yaw_only=False,
+            edge_tolerance=config.edge_tolerance,
+            inlier_tolerance=config.inlier_tolerance,
+            min_edge=config.min_edge,
+            chance=config.chance,
+            separation=config.separation.metres,
+            separation_deg=config.separation.degrees,
+            max_draws=config.max_draws,
+            max_hypotheses=config.max_candidates,
+            seed=self._seed,
+        )
+
+    def _consistent(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> tuple[Float64, Int64]:
+        config = self.config
+        sets = ConsistentMatches(config.consistency, config.separation)
+        objects = _objects(query, config.distinct_radius)
+        return sets.poses(query, map_centroids, matches, objects, config.max_candidates)

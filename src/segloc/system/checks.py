@@ -1,0 +1,245 @@
+"""What arrays must be before anything is done with them; each fault is named in one line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from ..errors import InvalidScan
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Pose = NDArray[np.float64]
+"""A (4, 4) float64 homogeneous transform. ``T_a_b`` takes points from frame b to frame a."""
+
+MOST_METRES = 1e8
+"""Positions farther from the origin of any frame are refused: UTM and ECEF coordinates are below
+1e7 m, and a float64 still tells 1e-8 m apart."""
+
+MOST_LOCAL_METRES = 1e5
+"""A local cloud's points lie around the sensor: farther ones are in another frame or unit."""
+
+ROTATION_TOLERANCE = 1e-3
+"""Of the entries of R R^T, from those of the identity."""
+
+_WIDEST_ROW = 64  # (3, N) instead of (N, 3)
+
+
+def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
+    try:
+        return np.asarray(values, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"{name} must be an array of numbers") from error
+
+
+def _number(value: float, name: str, unit: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"{name} must be a number of {unit}, not {value!r:.60}") from error
+
+
+def checked_points(points: ArrayLike, name: str = "points") -> Float32:
+    """The x, y, z of ``points`` as (N, 3) float32, C-contiguous; values may be infinite or NaN.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape or dtype is wrong.
+    """
+    array = as_array(points, name)
+    if array.ndim != 2 or array.shape[1] < 3:
+        raise InvalidScan(f"{name} must have shape (N, 3) or wider, not {array.shape}")
+    if array.shape[0] == 3 and array.shape[1] > _WIDEST_ROW:
+        raise InvalidScan(f"{name} must have shape (N, 3), not {array.shape}: transpose them")
+    if not np.issubdtype(array.dtype, np.floating):
+        raise InvalidScan(f"{name} must be floating point, not {array.dtype}")
+    with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf
+        return np.ascontiguousarray(array[:, :3], dtype=np.float32)
+
+
+def checked_local_points(points: ArrayLike) -> Float32:
+    """As :func:`checked_points`, of a local cloud: finite, and not beyond ``MOST_LOCAL_METRES``.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape or dtype is wrong; names the first row with such a value.
+    """
+    array = checked_points(points)
+    check_finite(array, "points", MOST_LOCAL_METRES)
+    return array
+
+
+def checked_count(count: int, name: str) -> int:
+    """A positive whole number.
+
+    Raises
+    ------
+    InvalidScan
+        If it is none.
+    """
+    if not isinstance(count, int) or count < 1:
+        raise InvalidScan(f"{name} must be a positive whole number, not {count!r}")
+    return count
+
+
+def edge_if_given(edge: float | None, name: str) -> float | None:
+    """The edge of a voxel as a positive number of metres, or None.
+
+    Raises
+    ------
+    InvalidScan
+        If it is no positive finite number.
+    """
+    if edge is None:
+        return None
+    value = _number(edge, name, "metres")
+    if not 0 < value < np.inf:
+        raise InvalidScan(f"{name} must be positive, not {value}")
+    return value
+
+
+def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+    """``values`` in a dtype and shape (-1: any), C-contiguous; copied only where needed.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape or dtype is wrong, or a value is not finite; names the first such row.
+    """
+    array = as_array(values, name)
+    fits = array.ndim == len(shape) and all(
+        wanted in (-1, found) for wanted, found in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise InvalidScan(f"{name} must have shape {_shown(shape)}, not {array.shape}")
+    if array.dtype.kind not in ("f" if np.issubdtype(dtype, np.floating) else "iu"):
+        raise InvalidScan(f"{name} cannot have dtype {array.dtype}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        rows = np.ascontiguousarray(array, dtype=dtype)
+    check_finite(rows, name)
+    return rows
+
+
+def check_finite(rows: NDArray[Any], name: str, most: float = np.inf) -> None:
+    """Refuse values that are not finite, or beyond ``most``; names the first row with one.
+
+    Raises
+    ------
+    InvalidScan
+    """
+    if rows.dtype.kind != "f" or not rows.size:
+        return
+    flat = rows.reshape(len(rows), -1)
+    with np.errstate(invalid="ignore"):
+        good = np.abs(flat) <= most if np.isfinite(most) else np.isfinite(flat)
+    if not good.all():
+        row = int(np.flatnonzero(~good.all(axis=1))[0])
+        fault = "is not finite" if not np.isfinite(flat[row]).all() else f"is beyond {most:g} m"
+        raise InvalidScan(f"{name}: row {row} {fault}")
+
+
+def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
+    if times is None:
+        return None
+    array: Float64 = as_array(times, "times", np.float64)
+    if array.shape != (count,):
+        raise InvalidScan(f"times must have shape ({count},), not {array.shape}")
+    return array
+
+
+def checked_direction(direction: ArrayLike) -> Float64:
+    """A direction of gravity as a unit vector, (3,) float64.
+
+    Raises
+    ------
+    InvalidScan
+        If it is not three finite numbers, or has no length.
+    """
+    try:
+        vector: Float64 = np.array(direction, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidScan(f"gravity must be three numbers, not {direction!r:.60}") from error
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InvalidScan(f"gravity must be three finite numbers, not {direction!r:.60}")
+    largest = np.abs(vector).max()
+    if largest == 0.0:
+        raise InvalidScan("gravity has no length: leave it out where it is not known")
+    vector /= largest  # its squares neither overflow nor vanish
+    vector /= np.linalg.norm(vector)
+    return vector
+
+
+def checked_angle(degrees: float, name: str) -> float:
+    """An angle from 0 to 180 degrees.
+
+    Raises
+    ------
+    InvalidScan
+        If it is none.
+    """
+    value = _number(degrees, name, "degrees")
+    if not 0 <= value <= 180:
+        raise InvalidScan(f"{name} must be from 0 to 180, not {value}")
+    return value
+
+
+def checked_stamp(stamp: float | None) -> float | None:
+    """A stamp as a finite float, or None.
+
+    Raises
+    ------
+    InvalidScan
+        If it is no finite number.
+    """
+    if stamp is None:
+        return None
+    value = _number(stamp, "stamp", "seconds")
+    if not np.isfinite(value):
+        raise InvalidScan(f"stamp must be finite, not {value}")
+    return value
+
+
+def checked_pose(pose: ArrayLike, name: str) -> Pose:
+    """A copy of ``pose`` as a (4, 4) float64 rigid transform.
+
+    Raises
+    ------
+    InvalidScan
+        If the shape is wrong, a value is not finite, the rotation is not one (to 1e-3), or the
+        position is farther than ``MOST_METRES`` from the origin.
+    """
+    T: Pose = as_array(pose, name, np.float64).copy()
+    if T.shape != (4, 4):
+        raise InvalidScan(f"{name} must have shape (4, 4), not {T.shape}")
+    R = T[:3, :3]
+    if not np.isfinite(T).all():
+        raise InvalidScan(f"{name} has values that are not finite")
+    if np.abs(T[:3, 3]).max() > MOST_METRES:
+        raise InvalidScan(f"{name} lies {np.abs(T[:3, 3]).max():.3g} m from the origin: metres?")
+    if not are_rotations(R):
+        raise InvalidScan(f"{name} is not a rigid transform")
+    if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise InvalidScan(f"{name} must end with the row 0 0 0 1")
+    return T
+
+
+def pose_if_given(pose: ArrayLike | None, name: str) -> Pose | None:
+    """As :func:`checked_pose`, or None."""
+    return None if pose is None else checked_pose(pose, name)
+
+
+def are_rotations(R: Float64) -> NDArray[np.bool_]:
+    """Which of (..., 3, 3) matrices are rotations, to ``ROTATION_TOLERANCE``; (...) bool."""
+    with np.errstate(all="ignore"):  # what overflows is none
+        error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1), initial=0)
+        return np.asarray((error <= ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
+
+
+def _shown(shape: tuple[int, ...]) -> str:
+    return (
+        "(" + ", ".join("N" if n < 0 else str(n) for n in shape) + ("," * (len(shape) == 1)) + ")"
+    )

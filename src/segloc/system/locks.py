@@ -1,0 +1,108 @@
+"""Locks between processes that die with their holder: ``flock``, where the system has it."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..errors import SeglocError
+
+try:
+    import fcntl
+except ImportError:  # Windows: there are no such locks, and what says so is `locked`
+    fcntl = None  # type: ignore[assignment]
+
+_UNABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
+
+
+@contextmanager
+def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> Iterator[None]:
+    """Keep others who do so from changing a file while the block reads and replaces it.
+
+    Who comes second waits. The lock is on a file ``.NAME.lock`` beside ``path``, which is removed
+    at the end. A holder that is killed leaves that file and no lock on it, so nothing is blocked.
+    It is of the process: threads of one process wait for each other as well. Reading, and
+    :func:`~segloc.system.files.replacing` a file that was not read before, need no lock. On systems and
+    disks without ``flock`` there is none.
+
+    Parameters
+    ----------
+    path : path
+        Need not exist; its folder must.
+    waiting : callable, optional
+        Called once if another holds the lock.
+
+    Raises
+    ------
+    SeglocError
+        If the folder cannot be written to.
+    """
+    target = Path(os.path.realpath(path))
+    lock = target.with_name(f".{target.name}.lock")
+    try:
+        handle = _acquired(lock, waiting)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise SeglocError(f"{path}: cannot be written: {reason}") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            lock.unlink()  # while it is held: who waits for it sees that it is another file
+        os.close(handle)
+
+
+def locked(handle: int, *, wait: bool = False) -> bool | None:
+    """Lock an open file until it is closed; False if another holds it, None without locks."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno in _UNABLE:
+            return None
+        raise
+    return True
+
+
+def process_lives(number: int) -> bool:
+    """Whether there is a process of that number; taken to be so where that cannot be told."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _acquired(lock: Path, waiting: Callable[[], None] | None) -> int:
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
+        try:
+            if locked(handle) is False:
+                if waiting:
+                    waiting()
+                waiting = None
+                locked(handle, wait=True)
+            if _still_there(lock, handle):
+                return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _still_there(lock: Path, handle: int) -> bool:
+    """Whether the file that was opened is the one of that name: its last holder removed it."""
+    try:
+        return os.path.samestat(lock.stat(), os.fstat(handle))
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,49 @@
+"""What machine this is, for reports."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from importlib import metadata
+from pathlib import Path
+
+_DEVELOPMENT = re.compile(r"extra == ['\"](dev|fuzz|test|test-tools)['\"]")
+
+
+def processor() -> str:
+    """The processor in one line."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        lines = info.read_text("utf-8", "replace").splitlines()
+        names = {line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")}
+        model = ", ".join(sorted(names)) or model
+    return model
+
+
+def versions() -> list[str]:
+    """What a report of a fault must say: lines on Python, the machine, and what is installed."""
+    from .._native import instruction_set
+
+    python = f"{platform.python_implementation()} {platform.python_version()}"
+    return [
+        f"{python}, {platform.platform()}",
+        f"{processor()}, {os.cpu_count()} cores, {instruction_set()}",
+        *(f"{name} {version}" for name, version in sorted(_installed().items())),
+    ]
+
+
+def _installed() -> dict[str, str]:
+    """The versions of what segloc needs or can use, as far as it is installed."""
+    found = {}
+    for requirement in metadata.requires("segloc") or []:
+        if _DEVELOPMENT.search(requirement):
+            continue
+        name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    found.pop("segloc", None)  # its own extras
+    return found

@@ -1,0 +1,247 @@
+"""Independent work in several processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from typing import Any, TypeVar
+
+from ..errors import MissingDependency, SeglocError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"
+_ATTEMPTS = 4
+"""How often a task is begun whose worker is lost."""
+
+
+class _Pool(ProcessPoolExecutor):
+    """Processes that Ctrl-C, which a terminal sends them too, reaches only while they work.
+
+    Elsewhere, such as while they start, it would end them in a traceback of many lines. A process
+    begins with the signals blocked that are blocked where it is made.
+    """
+
+    def submit(self, fn: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        if os.name == "posix":
+            resource_tracker.ensure_running()  # or it is started below, and unblocks the signal
+        with _interrupts("SIG_BLOCK"):
+            return super().submit(_work, fn, *given, **named)
+
+
+@contextmanager
+def _interrupts(way: str) -> Iterator[None]:
+    """Hold interrupts back until the block is over, or let them through in it; not on Windows."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(getattr(signal, way), {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_interrupted = False  # then what else is queued for this process is not begun
+
+
+def _work(work: Callable[..., Result], *given: Any, **named: Any) -> Result:
+    global _interrupted
+    try:
+        with _interrupts("SIG_UNBLOCK"):
+            if _interrupted:
+                raise KeyboardInterrupt
+            return work(*given, **named)
+    except KeyboardInterrupt:
+        _interrupted = True
+        raise
+
+
+class ProcessPool(Executor):
+    """Fresh processes: forked ones would inherit the ray caster's stopped threads.
+
+    Parameters
+    ----------
+    workers : int
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._pool = self._made()
+
+    def _made(self) -> _Pool:
+        return _Pool(self._workers, mp_context=multiprocessing.get_context("spawn"))
+
+    def submit(self, fn: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        return self._pool.submit(fn, *given, **named)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)
+
+    def renew(self) -> None:
+        """Start other processes, where one of them was ended: no task can be given to the rest."""
+        self._pool.shutdown()
+        self._pool = self._made()
+
+
+@contextmanager
+def single_threaded_pool(workers: int) -> Iterator[Executor]:
+    """Processes with one thread each for linear algebra: more would wait for each other."""
+    before = os.environ.get(_BLAS_THREADS)
+    os.environ[_BLAS_THREADS] = "1"
+    try:
+        with ProcessPool(workers) as pool:
+            yield pool
+    finally:
+        if before is None:
+            del os.environ[_BLAS_THREADS]
+        else:
+            os.environ[_BLAS_THREADS] = before
+
+
+def as_finished(
+    work: Callable[[Task], Result], tasks: Sequence[Task], executor: Executor | None
+) -> Iterator[tuple[int, Result]]:
+    """The number of each task and what came of it, as they are finished.
+
+    Parameters
+    ----------
+    work : callable
+        Can be pickled, and so can what it takes and returns. Done twice it gives the same.
+    tasks : sequence
+    executor : Executor or None
+        Of processes, threads, or a cluster. None: this thread, one task after another.
+
+    Raises
+    ------
+    SeglocError
+        If the system ended the process of a task, as it does when memory runs out, and it did so
+        again when a :class:`ProcessPool` began it anew.
+    """
+    if executor is None:
+        yield from enumerate(map(work, tasks))
+        return
+    left = dict(enumerate(tasks))
+    for attempt in range(_ATTEMPTS):
+        try:
+            for number, result in _once(work, left, executor):
+                del left[number]
+                yield number, result
+            return
+        except BrokenExecutor as error:
+            if not isinstance(executor, ProcessPool) or attempt + 1 == _ATTEMPTS:
+                raise SeglocError(
+                    "a worker process was ended, most likely because memory ran out: try fewer "
+                    "workers, such as --workers 1; what is finished is kept"
+                ) from error
+            executor.renew()
+
+
+def _once(
+    work: Callable[[Task], Result], tasks: dict[int, Task], executor: Executor
+) -> Iterator[tuple[int, Result]]:
+    """What can be had of tasks; raises BrokenExecutor behind it where some of them are lost."""
+    futures: dict[Future[Result], int] = {}
+    lost: BrokenExecutor | None = None
+    try:
+        try:
+            for number, task in tasks.items():
+                futures[executor.submit(work, task)] = number
+        except BrokenExecutor as error:
+            lost = error
+        for future in as_completed(list(futures)):
+            try:
+                result = future.result()
+            except BrokenExecutor as error:
+                lost = error
+            else:
+                yield futures[future], result
+    finally:
+        for future in futures:
+            future.cancel()  # after a fault the rest would be done in vain
+    if lost is not None:
+        raise lost
+
+
+def all_of(
+    work: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Result]:
+    """What comes of every task, in their order; see :func:`as_finished`.
+
+    ``progress`` is called with (tasks done, tasks in all).
+    """
+    found: dict[int, Result] = {}
+    for number, result in as_finished(work, tasks, executor):
+        found[number] = result
+        if progress:
+            progress(len(found), len(tasks))
+    return [found[number] for number in range(len(tasks))]
+
+
+def in_parallel(
+    work: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: int,
+    executor: Executor | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """:func:`as_finished` by an executor, or else by so many processes.
+
+    These have one thread each for linear algebra. With one, or one task, everything runs in this
+    process.
+    """
+    if executor is not None or workers == 1 or len(tasks) < 2:
+        yield from as_finished(work, tasks, executor)
+        return
+    with single_threaded_pool(min(workers, len(tasks))) as pool:
+        yield from as_finished(work, tasks, pool)
+
+
+@contextmanager
+def cluster(address: str, timeout_s: float = 20.0) -> Iterator[Executor]:
+    """What runs tasks on a Dask cluster; a task whose worker is lost is done again.
+
+    Raises
+    ------
+    MissingDependency
+        If Dask is not installed.
+    SeglocError
+        If no scheduler answers there, or a task ended several workers.
+    """
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise MissingDependency("distributed", "cluster", "a Dask cluster") from error
+    try:
+        client = Client(address, timeout=timeout_s)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise SeglocError(f"{address}: no Dask scheduler answers there") from error
+    with client:
+        try:
+            yield client.get_executor(pure=False, retries=_ATTEMPTS - 1)
+        except KilledWorker as error:
+            raise SeglocError(
+                f"{address}: a task ended several workers, most likely because memory ran out: "
+                "give them more, or fewer of them a machine"
+            ) from error
+
+
+@contextmanager
+def executing(workers: int, address: str | None) -> Iterator[Executor | None]:
+    """Several processes, or a cluster; None where this process is to do it."""
+    if address is not None:
+        with cluster(address) as executor:
+            yield executor
+    elif workers > 1:
+        with single_threaded_pool(workers) as pool:
+            yield pool
+    else:
+        yield None

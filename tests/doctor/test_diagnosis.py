@@ -1,0 +1,286 @@
+"""What is wrong with a recording is named, and nothing is said of those that are right."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.real import real
+from samples.walk import Points, Poses, Walk, run, written
+from scipy.spatial.transform import Rotation
+
+from segloc import geometry
+from segloc.config import Config
+from segloc.datasets import open_sequence
+from segloc.doctor import Fault, examine, first_fault, pose_findings, scan_findings
+from segloc.frontend.local_cloud import LocalCloudConfig
+from segloc.reposed import Reposed
+from segloc.types import Float64, Recording, Scan
+
+T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def turned(axis: str, degrees: float) -> Points:
+    R = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return lambda points: points @ R.T
+
+
+POINTS: dict[str, tuple[Points, Fault, str]] = {
+    "millimetres": (lambda p: 1000 * p, Fault.MILLIMETRES, "in millimetres: divide them by 1000"),
+    "world": (lambda p: p + [150.0, 40, 3], Fault.WORLD_COORDINATES, "at no plausible place"),
+    "utm": (lambda p: p + [455e3, 5428e3, 110], Fault.WORLD_COORDINATES, "world coordinates"),
+    "camera": (
+        lambda p: geometry.transform(T_CAMERA_SENSOR, p),
+        Fault.CAMERA_AXES,
+        "camera's .x right, y down, z forward.: write z, -x, -y",
+    ),
+    "z down": (lambda p: p * [1, -1, -1], Fault.Z_DOWN, "z axis points down: change the signs"),
+    "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: name how"),
+    "ground": (lambda p: p[p[:, 2] < -1.7], Fault.ONLY_GROUND, "nothing but ground in view"),
+}
+"""Of each wrong way to write points: from right ones, what it is found as, and what is said."""
+
+
+def scalar_first(poses: Float64) -> Float64:
+    """As a reader of qx qy qz qw takes a file of qw qx qy qz."""
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    return reposed(poses, Rotation.from_quat(quaternions).as_matrix(), poses[:, :3, 3])
+
+
+def reposed(poses: Float64, rotations: Float64, positions: Float64) -> Float64:
+    made = poses.copy()
+    made[:, :3, :3], made[:, :3, 3] = rotations, positions
+    return made
+
+
+POSES: dict[str, tuple[Poses, Fault, str]] = {
+    "inverse": (np.linalg.inv, Fault.POSES_INVERSE, "poses are inverse"),
+    "wxyz": (scalar_first, Fault.POSES_WXYZ, "order qw qx qy qz .*: write them as qx qy qz qw"),
+    "camera": (
+        lambda T: T_CAMERA_SENSOR @ T @ np.linalg.inv(T_CAMERA_SENSOR),
+        Fault.POSES_OF_CAMERA,
+        "those of a camera",
+    ),
+    "camera's body": (
+        lambda T: T @ np.linalg.inv(T_CAMERA_SENSOR),
+        Fault.POSES_OF_CAMERA,
+        "multiply each by T_camera_sensor from the right",
+    ),
+    "millimetres": (
+        lambda T: reposed(T, T[:, :3, :3], 1000 * T[:, :3, 3]),
+        Fault.POSES_IN_MILLIMETRES,
+        "poses are in millimetres .*: divide their positions by 1000",
+    ),
+    "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not meet at their poses"),
+}
+"""Likewise of poses."""
+
+
+def noisy(poses: Float64, metres: float = 0.0, degrees: float = 0.0) -> Float64:
+    rng = np.random.default_rng(0)
+    made = poses.copy()
+    made[:, :2, 3] += rng.normal(0, metres, (len(made), 2))
+    yaw = Rotation.from_euler("z", rng.normal(0, degrees, (len(made), 1)), degrees=True).as_matrix()
+    made[:, :3, :3] = made[:, :3, :3] @ yaw
+    return made
+
+
+def scans(recording: Recording, count: int = 5) -> list[Scan]:
+    chosen = np.unique(np.linspace(0, len(recording) - 1, count).round().astype(int))
+    return [recording.scan(int(i)) for i in chosen]
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_points_that_are_written_wrongly_are_named(name: str) -> None:
+    written, fault, said = POINTS[name]
+    (finding,) = scan_findings(scans(Walk(written)), posed=True)
+    assert finding.fault is fault and finding.wrong
+    check_said(str(finding), said)
+
+
+def check_said(text: str, pattern: str) -> None:
+    assert re.search(pattern, text), text
+    assert "\n" not in text and ": " in text
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_poses_that_are_written_wrongly_are_named(name: str) -> None:
+    means, fault, said = POSES[name]
+    walk = Walk()
+    (finding,) = pose_findings(Reposed(walk, means(walk.poses)))
+    assert finding.fault is fault and finding.wrong
+    check_said(str(finding), said)
+
+
+@pytest.mark.parametrize(("metres", "degrees"), [(0.6, 0.0), (0.0, 8.0)])
+def test_poses_that_are_somewhat_off_are_measured(metres: float, degrees: float) -> None:
+    walk = Walk()
+    (finding,) = pose_findings(Reposed(walk, noisy(walk.poses, metres, degrees)))
+    assert finding.fault in (Fault.POSES_OFF, Fault.POSES_SMEAR)
+
+
+def test_right_recordings_have_nothing_wrong() -> None:
+    walk = Walk()
+    assert scan_findings(scans(walk), posed=True) == [] == pose_findings(walk)
+    assert first_fault(walk) is None
+
+
+def test_a_mounting_that_is_named_is_no_fault() -> None:
+    mount = {"mount": {"rpy_deg": [180, 0, 0]}}
+    config = LocalCloudConfig.model_validate(mount)
+    flipped = scans(Walk(POINTS["z down"][0]))
+    assert scan_findings(flipped, posed=True) != [] == scan_findings(flipped, config, posed=True)
+
+
+REAL: list[tuple[str, str | None]] = [
+    ("kitti00/keyframes", "kitti00/keyframes.tum"),
+    ("vlp16_corridor/scans", "vlp16_corridor/poses.tum"),
+    ("mid360_lab/0618/scans", "mid360_lab/0618/poses.tum"),
+    ("mid360_lab/0622c/scans", "mid360_lab/0622c/poses_own_frame.tum"),
+    ("hdl64_drive", None),
+    ("hdl32e", None),
+    ("vlp16", None),
+]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(("folder", "poses"), REAL)
+def test_real_recordings_have_nothing_wrong(folder: str, poses: str | None) -> None:
+    file = None if poses is None else real(*poses.split("/"))
+    recording = open_sequence(real(*folder.split("/")), file)
+    found = examine(recording, sample=8)  # type: ignore[arg-type]
+    assert found.healthy, [str(finding) for finding in found.findings]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("name", POSES)
+@pytest.mark.parametrize(("folder", "poses"), REAL[:2])
+def test_wrong_poses_of_real_recordings_are_named(
+    folder: str, poses: str | None, name: str
+) -> None:
+    recording = open_sequence(real(*folder.split("/")), real(*str(poses).split("/")))
+    assert recording.poses is not None
+    means, fault, _ = POSES[name]
+    (finding,) = pose_findings(Reposed(recording, means(recording.poses)))
+    assert finding.fault is fault
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(POINTS.keys() - {"ground"}))
+@pytest.mark.parametrize("folder", ["kitti00/keyframes", "hdl32e", "vlp16"])
+def test_wrong_points_of_real_recordings_are_named(folder: str, name: str) -> None:
+    written, fault, _ = POINTS[name]
+    recording = open_sequence(real(*folder.split("/")))
+    wrong = [Scan(written(scan.points.astype(np.float64))) for scan in scans(recording)]
+    assert scan_findings(wrong)[0].fault is fault
+
+
+class Rewritten:
+    """A real recording with something wrong."""
+
+    def __init__(self, recording: Any, points: Points, poses: Poses) -> None:
+        self._recording, self._points = recording, points
+        self.poses = poses(recording.poses)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def __len__(self) -> int:
+        return len(self._recording)
+
+    def scan(self, i: int) -> Scan:
+        return Scan(self._points(self._recording.scan(i).points.astype(np.float64)))
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(("points", "poses"), [("on its side", None), ("z down", None),
+                                               ("camera", None), (None, "camera")])  # fmt: skip
+@pytest.mark.parametrize(("folder", "track"), [("kitti00/scans", "kitti00/scans.tum"), REAL[1]])
+def test_one_sentence_alone_names_what_is_wrong_with_a_real_recording(
+    folder: str, track: str, points: str | None, poses: str | None
+) -> None:
+    """Poses are not blamed for axes, also where a ceiling is like a floor, nor called tilted."""
+    recording = open_sequence(real(*folder.split("/")), real(*track.split("/")))
+    asis = (lambda right: right), None, ""
+    wrong = POINTS.get(points or "", asis), POSES.get(poses or "", asis)
+    read: Any = Rewritten(recording, wrong[0][0], wrong[1][0])
+    found = examine(read, sample=4)
+    assert [one.fault for one in found.findings if one.wrong] == [wrong[0][1] or wrong[1][1]]
+
+
+DRIVES = [
+    ("car", "town", "hdl32e"),
+    ("wheeled", "park", "vlp16"),
+    ("legged", "forest", "os1-64"),
+    ("quadruped", "offices", "mid360"),
+    ("carried", "warehouse", "vlp16"),
+    ("handheld", "park", "mid360"),
+    ("drone", "industrial", "os1-64"),
+    ("car", "town", "avia"),
+    ("car", "meadow", "hdl64e"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("platform", "scene", "sensor"), DRIVES)
+def test_simulated_drives_of_every_platform_have_nothing_wrong(
+    platform: str, scene: str, sensor: str
+) -> None:
+    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+    from segloc_lab.simulation import PLATFORMS, SCENES, SENSORS, Conditions, simulate_sessions
+
+    size = {} if scene in ("offices", "warehouse") else {"size_m": 160.0}
+    (drive,) = simulate_sessions(
+        SCENES[scene](3, **size),
+        SENSORS[sensor](),
+        [Conditions()],
+        length_m=50.0,
+        spacing_m=1.5,
+        seed=2,
+        platform=PLATFORMS[platform](),
+    )
+    found = [*scan_findings(scans(drive), posed=True), *pose_findings(drive)]
+    assert not [str(finding) for finding in found if finding.wrong]
+    inverse = Reposed(drive, np.linalg.inv(drive.poses))
+    assert platform == "drone" or pose_findings(inverse)[0].fault is Fault.POSES_INVERSE
+
+
+@pytest.mark.slow
+def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = written(tmp_path / "good"), written(tmp_path / "bad", poses=np.linalg.inv)
+    down = written(tmp_path / "down", points=POINTS["z down"][0])
+    site, poses = tmp_path / "site.segmap", ["--poses", "poses.tum"]
+    assert run("doctor", good, *poses) == 0
+    assert "nothing wrong" in capsys.readouterr().out
+    for folder, said in [(bad, "wrong: the poses are inverse"), (down, "wrong: the ground lies")]:
+        assert run("doctor", folder, *poses) == 1
+        assert capsys.readouterr().out.splitlines()[1].startswith(said)
+        assert run("info", folder, *poses) == 0
+        assert said in capsys.readouterr().out
+        assert run("map", "build", folder, *poses, "--out", site) == 1
+        error = capsys.readouterr().err
+        assert said.removeprefix("wrong: ") in error and "--unchecked" in error
+        assert not site.exists()
+    assert run("map", "build", bad, *poses, "--out", site, "--unchecked") == 0
+    assert run("map", "build", good, *poses, "--out", site) == 0
+    capsys.readouterr()
+    out = ["--map", site, "--select", "3:4", "--out", tmp_path / "out"]
+    assert run("localize", down, *out) == 0
+    hint = " ".join(capsys.readouterr().err.split())
+    assert "2 of 2 queries are not localized, and this may be why: the ground lies" in hint
+    assert run("localize", good, *out) == 0
+    assert "not localized" not in capsys.readouterr().err
+
+
+def test_the_configuration_knows_how_to_say_a_mounting() -> None:
+    """The remedy that findings name is one that the configuration takes."""
+    for rpy in ([180, 0, 0], [-90, 0, -90]):
+        made = Config.model_validate({"local_cloud": {"mount": {"rpy_deg": rpy}}})
+        assert made.local_cloud.mount.T_base_sensor is not None

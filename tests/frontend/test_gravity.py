@@ -1,0 +1,309 @@
+"""Which way is up in a scan: on simulated and real scans, and what a local cloud makes of it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza
+from samples.real import real
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from segloc import InvalidScan, Scan, _native, geometry
+from segloc.config import Config, map_config, query_config
+from segloc.errors import ConfigError
+from segloc.frontend.gravity import Attitude, AttitudeConfig, AttitudeEstimator, angle_deg
+from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig
+from segloc.frontend.mounting import MountConfig, rotation
+from segloc.io import read_scan, read_trajectory
+from segloc.map.segment_map import SegmentMap
+from segloc.types import Float32, Float64
+
+Z = np.array([0.0, 0.0, 1.0])
+ESTIMATOR = AttitudeEstimator()
+ACCUMULATOR = Accumulator()
+
+
+def turn(rng: np.random.Generator, tilt_deg: float) -> Float64:
+    """A rotation that tilts z by so much, any way, and turns any way about it."""
+    axis, yaw = rng.uniform(0, 2 * np.pi, 2)
+    tilt = np.radians(tilt_deg) * np.array([np.cos(axis), np.sin(axis), 0.0])
+    R: Float64 = (Rotation.from_rotvec(tilt) * Rotation.from_rotvec([0, 0, yaw])).as_matrix()
+    return R
+
+
+def turned(points: Float32, R: Float64) -> Float32:
+    return np.asarray(points @ R.T, dtype=np.float32)
+
+
+def estimate(points: Float32, expected: Float64 = Z) -> Attitude:
+    found = ESTIMATOR.estimate(points, expected)
+    assert found is not None
+    return found
+
+
+def room(rng: np.random.Generator, count: int = 20_000) -> Float32:
+    """Floor, ceiling and four walls of 12 x 8 x 3 m around the origin, with 1 cm of noise."""
+    points = rng.uniform(-1, 1, (count, 3)) * [6, 4, 1.5]
+    face = rng.integers(0, 3, count)
+    rows = np.arange(count)
+    points[rows, face] = np.copysign(np.array([6, 4, 1.5])[face], points[rows, face])
+    return np.asarray(points + rng.normal(0, 0.01, points.shape), np.float32)
+
+
+def reference_normals(points: Float64, radius: float, least: int, thickness: float) -> Float64:
+    """Of every point whose neighbours lie in a plane."""
+    tree, normals = cKDTree(points), []
+    for point in points:
+        near = tree.query_ball_point(point, radius / 2)
+        if len(near) < least:
+            near = tree.query_ball_point(point, radius)
+        if len(near) < least:
+            continue
+        values, axes = np.linalg.eigh(np.cov(points[near].T, bias=True))
+        flat = values[0] < thickness**2 and values[0] < 0.04 * values[1]
+        if flat and values[1] > 0.05 * values[2]:
+            normals.append(axes[:, 0])
+    return np.array(normals).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_plane_normals_are_those_of_the_reference(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([room(rng, 1500), rng.uniform(-4, 4, (300, 3)).astype(np.float32)])
+    expected = reference_normals(points.astype(np.float64), 1.5, 8, 0.05)
+    found = _native.plane_normals(points, 1.5, 8, 0.05, len(points))
+    assert len(found) == len(expected) > 500
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-6)
+    along = np.abs(found @ expected.T)  # in another order, of either sign
+    assert along.max(axis=0).min() > 1 - 1e-6
+    assert along.max(axis=1).min() > 1 - 1e-6
+    few = _native.plane_normals(points, 1.5, 8, 0.05, 200)
+    assert 50 < len(few) <= 200
+    assert np.abs(few @ expected.T).max(axis=1).min() > 1 - 1e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_up_turns_with_the_scan(plaza: Plaza, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for points in (room(rng), plaza.scan(geometry.yaw_transform(seed, (3.0, -2, 1.8))).points):
+        level = estimate(points)
+        for tilt in (0.0, 5.0, 15.0, 30.0):
+            R = turn(rng, tilt)
+            found = estimate(turned(points, R))
+            assert angle_deg(found.up, R @ level.up) < 0.35
+            assert abs(found.tilt_deg - angle_deg(R @ level.up, Z)) < 0.35
+
+
+def test_true_tilts_are_found(plaza: Plaza) -> None:
+    """Of a room, and of a square with boxes on waves of 20 cm."""
+    rng = np.random.default_rng(5)
+    errors = []
+    for k in range(12):
+        R = turn(rng, rng.uniform(0, 35))
+        T = geometry.rigid(R, np.array([2.0 * k - 12, 5 - k, 1.8]))
+        errors.append(angle_deg(estimate(plaza.scan(T).points).up, R.T @ Z))
+    assert max(errors) < 1.0, errors
+    indoors = [turn(rng, rng.uniform(0, 35)) for _ in range(6)]
+    assert max(angle_deg(estimate(turned(room(rng), R)).up, R @ Z) for R in indoors) < 0.2
+
+
+def test_the_answer_is_the_same_in_any_order_of_points(plaza: Plaza) -> None:
+    rng = np.random.default_rng(2)
+    points = turned(plaza.scan(geometry.yaw_transform(0.4, (3.0, -2, 1.8))).points, turn(rng, 9))
+    first = estimate(points)
+    for order in (
+        np.arange(len(points)),
+        rng.permutation(len(points)),
+        np.arange(len(points))[::-1],
+    ):
+        again = AttitudeEstimator().estimate(np.ascontiguousarray(points[order]))
+        assert again is not None and again.sigma_deg == first.sigma_deg
+        np.testing.assert_array_equal(again.up, first.up)
+
+
+def real_scans(name: str, step: int) -> list[tuple[Float32, Float64]]:
+    """Points, and up in their frame by the poses."""
+    pytest.importorskip("laspy")
+    poses, folder = {
+        "corridor": (("vlp16_corridor", "poses.tum"), ("vlp16_corridor", "scans")),
+        "kitti": (("kitti00", "scans.tum"), ("kitti00", "scans")),
+        "lab": (("mid360_lab", "0622a", "poses.tum"), ("mid360_lab", "0622a", "scans")),
+    }[name]
+    trajectory = read_trajectory(real(*poses))
+    scans = []
+    for path in sorted(real(*folder).glob("*.laz"))[::step]:
+        T = trajectory.at(float(int(path.stem)))
+        if T is not None:
+            scans.append((read_scan(path).points, T[:3, :3].T @ Z))
+    return scans
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "lean_deg"), [("corridor", 7, 0.0), ("kitti", 30, 0.0), ("lab", 1, 2.0)]
+)
+def test_real_scans(name: str, step: int, lean_deg: float) -> None:
+    """As far as their own poses are level; turned by up to 25 degrees they say the same.
+
+    The lab's poses are in the frame of an odometry that leans by 2 degrees.
+    """
+    rng = np.random.default_rng(1)
+    off, differing = [], []
+    for points, up in real_scans(name, step):
+        found = estimate(points)
+        off.append(angle_deg(found.up, up))
+        R = turn(rng, rng.uniform(5, 25))
+        differing.append(angle_deg(estimate(turned(points, R)).up, R @ found.up))
+    assert len(off) >= 6
+    assert abs(np.median(off) - lean_deg) < 1.0 and max(off) < 2.6, off
+    assert np.median(differing) < 0.3 and max(differing) < 1.0, differing
+
+
+def test_what_says_nothing_is_refused() -> None:
+    rng = np.random.default_rng(3)
+    ball = rng.normal(size=(20_000, 3)) * 4
+    wall = np.column_stack([np.full(9000, 5.0), *rng.uniform(-8, 8, (2, 9000))])
+    walls = np.concatenate([wall, wall + [6.0, 0, 0]])
+    line = np.column_stack([np.linspace(1, 20, 5000), np.zeros(5000), np.zeros(5000)])
+    for points in (ball, wall, walls, line, room(rng, 40), np.empty((0, 3)), np.zeros((500, 3))):
+        assert ESTIMATOR.estimate(np.asarray(points, np.float32)) is None
+    far = room(rng) + np.float32(500.0)
+    assert ESTIMATOR.estimate(far) is None  # beyond the radius
+    steep = turned(room(rng), turn(rng, 30))
+    assert AttitudeEstimator(AttitudeConfig(max_tilt_deg=20)).estimate(steep) is None
+
+
+def test_a_large_scan_takes_bounded_time() -> None:
+    """Two million points within reach: thinned first, so that a few thousand are judged."""
+    points = room(np.random.default_rng(4), 2_000_000)
+    start = time.process_time()
+    estimate(points)
+    assert time.process_time() - start < 5.0
+
+
+@pytest.mark.parametrize("angles", [(0, 90, 0), (180, 0, 0), (90, 0, 45), (-120, 30, 10)])
+def test_a_sensor_mounted_at_any_angle(angles: tuple[float, float, float]) -> None:
+    """Around where its mounting has the vertical, the estimate is as good as for a level one."""
+    rng = np.random.default_rng(6)
+    R_base_sensor = rotation(*angles)
+    R_world_base = turn(rng, 8.0)
+    R = R_world_base @ R_base_sensor  # R_world_sensor
+    points = turned(room(rng), R.T)
+    assert angle_deg(estimate(points, R_base_sensor.T @ Z).up, R.T @ Z) < 0.2
+    T_base_sensor = geometry.rigid(R_base_sensor, np.array([0.1, 0.2, 0.9]))
+    mounted = LocalCloudConfig(mount=MountConfig(rpy_deg=angles))
+    for cloud in (
+        Accumulator(mounted).gather(Scan(points)),
+        Accumulator(mounted).gather(Scan(points, T_base_sensor=np.eye(4))),  # the former counts
+        ACCUMULATOR.gather(Scan(points, T_base_sensor=T_base_sensor)),
+    ):
+        assert cloud.attitude == "estimated"
+        assert angle_deg(cloud.T_local_sensor[:3, :3].T @ Z, R.T @ Z) < 0.2
+        assert np.ptp(cloud.points[:, 2]) < 3.2  # the room stands upright
+    nothing = np.asarray(rng.normal(size=(3000, 3)), np.float32)
+    cloud = ACCUMULATOR.gather(Scan(nothing, T_base_sensor=T_base_sensor))
+    assert cloud.attitude == "assumed"
+    assert angle_deg(cloud.T_local_sensor[:3, :3].T @ Z, R_base_sensor.T @ Z) < 1e-5
+
+
+def test_where_roll_and_pitch_come_from() -> None:
+    """Pose, gravity, estimate, in this order; what fails is said."""
+    rng = np.random.default_rng(7)
+    R, other = turn(rng, 12), turn(rng, 20)
+    points = turned(room(rng), R)
+    T = geometry.rigid(R.T, np.zeros(3))
+    posed = ACCUMULATOR.gather(Scan(points, T_odom_sensor=T, gravity=other @ -Z))
+    assert posed.attitude == "given"
+    np.testing.assert_allclose(posed.T_local_sensor[2, :3], R @ Z, atol=1e-12)
+    weighed = ACCUMULATOR.gather(Scan(points, gravity=other @ (-9.81 * Z)))
+    assert weighed.attitude == "given"
+    np.testing.assert_allclose(weighed.T_local_sensor[2, :3], other @ Z, atol=1e-12)
+    for error, expected, source in ((15.0, other @ Z, "given"), (90.0, R @ Z, "estimated")):
+        rough = ACCUMULATOR.gather(Scan(points, gravity=other @ -Z, gravity_error_deg=error))
+        assert rough.attitude == source
+        assert angle_deg(rough.T_local_sensor[2, :3], expected) < 0.2
+    alone = ACCUMULATOR.gather(points)
+    assert alone.attitude == "estimated"
+    assert angle_deg(alone.T_local_sensor[2, :3], R @ Z) < 0.2
+    np.testing.assert_allclose(
+        alone.points, geometry.transform(alone.T_local_sensor, points), atol=1e-5
+    )
+    off = Accumulator(LocalCloudConfig(attitude=AttitudeConfig(estimate=False)))
+    level = off.gather(points)
+    assert level.attitude == "given"
+    np.testing.assert_array_equal(level.T_local_sensor, np.eye(4))
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-3, 9.81, 1e300])
+def test_gravity_of_any_length(length: float) -> None:
+    scan = Scan(np.zeros((1, 3)), gravity=[0, 0.6 * length, -0.8 * length])
+    np.testing.assert_allclose(scan.gravity, [0, 0.6, -0.8], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "gravity", [[0, 0, 0], [0, np.nan, -1], [0, 0, -np.inf], [0, -1], [[0, 0, -1]], "down", 9.81]
+)
+def test_what_is_no_gravity_is_refused(gravity: object) -> None:
+    with pytest.raises(InvalidScan, match="gravity"):
+        Scan(np.zeros((1, 3)), gravity=gravity)  # type: ignore[arg-type]
+    for error in (-1.0, np.nan, 181.0):
+        with pytest.raises(InvalidScan, match="gravity_error_deg"):
+            Scan(np.zeros((1, 3)), gravity=-Z, gravity_error_deg=error)
+
+
+def test_rotation_is_yaw_after_pitch_after_roll() -> None:
+    for angles in ((10, 20, 30), (-170, 60, 95), (0, 90, 0)):
+        expected = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_matrix()
+        np.testing.assert_allclose(rotation(*angles), expected, atol=1e-12)
+
+
+def test_mounting_in_the_configuration(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("local_cloud: {mount: {xyz_m: [0.3, 0, 1.2], rpy_deg: [0, 20, 0]}}")
+    config = Config.load(file)
+    T = config.local_cloud.mount.T_base_sensor
+    assert T is not None
+    np.testing.assert_allclose(T[:3, 3], [0.3, 0, 1.2])
+    np.testing.assert_allclose(T[2, :3], [-np.sin(np.radians(20)), 0, np.cos(np.radians(20))])
+    assert "rpy_deg: [0.0, 20.0, 0.0]" in config.explained()
+    matrix = MountConfig.model_validate({"matrix": T.tolist()})
+    np.testing.assert_array_equal(matrix.T_base_sensor, T)
+    assert MountConfig().T_base_sensor is None
+    for wrong, message in (
+        ("{rpy_deg: [0, 20]}", "rpy_deg"),
+        ("{xyz_m: [0, 0, .nan]}", "xyz_m"),
+        ("{poses_of_base: true}", "poses_of_base needs xyz_m"),
+        ("{matrix: [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}", "not a rigid transform"),
+        ("{matrix: [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], xyz_m: [0,0,1]}", "in place of"),
+    ):
+        file.write_text(f"local_cloud: {{mount: {wrong}}}")
+        with pytest.raises(ConfigError, match=message):
+            Config.load(file)
+
+
+def test_a_map_does_not_hand_on_how_its_sensor_was_mounted() -> None:
+    mount = MountConfig(rpy_deg=(0, 20, 0))
+    plain = Config.preset("geo")
+    config = plain.model_copy(update={"local_cloud": LocalCloudConfig(mount=mount)})
+    prior_map = SegmentMap.empty("geo", "geo-1", 7, np.zeros(3), cloud_voxel=0.3)
+    prior_map.metadata["config"] = config.to_yaml()
+    assert map_config(prior_map).local_cloud.mount == MountConfig()
+    used, notes = query_config(prior_map, config)
+    assert used.local_cloud.mount == mount and notes == ()
+
+
+def test_from_the_air_the_ground_counts_and_not_the_roofs() -> None:
+    rng = np.random.default_rng(0)
+    roofs, sides = [], np.radians(42.0)
+    for x, y in rng.uniform(-18, 18, (12, 2)):
+        across, along = rng.uniform(-4, 4, 1500), rng.uniform(-6, 6, 1500)
+        height = -11.0 - np.abs(across) * np.tan(sides)
+        roofs.append(np.column_stack([x + along, y + across, height]))  # ridges side by side
+    angle, distance = rng.uniform(0, 2 * np.pi, 40_000), rng.uniform(21, 45, 40_000)
+    ground = [distance * np.cos(angle), distance * np.sin(angle), np.full(40_000, -20.0)]
+    points = np.concatenate([*roofs, np.column_stack(ground)]).astype(np.float32)
+    R = turn(rng, 8.0)
+    assert angle_deg(estimate(turned(points, R)).up, R @ Z) < 2.0

@@ -1,0 +1,234 @@
+"""Poses around a candidate: the correlation of clouds, walls by direction, rivals nearby."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from segloc import _native, geometry
+from segloc.frontend.segmentation import Segmentation, Segmenter
+from segloc.geometry import Separation
+from segloc.likelihood import Verifier
+from segloc.likelihood.nearby import NearbyConfig, NearbySearch
+from segloc.likelihood.walls import close_surface, flush_share, ground_share
+from segloc.localization import Reason
+from segloc.types import Candidate, Float32, LocalCloud, Pose
+
+LAYERS, BELOW, BETWEEN = 8, 3.0, 0.3
+
+
+BLOCK, COLUMN_M = 4, 4.0
+
+
+def unmapped(cloud: Float32, T: Pose, cell: float, half: int) -> set[tuple[int, int]]:
+    """(y, x) of cells in blocks where the map has nothing in the columns around."""
+    columns = {tuple(c) for c in np.floor(cloud[:, :2] / COLUMN_M).astype(int)}
+    cells: set[tuple[int, int]] = set()
+    for y, x in np.ndindex(2 * half // BLOCK + 1, 2 * half // BLOCK + 1):
+        at = np.array([x, y]) * BLOCK - half
+        u, v = np.floor((T[:2, 3] + at * cell) / COLUMN_M).astype(int)
+        if not any((u + i - 1, v + j - 1) in columns for i, j in np.ndindex(3, 3)):
+            block = np.ndindex(BLOCK, BLOCK)
+            cells |= {(int(at[1]) + i, int(at[0]) + j) for i, j in block}
+    return cells
+
+
+def occupied(cloud: Float32, T: Pose, cell: float) -> dict[tuple[int, int, int], int]:
+    """(layer, y, x) of the map's cells: 4 for those with a point, 2 for the eight about each."""
+    cells: dict[tuple[int, int, int], int] = {}
+    for x, y, z in cloud - T[:3, 3]:
+        low, high = np.floor(z + BELOW - BETWEEN), np.floor(z + BELOW + BETWEEN)
+        for layer in range(int(max(low, 0)), int(min(high, LAYERS - 1)) + 1):
+            at = np.floor(np.array([y, x]) / cell + 0.5).astype(int)
+            for dy, dx in np.ndindex(3, 3):
+                key = (layer, int(at[0]) + dy - 1, int(at[1]) + dx - 1)
+                cells[key] = max(cells.get(key, 0), 4 if (dy, dx) == (1, 1) else 2)
+    return cells
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.25, 0.5, 1.0]))
+def test_correlation_counts_cells_that_are_occupied_in_both(seed: int, cell: float) -> None:
+    rng = np.random.default_rng(seed)
+    most = rng.uniform(0, 14)  # the map may end where the query does not
+    cloud = rng.uniform([-14, -14, -5], [most, 14, 8], (300, 3)).astype(np.float32)
+    query = rng.uniform([-9, -9, -4], [9, 9, 6], (80, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    counts, used = _native.PointIndex(cloud, 1.0).correlate(
+        query, T, [0.0, 1.3], cell, 3 * cell, 8.0
+    )
+    assert counts.shape == (2, 7, 7)
+    theirs = occupied(cloud, T, cell)
+    half = int(np.ceil((8.0 + 5 * cell) / cell)) + 1
+    nothing = unmapped(cloud, T, cell, half)
+    for h, heading in enumerate((0.0, 1.3)):
+        near = query[np.hypot(query[:, 0], query[:, 1]) < 8.0]
+        turn = T[:3, :3] @ geometry.yaw_transform(heading)[:3, :3]
+        moved = near @ turn.T
+        layer = np.floor(moved[:, 2] + BELOW).astype(int)
+        y, x = np.floor(moved[:, 1::-1].T / cell + 0.5).astype(int)
+        inside = (layer >= 0) & (layer < LAYERS)
+        own = set(zip(layer[inside], y[inside], x[inside], strict=True))
+        assert used[h] == len(own)
+        for i, j in np.ndindex(7, 7):
+            moved_on = ((k, v + i - 3, u + j - 3) for k, v, u in own)
+            assert counts[h, i, j] == sum(theirs.get(key, key[1:] in nothing) for key in moved_on)
+
+
+def test_offsets_are_those_across_the_nearest_surface() -> None:
+    rng = np.random.default_rng(0)
+    flat = rng.uniform([-5, -5, 0], [5, 5, 0], (900, 3))
+    wall = rng.uniform([-5, 5, 0], [5, 5, 4], (500, 3))
+    target = _native.Surface(np.float32(np.concatenate([flat, wall])), 1.0, 0.8)
+    source_points = np.float32(rng.uniform([-4, -4, -0.4], [4, 4, 0.4], (300, 3)))
+    source = _native.Surface(source_points, 1.0, 0.8)
+    T = geometry.yaw_transform(0.4, (0.3, 0.1, 0.05))
+    offsets, normals = target.offsets(source, T, 300)
+    moved = geometry.transform(T, source_points)
+    distance = cKDTree(np.concatenate([flat, wall])).query(moved)[0]
+    far = np.isinf(offsets)
+    assert far.sum() == (distance > 1.0).sum()
+    inner = (np.abs(moved[:, :2]) < 4.0).all(axis=1)
+    # The grid's order is its own: compared as sets.
+    expected = np.sort(np.abs(moved[inner, 2]))
+    found = np.sort(offsets[~far])
+    assert all(np.abs(found - value).min() < 0.02 for value in expected)
+    length = np.linalg.norm(normals, axis=1)
+    assert ((np.abs(length - 1.0) < 1e-5) | (length == 0.0)).all()
+    some, their_normals = target.offsets(source, T, 150)  # every other one
+    assert (some == offsets[::2]).all() and (their_normals == normals[::2]).all()
+
+
+def hall(first: int = -6, last: int = 6, marked: bool = True) -> Float32:
+    """Pillars 5 m apart between two walls; where ``marked``, something stands in the middle."""
+    rng = np.random.default_rng(3)
+    parts = [rng.uniform([-40, y, -1.5], [40, y + 0.05, 4.0], (9000, 3)) for y in (-7.0, 7.0)]
+    parts.append(rng.uniform([-40, -7, -1.55], [40, 7, -1.5], (9000, 3)))
+    for k in range(first, last + 1):
+        for y in (-3.0, 3.0):
+            angle = rng.uniform(0, 2 * np.pi, 500)
+            ring = np.stack([0.3 * np.cos(angle), 0.3 * np.sin(angle)], axis=1) + (5.0 * k, y)
+            parts.append(np.column_stack([ring, rng.uniform(-1.5, 4.0, 500)]))
+    if marked:
+        parts.append(rng.uniform([0.8, 3.8, -1.5], [4.0, 6.2, 1.5], (2500, 3)))
+    return np.concatenate(parts).astype(np.float32)
+
+
+def scene(cloud: Float32) -> Segmentation:
+    near = cloud[np.abs(cloud[:, 0]) < 18.0]
+    return Segmenter().segment(LocalCloud(near, np.eye(4)))
+
+
+def test_a_place_one_period_off_is_found_from_its_alias() -> None:
+    index = _native.PointIndex(hall(), 0.5)
+    search = NearbySearch(index, NearbyConfig(), Separation())
+    points = scene(hall()).structure
+    found = search.around(points, geometry.yaw_transform(0.0, (5.0, 0.0, 0.0)))
+    assert any(np.abs(T - np.eye(4)).max() < 0.3 for T in found.rivals)
+    start = geometry.yaw_transform(np.radians(6.0), (1.4, -0.9, 0.0))
+    better = search.around(points, start).start
+    assert np.hypot(*better[:2, 3]) < 0.6 and abs(geometry.heading(better)) < np.radians(3.0)
+
+
+def verifier(cloud: Float32) -> Verifier:
+    return Verifier(cloud, np.zeros(3))
+
+
+@pytest.mark.parametrize("alias", [(5.0, 0.0), (-5.0, 0.0), (10.0, np.pi)])
+def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) -> None:
+    x, yaw = alias
+    wrong = Candidate(geometry.yaw_transform(yaw, (x, 0.0, 0.0)), 3)
+    judge = verifier(hall())
+    verdict = judge.verify(judge.query(scene(hall())), [wrong], lambda T: 3)
+    assert verdict.evidence is not None
+    best = verdict.evidence.score.T_map_local
+    assert np.hypot(*best[:2, 3]) < 0.2 and np.cos(geometry.heading(best)) > 0.99
+    assert any(np.hypot(*r.T_map_local[:2, 3]) > 2.0 for r in verdict.evidence.rivals)
+
+
+@pytest.mark.parametrize("inliers", [3, 12])
+def test_where_a_place_repeats_itself_nothing_is_believed(inliers: int) -> None:
+    bare = hall(marked=False)
+    right = Candidate(np.eye(4), inliers)
+    judge = verifier(bare)
+    verdict = judge.verify(judge.query(scene(bare)), [right], lambda T: inliers)
+    assert verdict.reason in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
+    assert verdict.confidence < 0.8 or verdict.reason is Reason.AMBIGUOUS
+
+
+def test_storeys_that_a_query_cannot_see_take_no_place_of_what_it_can() -> None:
+    floors = np.concatenate([hall() + np.float32([0, 0, 6.0 * k]) for k in range(5)])
+    counts = []
+    for cloud, storeyed in ((hall(), False), (floors, False), (floors, True)):
+        judge = Verifier(cloud, np.zeros(3), storeyed=storeyed)
+        score = judge.refined(Candidate(np.eye(4), 3), judge.query(scene(hall())))
+        assert score.seen is not None and score.seen > 0.95
+        counts.append(score.judged)
+    alone, among_all, among_own = counts
+    assert among_all < 0.4 * alone < 0.6 * alone < among_own
+
+
+def test_of_storeys_the_likeliest_is_judged_once_it_is_refined() -> None:
+    """The query fits two storeys roughly better than its own place, where it stands beside it."""
+    wider = hall(marked=False) * np.float32([1, 1 + 0.6 / 14, 1])
+    cloud = np.concatenate([hall(), *(wider + np.float32([0, 60, z]) for z in (0.0, 6.0))])
+    own = Candidate(geometry.yaw_transform(np.radians(5.0), (1.3, 0.9, 0.0)), 0, 0.0)
+    like = [Candidate(geometry.yaw_transform(0.0, (0.0, 60.0, z)), 0, 0.0) for z in (0.0, 6.0)]
+    answers = []
+    for storeyed in (False, True):
+        judge = Verifier(cloud, np.zeros(3), storeyed=storeyed)
+        answers.append(judge.verify(judge.query(scene(hall())), [*like, own]))
+    assert answers[0].reason is not None
+    assert answers[1].reason is None and answers[1].best is not None
+    assert np.abs(answers[1].best.T_map_local - np.eye(4)).max() < 0.1
+
+
+def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
+    """Rooms that are alike: nearly all points lie near a point of the other, few on its walls."""
+    room = np.concatenate([hall(), hall()[:, [1, 0, 2]]])
+    map_cloud = _native.voxel_grid(room, 0.3)
+    few = np.ascontiguousarray(room[::3])
+    surface, query = close_surface(map_cloud), close_surface(_native.voxel_grid(few, 0.3))
+    index = _native.PointIndex(map_cloud, 0.5)
+    shares = []
+    for metres in (0.0, 0.2):
+        T = geometry.yaw_transform(0.0, (metres, metres, 0.0))
+        share = flush_share(surface, query, T, 0.1)
+        assert share is not None
+        overlap, _ = index.overlap(few[:2000], T[None], 0.3, 0.0)
+        shares.append((share, float(overlap[0])))
+    (flush, fits), (off, still_fits) = shares
+    assert fits > 0.95 and still_fits > 0.85
+    assert flush > 0.85 and off < 0.35
+    assert flush_share(surface, close_surface(room[:20]), np.eye(4), 0.1) is None
+
+
+def test_a_like_place_is_no_equal_where_its_walls_stand_otherwise() -> None:
+    """Two halls, one 0.4 m wider: each scan is found in its own, whichever is tried first."""
+    narrow, wide = hall(), hall() * np.float32([1, 1 + 0.4 / 14, 1])
+    far = np.float32([0, 60, 0])
+    judge = verifier(np.concatenate([narrow, wide + far]))
+    places = [geometry.yaw_transform(0.0, (0.0, y, 0.0)) for y in (0.0, 60.0)]
+    for k, own in enumerate((narrow, wide)):
+        candidates = [Candidate(T, 4) for T in (places[1 - k], places[k])]
+        verdict = judge.verify(judge.query(scene(own)), candidates, lambda T: 4)
+        assert verdict.reason is None, verdict.message
+        assert verdict.best is not None
+        assert np.abs(verdict.best.T_map_local[:2, 3] - places[k][:2, 3]).max() < 0.1
+
+
+def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
+    x, y = np.random.default_rng(5).uniform(-20, 20, (2, 20_000))
+    waves = np.column_stack([x, y, 0.4 * np.sin(x / 3) + 0.4 * np.cos(y / 4)]).astype(np.float32)
+    hills = _native.Surface(waves, 1.5, 0.8)
+    half = _native.Surface(waves[x < 0], 1.5, 0.8)  # the rest lies beyond the map's end
+    shifted = geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))
+    for target, T, low, high in ((hills, np.eye(4), 0.99, 1), (half, np.eye(4), 0.95, 1)):
+        ground = ground_share(target, hills, T)
+        assert ground is not None and low <= ground <= high
+    wrong = ground_share(hills, hills, shifted)
+    assert wrong is not None and wrong < 0.4
+    assert ground_share(hills, _native.Surface(waves[:20], 1.5, 0.8), np.eye(4)) is None

@@ -1,0 +1,198 @@
+"""Generalised ICP against a NumPy reference, exact poses, real scans and wrong input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from segloc import geometry
+from segloc._native import Surface, voxel_grid
+from segloc.datasets import open_sequence
+from segloc.likelihood.registration import MIN_POINTS, Aligner
+from segloc.types import Float32, Float64, Pose
+
+REACH, SUPPORT = 1.5, 1.6
+
+
+def room(seed: int, count: int = 1500) -> Float32:
+    """Two walls, a floor and a few pillars, with a centimetre of noise."""
+    rng = np.random.default_rng(seed)
+    u, v = rng.uniform(0, 14, (2, count))
+    which = rng.integers(0, 4, count)
+    walls = np.stack([u, np.zeros(count), v / 4], 1), np.stack([np.zeros(count), u, v / 4], 1)
+    pillar = rng.integers(2, 6, count)
+    pillars = np.stack(
+        [2 * pillar + 0.3 * np.cos(u), 3 + pillar % 3 * 3 + 0.3 * np.sin(u), v / 4], 1
+    )
+    parts = np.stack([*walls, np.stack([u, v, np.zeros(count)], 1), pillars])
+    points = parts[which, np.arange(count)] + rng.normal(0, 0.01, (count, 3))
+    return np.ascontiguousarray(points, dtype=np.float32)
+
+
+def small_pose(seed: int, metres: float = 0.4, radians: float = 0.05) -> Pose:
+    rng = np.random.default_rng(seed)
+    turn = geometry.yaw_transform(rng.uniform(-radians, radians), tuple(rng.uniform(-1, 1, 3)))
+    turn[:3, 3] *= metres
+    return turn
+
+
+def reference_normals(points: Float32, support: float) -> Float64:
+    tree = cKDTree(points)
+    normals = np.zeros((len(points), 3))
+    for i, near in enumerate(tree.query_ball_point(points, support)):
+        if len(near) >= 4:
+            d = points[near].astype(np.float64) - points[i]
+            normals[i] = np.linalg.eigh(np.cov(d.T, bias=True))[1][:, 0]
+    return normals
+
+
+def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, float, int]:
+    """Curvature of the cost of Generalized-ICP at a pose, the cost itself, and the pairs."""
+    n, m = reference_normals(target, SUPPORT), reference_normals(source, SUPPORT)
+    R = T[:3, :3]
+    moved = geometry.transform(T, source.astype(np.float64))
+    distance, nearest = cKDTree(target).query(moved)
+    H, error, inliers = np.zeros((6, 6)), 0.0, 0
+    for i in np.flatnonzero(distance < REACH):
+        turned = R @ m[i]
+        spread = 2 * np.eye(3) - 0.999 * (
+            np.outer(n[nearest[i]], n[nearest[i]]) + np.outer(turned, turned)
+        )
+        W = np.linalg.inv(spread)
+        e = target[nearest[i]] - moved[i]
+        x, y, z = source[i]
+        J = R @ np.hstack([np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), -np.eye(3)])
+        H += J.T @ W @ J
+        error += 0.5 * e @ W @ e
+        inliers += 1
+    return H, error, inliers
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 3, 4, 60, 400]))
+@settings(max_examples=15)
+def test_normals(seed: int, count: int) -> None:
+    points = voxel_grid(room(seed, count), 0.4)
+    found = Surface(points, REACH, SUPPORT).normals()
+    expected = reference_normals(points, SUPPORT)
+    assert found.shape == (len(points), 3)
+    length = np.linalg.norm(found, axis=1)
+    assert ((np.abs(length - 1) < 1e-5) | (length == 0)).all()
+    assert (length[np.linalg.norm(expected, axis=1) == 0] == 0).all()
+    for i in np.flatnonzero(length):
+        near = points[np.linalg.norm(points - points[i], axis=1) <= SUPPORT].astype(np.float64)
+        values = np.linalg.eigvalsh(np.cov(near.T, bias=True))
+        if values[1] - values[0] > 0.05 * values[2]:  # else it may point anywhere
+            assert abs(found[i] @ expected[i]) > 0.999
+
+
+def test_cost_and_curvature_are_those_of_the_paper() -> None:
+    target, source = voxel_grid(room(1), 0.5), voxel_grid(room(2), 0.5)
+    T = small_pose(3)
+    H, _, inliers = reference_cost(target, source, T)
+    surfaces = Surface(target, REACH, SUPPORT), Surface(source, REACH, SUPPORT)
+    moved, found, error, paired, iterations = surfaces[0].align(surfaces[1], T, 1, 1)
+    assert iterations == 1 and paired == inliers
+    np.testing.assert_allclose(found, H, rtol=1e-3, atol=1e-3 * np.abs(H).max())
+    assert error < reference_cost(target, source, T)[1]  # one step has lowered it
+    assert not np.array_equal(moved, T)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15)
+def test_finds_the_pose_of_a_cloud_in_another(seed: int) -> None:
+    aligner = Aligner(0.3, REACH, threads=1)
+    truth = geometry.yaw_transform(seed % 7, (seed % 900, -40.0, 3.0))
+    prior_map = geometry.transform(truth, room(seed).astype(np.float64)).astype(np.float32)
+    live = room(seed + 1)
+    start = truth @ small_pose(seed)
+    found = aligner.align(aligner.surface(prior_map), aligner.surface(live), start)
+    assert found is not None
+    delta = geometry.inverse(truth) @ found.T_target_source
+    assert np.linalg.norm(delta[:3, 3]) < 0.1
+    assert geometry.rotation_angle(delta) < 0.02
+    assert (np.linalg.eigvalsh(found.covariance) > 0).all()
+    assert np.abs(found.covariance - found.covariance.T).max() == 0
+
+
+def test_rough_alignment_is_near_the_other() -> None:
+    aligner = Aligner(0.15, REACH, threads=1)
+    there, here = aligner.surface(room(1, 40_000)), aligner.surface(room(2, 40_000))
+    assert len(here) > 1200  # so that there are points to leave out
+    found = [aligner.align(there, here, small_pose(3), roughly=rough) for rough in (False, True)]
+    assert found[0] is not None and found[1] is not None
+    between = geometry.inverse(found[0].T_target_source) @ found[1].T_target_source
+    assert 0 < np.linalg.norm(between[:3, 3]) < 0.05
+    assert geometry.rotation_angle(between) < 0.01
+
+
+def test_is_the_same_at_any_number_of_threads_and_in_any_order() -> None:
+    target, source = room(5, 6000), room(6, 6000)
+    T = small_pose(7)
+
+    def aligned(threads: int, first: int | None = None) -> list[Float64]:
+        there, here = Surface(target, REACH, SUPPORT), Surface(source, REACH, SUPPORT)
+        if first is not None:  # what was asked before leaves normals behind
+            there.align(here, small_pose(first), 20, threads)
+        return list(there.align(here, T, 20, threads)[:2])
+
+    for result in (aligned(2), aligned(3), aligned(1, first=9)):
+        for a, b in zip(aligned(1), result, strict=True):
+            assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, MIN_POINTS - 1])
+def test_too_little_is_no_pose(count: int) -> None:
+    aligner = Aligner(0.1, REACH)
+    full, few = aligner.surface(room(1)), aligner.surface(room(1)[:count])
+    assert aligner.align(full, few, np.eye(4)) is None
+    assert aligner.align(few, full, np.eye(4)) is None
+    far = geometry.yaw_transform(0.0, (500.0, 0.0, 0.0))
+    assert aligner.align(full, full, far) is None
+
+
+def test_what_leaves_a_direction_open_is_no_pose() -> None:
+    line = np.zeros((400, 3), np.float32)
+    line[:, 0] = np.linspace(0, 40, 400)
+    aligner = Aligner(0.3, REACH)
+    assert aligner.align(aligner.surface(line), aligner.surface(line), np.eye(4)) is None
+
+
+def test_refuses_wrong_input() -> None:
+    points = room(1)
+    with pytest.raises(ValueError, match="finite"):
+        Surface(np.full((3, 3), np.nan, np.float32), REACH, SUPPORT)
+    with pytest.raises(ValueError, match="shape"):
+        Surface(np.zeros((3, 2), np.float32), REACH, SUPPORT)
+    with pytest.raises(ValueError, match="max_correspondence_distance must be from"):
+        Surface(points, 0.0, SUPPORT)
+    surface = Surface(points, REACH, SUPPORT)
+    with pytest.raises(ValueError, match="shape"):
+        surface.align(surface, np.eye(3))
+    with pytest.raises(ValueError, match="T_target_source has values that are not finite"):
+        surface.align(surface, np.full((4, 4), np.nan))
+    with pytest.raises(ValueError, match="does not turn"):
+        surface.align(surface, np.diag([1.0, 1.0, 2.0, 1.0]))
+    assert Aligner(0.3, REACH).align(surface, surface, np.full((4, 4), np.nan)) is None
+
+
+def test_real_scans_agree_from_wherever_one_starts(kitti: Path) -> None:
+    scans = open_sequence(kitti / "scans", kitti / "scans.tum")
+    poses = scans.poses
+    assert poses is not None
+    aligner = Aligner(0.8, REACH, threads=1)
+    for i in (20, 180, 330):
+        there, here = (
+            aligner.surface(scans.scan(i).points),
+            aligner.surface(scans.scan(i + 1).points),
+        )
+        guess = geometry.inverse(poses[i]) @ poses[i + 1]
+        found = [aligner.align(there, here, guess @ small_pose(s, 0.3, 0.02)) for s in range(4)]
+        ends = np.array([f.T_target_source for f in found if f is not None])
+        assert len(ends) == 4
+        assert np.ptp(ends[:, :3, 3], axis=0).max() < 0.05
+        assert np.abs(ends[0, :3, 3] - guess[:3, 3]).max() < 0.4

@@ -1,0 +1,257 @@
+"""Nearest map points against a k-d tree, and the gates of verification one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from samples.plaza import Plaza, PlazaSequence
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
+
+from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc._native import PointIndex, VisibilityCheck
+from segloc.frontend.segmentation import Segmentation
+from segloc.geometry import Separation
+from segloc.likelihood import VerificationConfig, Verifier
+from segloc.likelihood.overlap_check import MapCloud
+from segloc.localization import Reason
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
+from segloc.proposals.matching import MatchingConfig
+from segloc.proposals.occupancy import OccupancyConfig
+from segloc.types import Descriptors, Float32, Float64, Int64, Pose, Segments
+
+
+def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each point is as low as the cloud around it, and whether there is no cloud."""
+    cells, own = np.floor(points[:, None, :2] / 4), np.floor(cloud[:, :2] / 4)
+    around = (np.abs(cells - own) <= 1).all(axis=2)
+    low = np.where(around, cloud[:, 2], np.inf).min(axis=1)
+    high = np.where(around, cloud[:, 2], -np.inf).max(axis=1)
+    return points[:, 2] <= np.maximum(high, low + 3) + 0.5, ~around.any(axis=1)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 500), st.floats(0.05, 1.0), st.floats(0.1, 1.0))
+def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-4, 4, (count, 3)).astype(np.float32)
+    query = rng.uniform([-9, -9, -5], [9, 9, 9], (200, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    asked = radius * share
+    distance = cKDTree(cloud).query(geometry.transform(T, query))[0]
+    if np.abs(distance - asked).min() < 1e-5:  # decided by rounding
+        return
+    moved = geometry.transform(T, query)
+    low, unmapped = within_reach(moved, cloud)
+    near = (distance < asked) & low & ~unmapped
+    judged = (low | unmapped).sum()
+    index = PointIndex(cloud, radius)
+    for counts in (0.0, 0.25):
+        overlap, rmse = index.overlap(query, T[None], asked, counts)
+        assert overlap[0] == (near.sum() + counts * unmapped.sum()) / max(judged, 1)
+    if near.any():
+        assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.1, 80.0))
+def test_points_within_a_circle_between_heights(seed: int, count: int, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-60, 60, (count, 3)).astype(np.float32)
+    cloud[:, 2] = np.round(cloud[:, 2])
+    x, y = rng.uniform(-70, 70, 2)
+    low, high = np.sort(rng.integers(-70, 70, 2)).astype(float)
+    circle = np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) <= radius
+    index = PointIndex(cloud, 0.5)
+    every = index.sample(x, y, radius, count + 1)
+    assert sorted(map(tuple, every)) == sorted(map(tuple, cloud[circle]))
+    expected = np.flatnonzero(circle & (low <= cloud[:, 2]) & (cloud[:, 2] <= high))
+    every = index.sample(x, y, radius, count + 1, low, high)
+    assert sorted(map(tuple, every)) == sorted(map(tuple, cloud[expected]))
+    some = index.sample(x, y, radius, 50, low, high)
+    assert len(some) <= 50 and (len(some) > 24 or len(some) == len(expected))
+    assert {tuple(p) for p in some} <= {tuple(p) for p in cloud[expected]}
+
+
+def reference_visibility(
+    structure: Float32,
+    ground: Float32,
+    prior_map: Float32,
+    T: Pose,
+    reach: float,
+    bin_deg: float,
+) -> tuple[int, int]:
+    """What ``VisibilityCheck.count`` counts, with 0.4 m to be near and 0.7 m to be behind."""
+    shape = round(360 / bin_deg), round(180 / bin_deg) + 1
+
+    def pixels(points: Float32) -> tuple[tuple[Int64, Int64], Float64]:
+        x, y, z = points.T.astype(np.float64)
+        azimuth = np.degrees(np.arctan2(y, x)) + 180
+        elevation = np.degrees(np.arctan2(z, np.hypot(x, y))) + 90
+        columns = (azimuth / bin_deg).astype(int) % shape[0]
+        return (columns, (elevation / bin_deg).astype(int)), np.sqrt(x * x + y * y + z * z)
+
+    image = np.full(shape, np.inf)
+    at, ranges = pixels(np.concatenate([structure, ground]))
+    np.minimum.at(image, at, ranges)
+    nearest = minimum_filter(image, 3, mode=("wrap", "nearest"))
+
+    moved = geometry.transform(T, prior_map).astype(np.float32)
+    moved = moved[(moved.astype(np.float64) ** 2).sum(axis=1) < reach**2]
+    cells = np.floor(ground[:, :2] / 3)
+    about = (np.abs(np.floor(moved[:, None, :2] / 3) - cells) <= 1).all(axis=2)
+    floor = np.where(about, ground[:, 2], -np.inf).max(axis=1, initial=-np.inf)
+    judged = moved[(floor > -np.inf) & (moved[:, 2] > floor + 0.5)]
+    seen = cKDTree(structure).query(judged)[0] <= 0.4
+    at, ranges = pixels(judged)
+    behind = nearest[at] > ranges + np.maximum(0.7, 0.05 * ranges)
+    return int(seen.sum()), int((~seen & np.isfinite(image[at]) & behind).sum())
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(1.0, 8.0), st.floats(5.0, 30.0))
+def test_what_of_a_map_is_seen_and_what_violates_free_space(
+    seed: int, count: int, bin_deg: float, reach: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    structure = rng.uniform([-25, -25, 0], [25, 25, 4], (count, 3)).astype(np.float32)
+    ground = rng.uniform([-25, -25, -2], [25, 25, -1.5], (40, 3)).astype(np.float32)
+    T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
+    mapped = structure + rng.normal(0, 0.3, structure.shape)
+    others = rng.uniform([-25, -25, -2], [25, 25, 4], (200, 3))
+    prior_map = geometry.transform(geometry.inverse(T), np.concatenate([mapped, others]))
+    prior_map = prior_map.astype(np.float32)
+    counts = VisibilityCheck(structure, ground, reach, bin_deg, 0.5).count(prior_map, T, 0.4, 0.7)
+    expected = reference_visibility(structure, ground, prior_map, T, reach, bin_deg)
+    assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
+
+
+def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_judged() -> None:
+    y, z = (v.ravel().astype(np.float32) for v in np.mgrid[-6:6:0.2, -1:2:0.2])
+
+    def wall(x: float) -> Float32:
+        return np.column_stack([np.full_like(y, x), y, z]).astype(np.float32)
+
+    floor = np.stack(np.meshgrid(np.arange(-12, 12, 0.5), np.arange(-12, 12, 0.5), [-1.7]), -1)
+    ground = floor.reshape(-1, 3).astype(np.float32)
+
+    def shares(live: Float32, prior_map: Float32) -> tuple[int, int]:
+        return VisibilityCheck(live, ground, 30.0, 2.0, 0.4).count(prior_map, np.eye(4), 0.4, 0.7)
+
+    assert shares(wall(8), wall(8)) == (len(y), 0)
+    assert shares(wall(8), wall(11)) == (0, 0)  # hidden
+    seen, through = shares(wall(8), wall(5))
+    assert seen == 0 and through > 0.5 * len(y)
+
+
+def test_the_extent_is_what_stands_around_the_sensor() -> None:
+    """A wall of 40 m; neither the ground counts, nor a wall that is out of range."""
+    along = np.arange(-20.0, 20.0, 0.25)
+    wall = np.stack([along, np.full_like(along, 5.0), np.full_like(along, 1.5)], axis=1)
+    ground = np.stack([along, along, np.zeros_like(along)], axis=1).astype(np.float32)
+    judge = Verifier(wall.astype(np.float32), np.zeros(3))
+    no_points = np.zeros((0, 3), np.float32)
+
+    def extent(*walls: Float64) -> int:
+        none = Segments(no_points, np.zeros(1, np.int64), np.zeros((0, 3)), np.zeros(0))
+        structure = np.concatenate([no_points, *walls], dtype=np.float32)
+        return judge.query(Segmentation(none, structure, ground)).extent
+
+    assert extent() == 0
+    assert extent(wall) == extent(wall, wall) == extent(wall, wall + [0.0, 60.0, 0.0]) == 10
+    assert extent(wall, wall + [0.0, 9.0, 0.0]) == 20
+
+
+def test_how_far_a_pose_is_from_the_path_is_measured_from_above() -> None:
+    def off_path(path: Float64) -> float | None:
+        origin = np.array([1000.0, 0.0, 0.0])
+        cloud = MapCloud(
+            np.zeros((1, 3), np.float32), origin, VerificationConfig(), Separation(), 1, False, path
+        )
+        return cloud.off_path(geometry.yaw_transform(1.0, (1003.0, 24.0, 50.0)))
+
+    along = np.array([[1000.0, 0.0, 1.0], [1000.0, 20.0, 1.0], [1010.0, 0.0, 1.0]])
+    assert off_path(along) == pytest.approx(5.0)
+    assert off_path(np.empty((0, 3))) is None
+
+
+@pytest.mark.parametrize(
+    ("gate", "reason"),
+    [
+        ({"min_inliers": 10_000}, Reason.TOO_FEW_INLIERS),
+        ({"min_confidence": 1.0}, Reason.TOO_UNCERTAIN),
+    ],
+)
+def test_each_gate_refuses_and_says_so(
+    plaza: Plaza, gate: dict[str, float], reason: Reason
+) -> None:
+    config = Config.preset("geo")
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    assert Localizer(prior_map, config).localize(scan).localized
+    gates = VerificationConfig(**gate)  # type: ignore[arg-type]
+    result = Localizer(prior_map, config.model_copy(update={"verification": gates})).localize(scan)
+    assert not result.localized and result.reason is reason and reason.value in result.message
+    assert result.T_map_sensor is None
+
+
+def twice(prior_map: SegmentMap, by: float) -> SegmentMap:
+    """A map that holds its place a second time, so many metres farther."""
+    both = prior_map.crop((0.0, 0.0), np.inf)
+    move = np.array([by, 0.0, 0.0])
+    both.add(
+        Descriptors(prior_map.vectors, prior_map.quality),
+        prior_map.centroids + move,
+        prior_map.sizes,
+        session=1,
+        stamp=0.0,
+        cloud=prior_map.cloud + prior_map.origin + move,
+    )
+    return both
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["geo", "profile"])
+def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str) -> None:
+    config = Config.preset(method)
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
+    scans = [plaza.scan(geometry.yaw_transform(yaw, (-8.0, 1.0, 1.7))) for yaw in (0.3, 2.0)]
+    for scan in scans:
+        assert Localizer(prior_map, config).localize(scan).localized
+        result = Localizer(twice(prior_map, 500.0), config).localize(scan)
+        assert not result.localized and result.reason is Reason.AMBIGUOUS
+        assert result.runner_up is not None
+
+
+def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) -> None:
+    every_view = MappingConfig(compact=CompactConfig(enabled=False))
+    config = Config.preset("geo").model_copy(update={"mapping": every_view})
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    rng = np.random.default_rng(0)
+    # The nearest is hardly ever right:
+    prior_map.vectors[:] += rng.normal(0, 2.5, prior_map.vectors.shape)
+    answers = []
+    for escalation in (1, 80):
+        matching = MatchingConfig(neighbours=1, escalation=escalation)
+        gates = VerificationConfig(min_inliers=3)
+        clouds = OccupancyConfig(enabled=False)
+        config = Config.preset("geo").model_copy(
+            update={"matching": matching, "verification": gates, "occupancy": clouds}
+        )
+        answers.append(Localizer(prior_map, config).localize(scan))
+    lost, found = answers
+    assert not lost.localized and lost.reason is Reason.TOO_FEW_INLIERS
+    assert found.localized
+    assert found.counts["proposed"] == min(80, len(prior_map)) * found.counts["segments"]
+
+
+def test_neighbours_grow_with_the_map_up_to_a_limit() -> None:
+    config = MatchingConfig()
+    first = [config.schedule(n)[0] for n in (10, 50_000, 200_000, 1_000_000, 10**8)]
+    assert first[:2] == [25, 25] and first == sorted(first) and first[-1] == config.max_neighbours
+    assert Config.preset("nsm").matching.schedule(10**7) == (200,)
+    assert Config.preset("dsm").matching.schedule(10**7) == (25,)

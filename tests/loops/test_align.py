@@ -1,0 +1,361 @@
+"""Sessions with drifting poses, each in its own frame, brought into one."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+from segloc_lab.simulation import Conditions, OdometryNoise, hdl64e, simulate_sessions, town
+
+from segloc import Config, Localizer, Scan, SegmentMap, geometry
+from segloc.cli import main
+from segloc.datasets import Recording, open_sequence
+from segloc.errors import ConfigError, DatasetError
+from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
+from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.loops.consistency import supported
+from segloc.loops.loops import Chain, Loop
+from segloc.loops.spread import spread
+from segloc.loops.submaps import Session
+from segloc.types import Float64
+
+pytestmark = pytest.mark.slow
+
+CONFIG = Config(threads=1)
+DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
+
+
+def drifted(recording: Recording, truth: Float64, seed: int) -> Reposed:
+    """The recording with odometry of 1 % drift, in a frame of its own."""
+    rng = np.random.default_rng(seed)
+    shift = rng.uniform(-300, 300, 3)
+    frame = geometry.yaw_transform(float(rng.uniform(-3, 3)), tuple(shift.tolist()))
+    return Reposed(recording, frame @ DRIFT.odometry(truth, rng))
+
+
+def errors_across(a: Float64, b: Float64, true_a: Float64, true_b: Float64) -> Float64:
+    """How far poses of b are off, seen from the nearest pose of a, where that is within 6 m."""
+    apart = np.linalg.norm(true_a[:, None, :2, 3] - true_b[None, :, :2, 3], axis=2)
+    errors = []
+    for j in np.flatnonzero(apart.min(axis=0) < 6):
+        i = int(apart[:, j].argmin())
+        truth = geometry.inverse(true_a[i]) @ true_b[j]
+        found = geometry.inverse(a[i]) @ b[j]
+        errors.append(np.linalg.norm(found[:3, 3] - truth[:3, 3]))
+    return np.array(errors)
+
+
+class Walk(PlazaSequence):
+    """A walk across a plaza by another way."""
+
+    def __init__(self, plaza: Plaza, lane: float, name: str, steps: int = 15) -> None:
+        super().__init__(plaza, steps)
+        self.name = name
+        self.poses = self.poses.copy()
+        self.poses[:, 1, 3] += lane
+
+
+@pytest.fixture(scope="module")
+def walks(plaza: Plaza) -> list[Walk]:
+    """Two sessions of one plaza, one of another."""
+    other = Walk(Plaza(7), 0.0, "other", steps=6)
+    return [Walk(plaza, 0.0, "first"), Walk(plaza, 2.0, "second"), other]
+
+
+@pytest.fixture(scope="module")
+def aligned(walks: list[Walk]) -> Alignment:
+    return align_sessions([drifted(w, w.poses, k) for k, w in enumerate(walks)], CONFIG)
+
+
+def test_sessions_of_one_place_are_joined_and_another_place_stays_apart(
+    walks: list[Walk], aligned: Alignment
+) -> None:
+    assert aligned.components == [[0, 1], [2]]
+    off = errors_across(*aligned.poses[:2], walks[0].poses, walks[1].poses)
+    assert len(off) == 15
+    assert np.median(off) < 0.15
+    np.testing.assert_allclose(aligned.poses[2], aligned.odometry[2], atol=1e-9)
+    np.testing.assert_allclose(aligned.poses[0][0], aligned.odometry[0][0], atol=1e-9)
+    believed = [loop for loop in aligned.loops if loop.accepted]
+    assert len(believed) >= 5
+    assert all(set(s) == {0, 1} for s in aligned.loop_sessions.tolist())
+    after = np.array([loop.after for loop in believed])
+    assert np.median(np.linalg.norm(after[:, 3:], axis=1)) < 0.1
+
+
+def test_threads_do_not_change_a_bit(plaza: Plaza) -> None:
+    walks = [Walk(plaza, 0.0, "first", steps=8), Walk(plaza, 2.0, "second", steps=8)]
+    settings = AlignConfig(every_m=3.0)
+    one, two = (
+        align_sessions(
+            [drifted(w, w.poses, k) for k, w in enumerate(walks)],
+            CONFIG.model_copy(update={"threads": threads}),
+            settings,
+        )
+        for threads in (1, 2)
+    )
+    assert one.components == [[0, 1]]
+    for a, b in zip(one.poses, two.poses, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
+    with pytest.raises(ConfigError, match="no session"):
+        align_sessions([])
+    without = PlazaSequence(plaza, steps=2)
+    without.poses = None  # type: ignore[assignment]
+    with pytest.raises(DatasetError, match="session 0: plaza: aligning needs odometry"):
+        align_sessions([without], CONFIG)
+    with pytest.raises(DatasetError, match=r"poses of shape \(3, 4, 4\) for 15 scans"):
+        Reposed(PlazaSequence(plaza), np.tile(np.eye(4), (3, 1, 1)))
+
+    class Empty(PlazaSequence):
+        def scan(self, i: int) -> Scan:
+            return Scan(np.empty((0, 3), np.float32), T_odom_sensor=self.poses[i])
+
+    with pytest.raises(DatasetError, match="session 1: plaza: no segment found in 2 scans"):
+        align_sessions([PlazaSequence(plaza, steps=2), Empty(plaza, steps=2)], CONFIG)
+
+    class Nothing(PlazaSequence):
+        def __len__(self) -> int:
+            return 0
+
+    nothing = Nothing(plaza, steps=2)
+    with pytest.raises(DatasetError, match="session 1: plaza: no scan in it"):
+        align_sessions([PlazaSequence(plaza, steps=2), nothing], CONFIG)
+
+
+def _session(poses: Float64, anchors: list[int]) -> Session:
+    way = geometry.travelled(poses)
+    chosen = np.array(anchors, np.int64)
+    return Session("s", np.arange(len(poses)), poses, way, chosen)
+
+
+def test_all_scans_follow_their_submaps() -> None:
+    rng = np.random.default_rng(0)
+    truth = np.stack([geometry.yaw_transform(0.05 * k, (k, 0.1 * k, 2.0)) for k in range(21)])
+    session = _session(DRIFT.odometry(truth, rng), [0, 5, 10, 15, 20])
+    nodes = session.node_poses
+    np.testing.assert_allclose(spread(session, nodes), session.poses, atol=1e-9)
+    frame = geometry.yaw_transform(1.0, (5.0, 6.0, 7.0))
+    np.testing.assert_allclose(spread(session, frame @ nodes), frame @ session.poses, atol=1e-9)
+    nodes = nodes.copy()
+    nodes[2:, 0, 3] += 1.0  # between the second and the third the poses must stretch evenly
+    steps = spread(session, nodes)[:, 0, 3] - session.poses[:, 0, 3]
+    np.testing.assert_allclose(steps[5:11], np.linspace(0, 1, 6), atol=0.05)
+    single = _session(truth[:1], [0])
+    np.testing.assert_allclose(spread(single, frame @ single.node_poses)[0], frame @ truth[0])
+
+
+def test_a_loop_needs_others_that_agree() -> None:
+    way = np.stack([geometry.yaw_transform(0.0, (6.0 * k, 0.0, 0.0)) for k in range(30)])
+    sessions = [_session(way, list(range(30))), _session(way, list(range(30)))]
+    chain = Chain.of(sessions, 200.0)
+    right = [(k, 30 + k, np.eye(4)) for k in (3, 4, 5)]
+    wrong = [(5, 34, geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))), (25, 40, np.eye(4))]
+    loops = [Loop(a, b, T, np.eye(6), "found", 9, 0.9) for a, b, T in right + wrong]
+    judged = supported(chain, loops, AlignConfig())
+    assert [loop.accepted for loop in judged] == [True] * 3 + [False] * 2
+    assert judged[3].reason == "0 loops near it agree and 3 do not"
+    assert judged[4].reason == "0 loops near it agree and 0 do not"
+    assert not any(loop.accepted for loop in supported(chain, loops[:2], AlignConfig()))
+
+
+def _write(walk: Walk, folder: Path, seed: int) -> None:
+    folder.mkdir()
+    recording = drifted(walk, walk.poses, seed)
+    for i in range(len(walk)):
+        write_scan(folder / f"{i:04d}.npy", walk.scan(i).points)
+    write_tum(folder / "odometry.tum", Trajectory(walk.indices.astype(float), recording.poses))
+
+
+def test_the_command_writes_all_of_it(
+    walks: list[Walk],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for k, walk in enumerate(walks):
+        _write(walk, tmp_path / walk.name, k)
+    out = tmp_path / "out"
+    folders = [str(tmp_path / walk.name) for walk in walks]
+    options = ["--poses", "odometry.tum", "--out", str(out), "--pairs", "--threads", "1"]
+    monkeypatch.setattr("sys.argv", ["segloc", "align", *folders, *options])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code in (0, None)
+    said = capsys.readouterr()
+    assert "nothing connects session 2 (other)" in " ".join(said.err.split())
+    facts = json.loads((out / "alignment.json").read_text())
+    assert facts["components"] == [[0, 1], [2]]
+    assert facts["residual_after"]["median_m"] < 0.1
+    with (out / "loops.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert sum(row["accepted"] == "1" for row in rows) == facts["loops"]["accepted"]
+    rejected = [row for row in rows if row["accepted"] == "0"]
+    assert len(rejected) == facts["loops"]["rejected"]
+    assert all(row["reason"] for row in rejected)
+    for row in rows:  # residuals before and after of what was believed
+        assert row["accepted"] == "0" or float(row["after_m"]) <= float(row["before_m"]) + 0.5
+    assert (out / "before_after.png").read_bytes()[:4] == b"\x89PNG"
+    poses = read_trajectory(out / "session_1.tum")
+    assert len(poses) == 15
+
+    prior_map = SegmentMap.load(out / "site.segmap")
+    assert len(np.unique(prior_map.session)) == 2
+    assert len(np.unique(SegmentMap.load(out / "site_1.segmap").session)) == 1
+    answer = Localizer(prior_map, CONFIG).localize(walks[1].scan(7))
+    assert answer.T_map_sensor is not None
+    assert np.linalg.norm(answer.T_map_sensor[:3, 3] - poses.poses[7][:3, 3]) < 0.3
+
+    with (out / "pairs.csv").open(newline="") as file:
+        pairs = list(csv.DictReader(file))
+    near = [float(p["distance_m"]) for p in pairs if p["match"] == "1"]
+    far = [float(p["distance_m"]) for p in pairs if p["match"] == "0"]
+    assert len(near) > 100
+    assert min(far) > 20
+    assert max(near) < 1.0  # both within 0.5 m of the object's largest view
+    assert any(p["first_session"] != p["second_session"] for p in pairs if p["match"] == "1")
+    _trains_on(out / "dataset", tmp_path / "weights.safetensors", monkeypatch)
+
+
+def _trains_on(dataset: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    arguments = ["--out", str(weights), "--steps", "20", "--threads", "1"]
+    monkeypatch.setattr("sys.argv", ["segloc", "train", "profile", str(dataset), *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    assert weights.is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        (["--every", "0"], "every_m"),
+        (["--poses", "a.tum", "--poses", "b.tum"], "--poses is given 2 times for 1 sequences"),
+        (["--poses", "none.tum"], "none.tum: no such file"),
+    ],
+)
+def test_faults_are_one_line(
+    options: list[str],
+    fault: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_scan(tmp_path / "0.npy", np.zeros((10, 3), np.float32))
+    said = _refused([tmp_path], tmp_path / "out", options, monkeypatch, capsys)
+    assert fault in said
+
+
+def _refused(
+    folders: list[Path],
+    out: Path,
+    options: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> str:
+    """The one line that the command ends with; nothing is written."""
+    arguments = [*map(str, folders), "--out", str(out), *options]
+    monkeypatch.setattr("sys.argv", ["segloc", "align", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 1
+    assert not out.exists()
+    lines = capsys.readouterr().err.strip().split("segloc: ")
+    return " ".join(lines[-1].split())
+
+
+def test_a_broken_session_among_good_ones(
+    walks: list[Walk],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    good, other, bare, void, blind = (
+        tmp_path / name for name in ("good", "other", "bare", "void", "blind")
+    )
+    for k, folder in enumerate((good, other)):
+        _write(walks[2], folder, k)
+    bare.mkdir()
+    write_scan(bare / "0.npy", walks[0].scan(0).points)
+    void.mkdir()
+    _write(walks[2], blind, 1)
+    for scan in blind.glob("*.npy"):
+        write_scan(scan, np.zeros((0, 3), np.float32))
+    cut = sorted(other.glob("*.npy"))[-1]
+    cut.write_bytes(cut.read_bytes()[:-7])
+    posed = ["--poses", str(good / "odometry.tum"), "--threads", "1"]
+    for session, options, fault in (
+        (bare, [], f"{good}: session 0 has no poses: name a file by --poses, or use --odometry"),
+        (bare, ["--poses", "odometry.tum"], "odometry.tum: no such file, neither in"),
+        (void, posed, f"{void}: no scans in a known format among its 0 files"),
+        (blind, posed, "session 1: blind: no segment found in 6 scans"),
+        (other, posed, f"{cut}: "),
+    ):
+        said = _refused([good, session], tmp_path / "out", options, monkeypatch, capsys)
+        assert fault.replace(" ", "") in said.replace(" ", "")
+
+
+def test_sessions_of_different_sensors_are_noted(
+    walks: list[Walk],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """They are aligned as far as they can be."""
+    sweeps = [tmp_path / "first", tmp_path / "swept"]
+    for folder in sweeps:
+        _write(walks[2], folder, 0)
+    for path in sweeps[1].glob("*.npy"):
+        points = np.load(path)
+        slab = points[np.abs(points[:, 0]) < 4.0]
+        write_scan(path, slab * np.array([0.0, 1.0, 1.0], np.float32))
+    out = tmp_path / "out"
+    options = ["--poses", "odometry.tum", "--out", str(out), "--threads", "1"]
+    monkeypatch.setattr("sys.argv", ["segloc", "align", *map(str, sweeps), *options])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    said = " ".join(capsys.readouterr().err.split())
+    assert "sessions are of different sensors and may share few segments: 0 " in said
+    assert "1 a sweep of one plane" in said
+    assert (out / "session_1.tum").is_file()
+
+
+def test_simulated_seasons_against_the_exact_truth() -> None:
+    pytest.importorskip("embreex")
+    seasons = [Conditions(), Conditions(foliage=0.3, replaced=0.2)]
+    drives = simulate_sessions(
+        town(5, size_m=220.0), hdl64e(400), seasons, length_m=90.0, spacing_m=3.0, seed=2
+    )
+    recordings = [drifted(d, d.truth, k + 10) for k, d in enumerate(drives)]
+    found = align_sessions(recordings, CONFIG, AlignConfig(every_m=10.0))
+    assert found.components == [[0, 1]]
+    truths = [d.truth for d in drives]
+    assert np.median(errors_across(*found.poses, *truths)) < 0.2
+    for loop, s, i in zip(found.loops, found.loop_sessions, found.loop_scans, strict=True):
+        ends = [geometry.levelled(truths[k][n]) for k, n in zip(s, i, strict=True)]
+        error = geometry.inverse(geometry.inverse(ends[0]) @ ends[1]) @ loop.T_target_source
+        assert not loop.accepted or np.linalg.norm(error[:3, 3]) < 1.0
+
+
+def test_real_passes_over_one_street(kitti: Path) -> None:
+    """Ground truth across the passes is good to a metre only, so that is what it is held to."""
+    parts = [open_sequence(kitti / "keyframes", "keyframes.tum", s)
+             for s in ("169:225", "1414:1455", "1640:1670")]  # fmt: skip
+    truths = [part.poses for part in parts]
+    recordings = [drifted(p, t, k) for k, (p, t) in enumerate(zip(parts, truths, strict=True))]  # type: ignore[arg-type]
+    found = align_sessions(recordings, CONFIG, AlignConfig(every_m=8.0))
+    assert found.components == [[0, 1], [2]]
+    off = errors_across(*found.poses[:2], *truths[:2])  # type: ignore[arg-type]
+    assert len(off) > 20
+    assert np.median(off) < 1.5
+    believed = [loop for loop in found.loops if loop.accepted]
+    after = np.array([loop.after for loop in believed])
+    assert np.median(np.linalg.norm(after[:, 3:], axis=1)) < 0.15

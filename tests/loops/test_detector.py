@@ -1,0 +1,161 @@
+"""Loops found while a robot drives: true ones, no false ones, and no more memory than allowed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza
+
+from segloc import Config, InvalidScan, LoopDetector, Scan, geometry
+from segloc.datasets import open_sequence
+from segloc.loops import LoopClosure, LoopConfig
+from segloc.types import Float64
+
+RADIUS_M, STEP_M = 12.0, 2.5
+SETTINGS = LoopConfig(every_m=5.0, part_m=25.0, min_travel_m=40.0, submap_m=8.0)
+
+
+def small() -> Config:
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    local = config.local_cloud.model_copy(update={"window_m": 12.0})
+    return config.model_copy(update={"local_cloud": local})
+
+
+def laps(metres: float) -> Float64:
+    """True poses on a circle."""
+    angles = np.arange(0.0, metres, STEP_M) / RADIUS_M
+    return np.stack(
+        [
+            geometry.yaw_transform(
+                a + math.pi / 2, (RADIUS_M * math.cos(a), RADIUS_M * math.sin(a), 1.8)
+            )
+            for a in angles
+        ]
+    )
+
+
+def drifted(truths: Float64, per_m: float = 0.01, degrees_per_m: float = 0.02) -> Float64:
+    """Odometry that is too long and turns too far, in a frame of its own."""
+    poses = [geometry.yaw_transform(2.0, (70.0, -30.0, 5.0))]
+    for before, after in itertools.pairwise(truths):
+        step = geometry.inverse(before) @ after
+        length = float(np.linalg.norm(step[:3, 3]))
+        step[:3, 3] *= 1.0 + per_m
+        poses.append(
+            poses[-1] @ step @ geometry.yaw_transform(math.radians(degrees_per_m * length))
+        )
+    return np.stack(poses)
+
+
+def errors(loops: list[LoopClosure], truths: Float64) -> Float64:
+    """Metres and degrees, (L, 2)."""
+    rows = []
+    for loop in loops:
+        off = geometry.inverse(geometry.inverse(truths[loop.i]) @ truths[loop.j]) @ loop.T_i_j
+        turned = math.degrees(geometry.rotation_angle(off))
+        rows.append((float(np.linalg.norm(off[:3, 3])), turned))
+    return np.array(rows).reshape(-1, 2)
+
+
+class Driven(NamedTuple):
+    """Loops by the scan with which each was told."""
+
+    told: list[list[LoopClosure]]
+    detector: LoopDetector
+    truths: Float64
+
+    @property
+    def loops(self) -> list[LoopClosure]:
+        return list(itertools.chain(*self.told))
+
+
+def round_and_round(plaza: Plaza, metres: float, settings: LoopConfig) -> Driven:
+    truths = laps(metres)
+    detector, told = LoopDetector(small(), settings), []
+    for k, (T, odometry) in enumerate(zip(truths, drifted(truths), strict=True)):
+        seen = Scan(plaza.scan(T, posed=False, seed=k).points)
+        told.append(detector.add(seen, odometry))
+    return Driven(told, detector, truths)
+
+
+@pytest.fixture(scope="module")
+def two_laps(plaza: Plaza) -> Driven:
+    return round_and_round(plaza, 160.0, SETTINGS)
+
+
+@pytest.mark.slow
+def test_the_second_lap_is_tied_to_the_first(two_laps: Driven) -> None:
+    loops, truths = two_laps.loops, two_laps.truths
+    assert len(loops) >= 8
+    off = errors(loops, truths)
+    assert off[:, 0].max() < 0.5 and off[:, 1].max() < 1.5
+    for loop in loops:
+        assert 0 <= loop.i < loop.j and (loop.j - loop.i) * STEP_M >= SETTINGS.min_travel_m
+        assert loop.confidence >= 0.8
+        spread = np.linalg.eigvalsh(loop.covariance)
+        assert spread.min() > 0
+        assert np.sqrt(loop.covariance[3, 3]) < 0.5
+    assert len({(loop.i, loop.j) for loop in loops}) == len(loops)  # each is told once
+
+
+@pytest.mark.slow
+def test_the_same_drive_gives_the_same_loops_and_lone_ones_are_kept_back(
+    plaza: Plaza, two_laps: Driven
+) -> None:
+    again = round_and_round(plaza, 120.0, SETTINGS)
+    once = list(itertools.chain(*two_laps.told[: len(again.told)]))
+    assert once and len(once) == len(again.loops)
+    assert [(a.i, a.j) for a in once] == [(b.i, b.j) for b in again.loops]
+    assert all(np.array_equal(a.T_i_j, b.T_i_j) for a, b in zip(once, again.loops, strict=True))
+    alone = SETTINGS.model_copy(update={"min_support": 0})
+    at_once = round_and_round(plaza, 120.0, alone).loops
+    assert at_once[0].j <= once[0].j and len(at_once) >= len(once)
+
+
+@pytest.mark.slow
+def test_old_parts_are_forgotten(plaza: Plaza) -> None:
+    settings = SETTINGS.model_copy(update={"max_parts": 2, "every_m": 8.0})
+    driven = round_and_round(plaza, 150.0, settings)
+    loops, detector = driven.loops, driven.detector
+    assert len(detector) <= (2 + 1) * (25.0 / 7.5 + 2)
+    assert len(detector._parts) == 2 and len(detector._submaps) == len(detector)
+    assert all(loop.i >= 0 for loop in loops)
+
+
+@pytest.mark.slow
+def test_another_place_is_no_loop() -> None:
+    """The same circle, but what stands around is of another plaza the second time."""
+    truths, places = laps(150.0), (Plaza(0), Plaza(7))
+    changed = int(2 * math.pi * RADIUS_M / STEP_M)
+    detector, loops = LoopDetector(small(), SETTINGS), []
+    for k, (T, odometry) in enumerate(zip(truths, drifted(truths), strict=True)):
+        seen = places[k > changed].scan(T, posed=False, seed=k)
+        loops += detector.add(seen.points, odometry)
+    gathered = 12.0 / STEP_M  # scans of the first plaza in the clouds of the second
+    assert not [loop for loop in loops if loop.i <= changed < loop.j - gathered]
+
+
+@pytest.mark.slow
+def test_a_street_driven_twice(kitti: Path) -> None:
+    drive = open_sequence(kitti / "keyframes", "keyframes.tum", "940:1005,1355:1415")
+    assert drive.poses is not None
+    detector = LoopDetector(Config.preset("profile").model_copy(update={"threads": 1}))
+    loops = []
+    for k, T in enumerate(drifted(drive.poses, 0.005, 0.004)):
+        loops += detector.add(Scan(drive.scan(k).points), T)
+    off = errors(loops, drive.poses)  # ground truth is good to a metre across passes
+    assert len(loops) >= 8 and off[:, 0].max() < 3.0 and off[:, 1].max() < 5.0
+
+
+def test_wrong_input_is_refused(plaza: Plaza) -> None:
+    detector = LoopDetector(small(), SETTINGS)
+    with pytest.raises(InvalidScan, match="T_odom_sensor"):
+        detector.add(np.zeros((3, 3)), np.zeros((4, 4)))
+    with pytest.raises(InvalidScan, match=r"\(N, 3\)"):
+        detector.add(np.zeros((3, 2)), np.eye(4))
+    assert detector.add(np.zeros((3, 3)), np.eye(4)) == []

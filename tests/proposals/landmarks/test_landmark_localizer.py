@@ -1,0 +1,149 @@
+"""Landmarks in, a pose out: found where it is, refused where it is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from samples import stems
+from samples.real import real
+
+from segloc import geometry
+from segloc.errors import ConfigError, InvalidScan
+from segloc.localization import Localization, Reason
+from segloc.map.segment_map import SegmentMap
+from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
+from segloc.types import Pose
+
+POSES = [stems.pose(x, y, yaw) for x, y, yaw in ((20, 42, 0.3), (33, 36, 2.0), (55, 45, -2.8))]
+
+
+@pytest.fixture(scope="module")
+def site() -> LandmarkMap:
+    return stems.surveyed(stems.stand(1))
+
+
+@pytest.fixture(scope="module")
+def localizer(site: LandmarkMap) -> LandmarkLocalizer:
+    return LandmarkLocalizer(site)
+
+
+def check_found(answer: Localization, T: Pose, metres: float = 0.3, degrees: float = 2.0) -> None:
+    assert answer.localized, answer.message
+    delta = geometry.inverse(T) @ answer.T_map_sensor
+    assert np.linalg.norm(delta[:3, 3]) < metres
+    assert geometry.rotation_angle(delta) < math.radians(degrees)
+
+
+@pytest.mark.parametrize("T", POSES)
+def test_a_pose_is_found(localizer: LandmarkLocalizer, T: Pose) -> None:
+    answer = localizer.localize(stems.seen(stems.stand(1), T, seed=50))
+    check_found(answer, T)
+    assert answer.inliers > 40 and answer.overlap > 0.7 and answer.confidence > 0.9
+    assert answer.times_ms["total"] > 0 and answer.counts["efforts"] == 1
+
+
+@pytest.mark.parametrize("T", POSES)
+def test_half_of_the_stems_and_noise_are_enough(localizer: LandmarkLocalizer, T: Pose) -> None:
+    query = stems.seen(stems.stand(1), T, keep=0.5, noise=0.1, seed=51)
+    check_found(localizer.localize(query), T, metres=0.5)
+
+
+def test_a_tilted_sensor_is_found(localizer: LandmarkLocalizer) -> None:
+    T = stems.pose(40, 42, 1.0, tilt=math.radians(25))
+    check_found(localizer.localize(stems.seen(stems.stand(1), T, seed=52)), T)
+
+
+def test_neither_diameters_nor_axes_are_needed(localizer: LandmarkLocalizer) -> None:
+    plain = Landmarks(stems.stand(1).positions)
+    T = POSES[0]
+    check_found(LandmarkLocalizer(stems.surveyed(plain)).localize(stems.seen(plain, T)), T)
+
+
+@pytest.mark.parametrize("T", POSES)
+def test_another_stand_is_refused(localizer: LandmarkLocalizer, T: Pose) -> None:
+    for seed in (2, 3):
+        answer = localizer.localize(stems.seen(stems.stand(seed), T))
+        assert not answer.localized and answer.confidence < 0.5
+        assert str(answer.reason) in answer.message and "\n" not in answer.message
+
+
+@pytest.mark.parametrize("T", POSES)
+def test_a_mirror_image_is_refused(site: LandmarkMap, T: Pose) -> None:
+    flip = np.array([-1.0, 1.0, 1.0])
+    mirrored = dataclasses.replace(site, positions=site.positions * flip, axes=site.axes * flip)
+    answer = LandmarkLocalizer(mirrored).localize(stems.seen(stems.stand(1), T))
+    assert not answer.localized
+
+
+@pytest.mark.parametrize("T", POSES)
+def test_equal_trees_in_rows_are_ambiguous(T: Pose) -> None:
+    rows = stems.plantation()
+    answer = LandmarkLocalizer(stems.surveyed(rows)).localize(stems.seen(rows, T))
+    assert answer.reason is Reason.AMBIGUOUS
+    assert answer.runner_up is not None and "another place, at" in answer.message
+
+
+def test_the_order_of_the_landmarks_does_not_matter(localizer: LandmarkLocalizer) -> None:
+    query = stems.seen(stems.stand(1), POSES[1])
+    assert query.diameters is not None
+    turned = Landmarks(query.positions[::-1], query.directions[::-1], query.diameters[::-1])
+    a, b, again = (localizer.localize(q) for q in (query, turned, query))
+    assert a.localized and b.localized and again.localized
+    np.testing.assert_array_equal(a.T_map_sensor, again.T_map_sensor)
+    np.testing.assert_allclose(a.T_map_sensor, b.T_map_sensor, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("count", "reason"),
+    [(0, Reason.NO_SEGMENTS), (2, Reason.NO_MATCHES), (4, Reason.TOO_FEW_INLIERS)],
+)
+def test_too_few_landmarks_are_refused(
+    localizer: LandmarkLocalizer, count: int, reason: Reason
+) -> None:
+    whole = stems.seen(stems.stand(1), POSES[1])
+    near = np.argsort(np.hypot(*whole.positions[:, :2].T))[:count]
+    assert whole.diameters is not None
+    few = Landmarks(whole.positions[near], whole.directions[near], whole.diameters[near])
+    assert localizer.localize(few).reason is reason
+
+
+def test_an_empty_map_has_nothing(localizer: LandmarkLocalizer) -> None:
+    answer = LandmarkLocalizer(LandmarkMapper().map()).localize(
+        stems.seen(stems.stand(1), POSES[0])
+    )
+    assert answer.reason is Reason.NO_MATCHES
+
+
+def test_the_stamp_is_handed_on(localizer: LandmarkLocalizer) -> None:
+    assert localizer.localize(Landmarks(np.zeros((0, 3)), stamp=3.5)).stamp == 3.5
+
+
+def test_other_things_are_refused(localizer: LandmarkLocalizer) -> None:
+    with pytest.raises(InvalidScan, match="a query is Landmarks, not ndarray"):
+        localizer.localize(np.zeros((5, 3)))  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"needs a LandmarkMap, not SegmentMap: load one by"):
+        LandmarkLocalizer(SegmentMap.empty("geo", "geo-1", 7))  # type: ignore[arg-type]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_a_real_forest_is_found_from_all_sides() -> None:
+    """Every fiftieth frame of the second half against the frames of the first."""
+    from segloc_lab.protocols.trees import Forest
+
+    forest = Forest.load(real("oxford_forest_trees"))
+    half = len(forest.frames) // 2
+    site = LandmarkMap.build(zip(forest.frames[:half:4], forest.poses[:half:4], strict=True))
+    localizer = LandmarkLocalizer(site)
+    revisits = 0
+    for k in range(half + 100, len(forest.frames), 50):
+        answer = localizer.localize(forest.frames[k])
+        gap = np.linalg.norm(forest.poses[:half, :3, 3] - forest.poses[k, :3, 3], axis=1).min()
+        if answer.localized:
+            check_found(answer, forest.poses[k], metres=2.0, degrees=5.0)
+        revisits += bool(gap < 3)
+        assert answer.localized or gap > 3
+    assert revisits >= 5

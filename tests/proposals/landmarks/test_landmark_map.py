@@ -1,0 +1,129 @@
+"""Landmarks at the door, seen from several poses, merged, kept in files."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples import stems
+from samples.source import PROJECT
+
+from segloc import Localizer, geometry
+from segloc.errors import InvalidScan, MapFormatError, SeglocError
+from segloc.map.segment_map import SegmentMap
+from segloc.proposals.landmarks import LandmarkConfig, LandmarkMap, LandmarkMapper, Landmarks
+from segloc.proposals.landmarks.landmarks import levelling
+
+THREE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 7, 1]])
+
+
+def test_the_defaults_say_that_nothing_is_known() -> None:
+    plain = Landmarks(THREE.astype(np.float32))
+    assert len(plain) == 3 and plain.positions.dtype == np.float64
+    np.testing.assert_array_equal(plain.directions, np.tile([0, 0, 1.0], (3, 1)))
+    np.testing.assert_array_equal(plain.diameters, 0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"positions": THREE[:, :2]}, "positions must have shape"),
+        ({"positions": THREE * np.nan}, "positions: row 0 is not finite"),
+        ({"positions": THREE * 1e6}, "positions: row 1 is beyond"),
+        ({"axes": THREE}, "axes: row 0 is no direction"),
+        ({"axes": THREE[:2]}, "axes must have shape"),
+        ({"diameters": [0.1, -0.1, 0.2]}, "diameters: row 1 is not from 0 to 100 m"),
+        ({"diameters": [0.1]}, "diameters must have shape"),
+        ({"diameters": ["a", "b", "c"]}, "diameters cannot have dtype"),
+        ({"stamp": math.inf}, "stamp must be finite"),
+    ],
+)
+def test_wrong_landmarks_are_refused_in_one_line(wrong: dict[str, object], said: str) -> None:
+    with pytest.raises(InvalidScan, match=said) as caught:
+        Landmarks(**{"positions": THREE, **wrong})  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_the_median_of_the_axes_points_up() -> None:
+    T = stems.pose(0, 0, 0.7, tilt=0.4)
+    up = T[:3, :3].T @ [0, 0, 1.0]
+    level = levelling(np.array([up, up, [1.0, 0, 0]]))
+    np.testing.assert_allclose(level[:3, :3] @ up, [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(level[:3, :3] @ level[:3, :3].T, np.eye(3), atol=1e-12)
+    assert abs(geometry.heading(level)) < 1e-9
+    for unknown in (np.empty((0, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 0, 1.0], [0, 0, -1]])):
+        np.testing.assert_array_equal(levelling(unknown), np.eye(4))
+
+
+def test_each_thing_is_in_the_map_once() -> None:
+    whole = stems.stand(4, stems=100)
+    made = stems.surveyed(whole)
+    gaps = np.linalg.norm(made.positions[:, None] - whole.positions[None], axis=2)
+    assert gaps.min(axis=1).max() < 0.3 and len(made) < 100
+    apart = np.linalg.norm(made.positions[:, None, :2] - made.positions[None, :, :2], axis=2)
+    assert apart[~np.eye(len(made), dtype=bool)].min() > 0.2
+    assert made.views.min() >= 2 and made.trajectory.shape == (11, 4, 4)
+    np.testing.assert_allclose(np.linalg.norm(made.axes, axis=1), 1)
+
+
+def test_means_that_meet_are_joined() -> None:
+    steps = (0.0, 0.6, 0.25, 0.35)  # the second is new; the mean of the others comes near it
+    views = [(Landmarks(np.array([[x, 0.0, 0.0]])), np.eye(4)) for x in steps]
+    made = LandmarkMap.build(views, LandmarkConfig(min_views=1))
+    assert len(made) == 1 and made.views.tolist() == [4]
+    np.testing.assert_allclose(made.positions[0], [np.mean(steps), 0, 0])
+
+
+def test_what_was_seen_once_is_left_out() -> None:
+    mapper = LandmarkMapper()
+    mapper.add(Landmarks(THREE), np.eye(4))
+    assert len(mapper.map()) == 0
+    mapper.add(Landmarks(THREE[:2]), np.eye(4))
+    assert len(mapper.map()) == 2
+
+
+def test_a_mapper_refuses_other_things() -> None:
+    with pytest.raises(SeglocError, match="a map is made of Landmarks, not of ndarray"):
+        LandmarkMapper().add(THREE, np.eye(4))  # type: ignore[arg-type]
+    with pytest.raises(InvalidScan, match="T_map_sensor"):
+        LandmarkMapper().add(Landmarks(THREE), 2 * np.eye(4))
+
+
+def test_a_map_of_wrong_arrays_is_refused() -> None:
+    none = np.empty((0, 4, 4))
+    with pytest.raises(InvalidScan, match="views must have shape"):
+        LandmarkMap(THREE, THREE, np.zeros(3), np.zeros(2, np.int64), none)
+
+
+def test_a_map_comes_back_from_its_file(tmp_path: Path) -> None:
+    made = stems.surveyed(stems.stand(5))
+    made.save(tmp_path / "trees.segmap")
+    read = LandmarkMap.load(tmp_path / "trees.segmap")
+    for name in ("positions", "views", "trajectory"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+    np.testing.assert_allclose(read.axes, made.axes, atol=1e-6)
+    np.testing.assert_allclose(read.diameters, made.diameters, atol=1e-6)
+
+
+def test_a_map_of_segments_is_refused(tmp_path: Path) -> None:
+    SegmentMap.empty("geo", "geo-1", 7).save(tmp_path / "geo.segmap")
+    with pytest.raises(MapFormatError, match="a map of geo, not of landmarks"):
+        LandmarkMap.load(tmp_path / "geo.segmap")
+
+
+def test_a_localizer_of_segments_refuses_a_map_of_landmarks(tmp_path: Path) -> None:
+    stems.surveyed(stems.stand(5)).save(tmp_path / "trees.segmap")
+    with pytest.raises(SeglocError, match="landmarks"):
+        Localizer(SegmentMap.load(tmp_path / "trees.segmap"))
+
+
+def test_the_page_shows_what_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = (PROJECT / "docs" / "landmarks.md").read_text("utf-8")
+    code = page.split("```python\n")[1].split("```")[0]
+    exec(compile(code, "docs/landmarks.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("[25. 30.]")

@@ -1,0 +1,160 @@
+"""Exact nearest descriptors against brute force in double."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from segloc import SegmentMap, _native
+from segloc.proposals.matching import Matcher, MatchingConfig
+from segloc.types import Descriptors
+
+
+def brute_force(queries: np.ndarray, database: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    difference = queries[:, None].astype(np.float64) - database[None].astype(np.float64)
+    squared = np.cumsum(difference**2, axis=-1)[..., -1]  # summed in order
+    order = np.argsort(squared, axis=1, kind="stable")[:, :k]
+    return order, np.sqrt(np.take_along_axis(squared, order, axis=1))
+
+
+def check(queries: np.ndarray, database: np.ndarray, k: int, isa: str = "auto") -> None:
+    indices, distances = _native.knn(queries, database, k, 1, isa)
+    order, expected = brute_force(queries, database, k)
+    np.testing.assert_array_equal(indices, order)
+    np.testing.assert_allclose(distances, expected, rtol=1e-6, atol=1e-30)
+
+
+@pytest.mark.parametrize("isa", ["portable", "auto"])
+@pytest.mark.parametrize(
+    ("Q", "M", "D", "k"), [(37, 3000, 16, 25), (5, 900, 7, 200), (3, 2100, 64, 1), (17, 50, 80, 49)]
+)
+def test_matches_brute_force(isa: str, Q: int, M: int, D: int, k: int) -> None:
+    rng = np.random.default_rng(Q)
+    queries = rng.normal(size=(Q, D)).astype(np.float32)
+    check(queries, rng.normal(size=(M, D)).astype(np.float32), k, isa)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 9), st.integers(1, 400), st.integers(1, 6), st.integers(1, 60), st.integers(0)
+)
+def test_ties_go_to_the_lower_index(Q: int, M: int, D: int, k: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    queries = rng.integers(-1, 2, (Q, D)).astype(np.float32)
+    check(queries, rng.integers(-1, 2, (M, D)).astype(np.float32), k)
+
+
+def test_far_from_the_origin() -> None:
+    """Squares of differences, not differences of squares: no cancellation."""
+    rng = np.random.default_rng(0)
+    database = (1e4 + rng.normal(size=(2000, 16))).astype(np.float32)
+    check(database[:20] + np.float32(0.01), database, 30)
+
+
+def test_many_equal_descriptors() -> None:
+    database = np.zeros((30_000, 8), np.float32)
+    database[::1000] = 1.0
+    indices, distances = _native.knn(np.zeros((3, 8), np.float32), database, 40)
+    np.testing.assert_array_equal(indices, np.tile(np.delete(np.arange(41), 0), (3, 1)))
+    assert not distances.any()
+
+
+def test_threads_do_not_matter() -> None:
+    rng = np.random.default_rng(1)
+    queries = rng.normal(size=(100, 16)).astype(np.float32)
+    database = rng.normal(size=(4000, 16)).astype(np.float32)
+    one, many = _native.knn(queries, database, 25, 1), _native.knn(queries, database, 25, 4)
+    np.testing.assert_array_equal(one[0], many[0])
+    np.testing.assert_array_equal(one[1], many[1])
+
+
+def test_fewer_points_than_neighbours() -> None:
+    rng = np.random.default_rng(2)
+    queries = rng.normal(size=(4, 16)).astype(np.float32)
+    check(queries, rng.normal(size=(7, 16)).astype(np.float32), 25)
+    assert _native.knn(queries, np.empty((0, 16), np.float32), 25)[0].shape == (4, 0)
+    assert _native.knn(np.empty((0, 16), np.float32), queries, 25)[0].shape == (0, 4)
+    assert _native.knn(queries, queries, 0)[1].shape == (4, 0)
+
+
+def test_wrong_input() -> None:
+    a = np.zeros((3, 16), np.float32)
+    with pytest.raises(ValueError, match="number of columns"):
+        _native.knn(a, np.zeros((3, 15), np.float32), 1)
+    with pytest.raises(ValueError, match="database has values"):
+        _native.knn(a, np.full((3, 16), np.nan, np.float32), 1)
+
+
+def test_an_index_that_reads_every_list_is_exact() -> None:
+    rng = np.random.default_rng(3)
+    database = rng.normal(size=(5000, 12)).astype(np.float32)
+    queries = rng.normal(size=(60, 12)).astype(np.float32)
+    index = _native.DescriptorIndex(database, 40, 2)
+    assert (len(index), index.lists) == (5000, 40)
+    for threads in (1, 3):
+        indices, distances = index.search(queries, 25, 40, threads)
+        expected = _native.knn(queries, database, 25, 1)
+        np.testing.assert_array_equal(indices, expected[0])
+        np.testing.assert_array_equal(distances, expected[1])
+
+
+def test_few_lists_hold_most_neighbours_and_always_enough() -> None:
+    rng = np.random.default_rng(4)
+    centres = rng.normal(size=(200, 16)) * 2
+    database = (centres[rng.integers(0, 200, 20_000)] + rng.normal(size=(20_000, 16))).astype(
+        np.float32
+    )
+    queries = (database[:100] + rng.normal(0, 0.1, (100, 16))).astype(np.float32)
+    index = _native.DescriptorIndex(database, 100)
+    exact = _native.knn(queries, database, 25)[0]
+    found = index.search(queries, 25, 12)[0]
+    shared = [len(np.intersect1d(a, b)) for a, b in zip(found, exact, strict=True)]
+    assert np.mean(shared) > 0.95 * 25
+    np.testing.assert_array_equal(index.search(queries, 25, 12, 2)[0], found)
+    everything = index.search(queries[:2], 20_000, 1)[0]
+    np.testing.assert_array_equal(np.sort(everything, axis=1), np.tile(np.arange(20_000), (2, 1)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 300), st.integers(1, 5), st.integers(0))
+def test_matches_come_by_score_then_query_then_segment(n: int, levels: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    query, prior_map = rng.integers(0, 6, n), rng.integers(0, 2**40, n)
+    score = rng.choice([0.0, -0.0, -1.5, 1e-30, 0.7, np.float32(0.7) * 1.0000001], n)
+    score = np.where(rng.random(n) < 0.5, score, rng.integers(0, levels, n)).astype(np.float32)
+    order = _native.order_matches(query, prior_map, score)
+    np.testing.assert_array_equal(order, np.lexsort((prior_map, query, -score)))
+
+
+def test_a_longer_search_begins_with_the_shorter_one() -> None:
+    rng = np.random.default_rng(5)
+    prior_map = SegmentMap.empty("geo", "geo", 7)
+    prior_map.add(
+        Descriptors(rng.normal(size=(3000, 7)).astype(np.float32)),
+        rng.normal(size=(3000, 3)),
+        np.full(3000, 50),
+        session=0,
+        stamp=0.0,
+        cloud=np.empty((0, 3)),
+    )
+    query = Descriptors(rng.normal(size=(40, 7)).astype(np.float32))
+    for indexed_from in (1000, 10_000):  # with an index and without
+        config = MatchingConfig(indexed_from=indexed_from, list_size=100, probes=6)
+        matcher = Matcher(prior_map, config, threads=1)
+        search = matcher.neighbours(query)
+        assert len(matcher.schedule) == 2
+        for neighbours in (*matcher.schedule, 3):
+            proposed, expected = search.matches(neighbours), matcher.match(query, neighbours)
+            assert len(proposed) == 40 * neighbours
+            for name in ("query", "map", "distance", "score"):
+                np.testing.assert_array_equal(getattr(proposed, name), getattr(expected, name))
+
+
+def test_an_index_refuses_wrong_input() -> None:
+    a = np.zeros((3, 16), np.float32)
+    with pytest.raises(ValueError, match="at least one list"):
+        _native.DescriptorIndex(a, 0)
+    with pytest.raises(ValueError, match="number of columns"):
+        _native.DescriptorIndex(a, 2).search(np.zeros((3, 15), np.float32), 1, 1)
