@@ -40,7 +40,7 @@ golden: $(VENV)/.$(TESTED)
 
 # The quick tests of an installed wheel: with Python 3.10 and exactly the lowest versions that
 # pyproject.toml allows, and with Python 3.13 and the newest of everything.
-EXTRAS := io,sim,report,baselines,odometry,ros,packets,tiles
+EXTRAS := io,report,odometry,ros,packets,tiles
 LOWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.10.*/bin/python) $(shell command -v python3.10))
 NEWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.13.*/bin/python) $(shell command -v python3.13))
 
@@ -50,7 +50,7 @@ define test_installed
 	$(1) -m venv build/$(2)
 	build/$(2)/bin/python $(INSTALL) --upgrade $(3) \
 	  ".[$(EXTRAS),test-tools]"
-	build/$(2)/bin/python $(INSTALL) --no-deps ./experiments
+	build/$(2)/bin/python $(INSTALL) --no-deps ./lab
 	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) $(if $(filter smoke,$(TESTS)),$(SMOKE),$(TESTS))
 endef
 
@@ -129,7 +129,7 @@ fuzz-native: $(VENV)/.dev
 # The wheels. segloc's is built from its source distribution alone, must be small, and must install
 # and localize where there is nothing else: no torch, no compiler, no plotting, no laboratory. Built
 # by Python 3.12 it is for all later ones: it is audited, and tried on the newest too. The wheel of
-# the experiments adds weights and verbs. A copy is packed, as the tool looks at every file around.
+# the laboratory adds weights and verbs. A copy is packed, as the tool looks at every file around.
 WHEEL := build/wheel
 WHEEL_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.12.*/bin/python) $(shell command -v python3.12) $(PYTHON))
 MOST_BYTES := 15000000
@@ -139,10 +139,10 @@ wheel-check:
 	$(WHEEL)/tools/bin/python $(INSTALL) build auditwheel abi3audit
 	mkdir $(WHEEL)/source && tar -c $(patsubst %,--exclude=./%,build .venv .git) . | tar -x -C $(WHEEL)/source
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
-	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) experiments >> $(WHEEL)/log
+	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) lab >> $(WHEEL)/log
 	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
 	case $(WHEEL)/segloc-*.whl in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
-	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "experiments|kitti00|benchmarks|(segmap|forest).safetensors"
+	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "_lab|kitti00|benchmarks|(segmap|forest).safetensors"
 	test $$(stat -c %s $(WHEEL)/segloc-*.whl) -lt $(MOST_BYTES)
 	$(call try_wheel,$(WHEEL_PYTHON),$(WHEEL)/venv)
 	case $(WHEEL)/segloc-*.whl in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest) ;; esac
@@ -171,14 +171,14 @@ $(VENV)/.%: $(NATIVE) | $(BIN)/python
 	$(PIP) -e ".[$*]"
 	@touch $@
 
-# The experiments are a distribution of their own, which adds verbs to segloc.
+# The laboratory is a distribution of its own, which adds verbs to segloc.
 LABORATORY := $(NATIVE) lab/pyproject.toml
 $(VENV)/.evaluate: $(LABORATORY) | $(BIN)/python
-	$(PIP) -e ".[io]" -e ./experiments
+	$(PIP) -e ".[io]" -e ./lab
 	@touch $@
 
 $(VENV)/.test $(VENV)/.dev: $(VENV)/.%: $(LABORATORY) | $(BIN)/python
-	$(PIP) -e ".[$*]" -e ./experiments
+	$(PIP) -e ".[$*]" -e ./lab
 	@touch $@
 
 clean:

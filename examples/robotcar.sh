@@ -23,11 +23,12 @@ for traversal in "$@"; do
 done
 
 # All traversals in the frame of the first, and pairs of segments of all of them.
-segloc align "$@" --topic "$topic" --pairs --threads "$threads" --out "$out/aligned"
+segloc align "$@" --topic "$topic" --threads "$threads" --out "$out/aligned"
+segloc train pairs "$@" --topic "$topic" --aligned "$out/aligned" --out "$out/dataset"
 
-segloc train "$network" "$out/aligned/dataset" --steps "${STEPS:-5000}" --threads "$threads" \
+segloc train "$network" "$out/dataset" --steps "${STEPS:-5000}" --threads "$threads" \
   --out "$out/$network.safetensors"
-segloc train score "$out/$network.safetensors" "$out/aligned/dataset" --threads "$threads"
+segloc train score "$out/$network.safetensors" "$out/dataset" --threads "$threads"
 
 # The aligned poses of the last traversal are only scored against.
 segloc map build "$first" --topic "$topic" --poses "$out/aligned/session_0.tum" \

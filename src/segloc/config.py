@@ -5,30 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
-from .frontend.local_cloud import LocalCloudConfig
-from .frontend.mounting import MountConfig
-from .frontend.segmentation import SegmentationConfig
 from .likelihood import VerificationConfig, shipped_confidence
-from .map.config import MappingConfig
-from .map.merge import TEXT_SEPARATOR
+from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, unmounted
 from .map.segment_map import SegmentMap
 from .proposals.landmarks.config import StemConfig
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
 from .proposals.pose import PoseConfig
-from .system.section import Section
-from .system.yamlfile import parse_yaml, read_yaml
-
-DEFAULT_METHOD = "profile"
+from .system.yamlfile import read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -61,19 +53,10 @@ FOR_USERS = (
 _UNITS = {"_m": "metres", "_deg": "degrees", "_ms": "milliseconds", "_s": "seconds"}
 """Of keys, by how their names end."""
 
-_MOST_TEXT = 1 << 16  # characters of the configuration in a map; there are about 3000
 
-
-class Config(Section):
+class Config(BuildConfig):
     """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
 
-    method: str = Field(DEFAULT_METHOD, description="how segments are described")
-    weights: Path | None = Field(None, description="trained weights in place of the shipped ones")
-    threads: int = Field(0, ge=0, le=1024, description="0: all cores; results do not depend on it")
-    seed: int = Field(0, ge=0, le=2**63 - 1, description="of the estimators that draw samples")
-    local_cloud: LocalCloudConfig = LocalCloudConfig()
-    segmentation: SegmentationConfig = SegmentationConfig()
-    mapping: MappingConfig = MappingConfig()
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
@@ -108,43 +91,14 @@ class Config(Section):
         merged = _merged(preset.model_dump(), {**values, "method": preset.method})
         return validated(cls, merged, str(path))
 
-    def to_yaml(self) -> str:
-        """The whole configuration as YAML, with every default written out."""
-        text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
-        return text
-
     def explained(self, every: bool = False) -> str:
         """YAML with what each key means beside it: those of :data:`FOR_USERS`, or every one."""
         return "\n".join(_explained(self, "", "", every)) + "\n"
 
 
 def map_config(prior_map: SegmentMap) -> Config:
-    """The configuration that a map was built with, but for threads and how its sensor was mounted.
-
-    A map that keeps none, or one of another version, is taken to be built with the preset of its
-    method. One that was merged of maps built differently keeps several: the first counts.
-    """
-    text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
-    return _built_with(text, prior_map.descriptor)
-
-
-@lru_cache(maxsize=8)  # tiles of one map have one text, and YAML is read slowly
-def _built_with(text: str, method: str) -> Config:
-    if len(text) > _MOST_TEXT:  # maps come from strangers
-        return Config.preset(method)
-    try:
-        values = parse_yaml(text, "the map") or {}
-        stored = Config.model_validate({**values, "threads": 0})
-    except (ConfigError, ValueError, TypeError, AttributeError, ArithmeticError):
-        return Config.preset(method)
-    if stored.method != method:
-        return Config.preset(method)
-    return _unmounted(stored)
-
-
-def _unmounted(config: Config) -> Config:
-    local_cloud = config.local_cloud.model_copy(update={"mount": MountConfig()})
-    return config.model_copy(update={"local_cloud": local_cloud})
+    """The configuration that a map was built with, except threads and the sensor's mount."""
+    return stored_config(prior_map, Config)
 
 
 def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, tuple[str, ...]]:
@@ -198,7 +152,7 @@ def _plain(value: Any) -> Any:
 def _shared(config: Config) -> dict[str, Any]:
     """What maps and queries should agree on."""
     chosen = {"local_cloud", "segmentation"}
-    return _unmounted(config).model_dump(mode="json", include=chosen)
+    return unmounted(config).model_dump(mode="json", include=chosen)
 
 
 def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Iterator[str]:

@@ -17,8 +17,7 @@ from segloc.config import Config
 from segloc.datasets import open_sequence
 from segloc.doctor import Fault, examine, first_fault, pose_findings, scan_findings
 from segloc.frontend.local_cloud import LocalCloudConfig
-from segloc.reposed import Reposed
-from segloc.types import Float64, Recording, Scan
+from segloc.types import Float64, Recording, Reposed, Scan
 
 T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 

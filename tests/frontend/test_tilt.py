@@ -18,8 +18,7 @@ from segloc.errors import DatasetError
 from segloc.frontend.gravity import angle_deg
 from segloc.frontend.local_cloud import LocalCloudConfig
 from segloc.frontend.tilt import Lean, frame_lean, level_transform, levelled
-from segloc.reposed import Reposed
-from segloc.types import Float64, Recording
+from segloc.types import Float64, Recording, Reposed
 
 Z = np.array([0.0, 0.0, 1.0])
 CONFIG = LocalCloudConfig()

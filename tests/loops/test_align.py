@@ -183,7 +183,7 @@ def test_the_command_writes_all_of_it(
         _write(walk, tmp_path / walk.name, k)
     out = tmp_path / "out"
     folders = [str(tmp_path / walk.name) for walk in walks]
-    options = ["--poses", "odometry.tum", "--out", str(out), "--pairs", "--threads", "1"]
+    options = ["--poses", "odometry.tum", "--out", str(out), "--threads", "1"]
     monkeypatch.setattr("sys.argv", ["segloc", "align", *folders, *options])
     with pytest.raises(SystemExit) as end:
         main()
@@ -212,7 +212,17 @@ def test_the_command_writes_all_of_it(
     assert answer.T_map_sensor is not None
     assert np.linalg.norm(answer.T_map_sensor[:3, 3] - poses.poses[7][:3, 3]) < 0.3
 
-    with (out / "pairs.csv").open(newline="") as file:
+    _pairs(folders, out, tmp_path / "dataset", monkeypatch)
+    _trains_on(tmp_path / "dataset", tmp_path / "weights.safetensors", monkeypatch)
+
+
+def _pairs(folders: list[str], out: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = ["--aligned", str(out), "--out", str(dataset)]
+    monkeypatch.setattr("sys.argv", ["segloc", "train", "pairs", *folders, *options])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    with (dataset / "pairs.csv").open(newline="") as file:
         pairs = list(csv.DictReader(file))
     near = [float(p["distance_m"]) for p in pairs if p["match"] == "1"]
     far = [float(p["distance_m"]) for p in pairs if p["match"] == "0"]
@@ -220,7 +230,6 @@ def test_the_command_writes_all_of_it(
     assert min(far) > 20
     assert max(near) < 1.0  # both within 0.5 m of the object's largest view
     assert any(p["first_session"] != p["second_session"] for p in pairs if p["match"] == "1")
-    _trains_on(out / "dataset", tmp_path / "weights.safetensors", monkeypatch)
 
 
 def _trains_on(dataset: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from segloc import geometry
 from segloc.io import read_scan
-from segloc.reposed import Derived
 from segloc.system.files import replacing
-from segloc.types import Float64, Pose, Recording, Scan, stamp_at
+from segloc.types import Derived, Float64, Pose, Recording, Scan, stamp_at
 
 from .simulation import SimulatedSequence
 from .simulation.motion.paths import on_ground

@@ -46,9 +46,6 @@ def align(
     min_support: Annotated[
         int, typer.Option(min=1, metavar="COUNT", help="Other loops that must agree with a loop.")
     ] = 2,
-    pairs: Annotated[
-        bool, typer.Option("--pairs", help="Also write a dataset to train on, and its pairs.")
-    ] = False,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -94,8 +91,6 @@ def align(
         aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
         _write(out, alignment, settings)
         _write_maps(out, alignment, aligned, chosen, executor)
-    if pairs:
-        _write_pairs(out, alignment, aligned, chosen)
     _show(alignment, out)
 
 
@@ -168,18 +163,6 @@ def _write_maps(
             )
         with writing(out / f"site{_suffix(c)}.segmap"):
             prior_map.save(out / f"site{_suffix(c)}.segmap")
-
-
-def _write_pairs(out: Path, alignment: Alignment, aligned: list[Reposed], config: Config) -> None:
-    from segloc_lab.training.aligned_pairs import write_dataset, write_pairs
-
-    from .console import say
-
-    folder = out / "dataset"
-    for c, members in enumerate(alignment.components):
-        recordings = [aligned[k] for k in members]
-        write_dataset(folder, recordings, f"site{_suffix(c)}", config.segmentation, progress=say)
-    write_pairs(out / "pairs.csv", folder, config.seed)
 
 
 def _show(alignment: Alignment, out: Path) -> None:

@@ -9,18 +9,19 @@ from typing import Annotated, Any
 
 import typer
 
+from ..errors import MissingDependency
 from .groups import HELP_NAMES, Listed, group
 
 ORDER = (
     *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
-    *("live", "align", "export", "evaluate", "simulate", "train", "config"),
+    *("live", "align", "export", "config"),
 )
 """Verbs in the order in which they are met; those of other distributions follow."""
 
+LABORATORY = ("evaluate", "simulate", "train", "bench")
+"""Verbs that ``segloc-lab`` adds."""
+
 MAPS = ("build", "info", "merge", "update", "tile")
-_GROUPS = {"train": ("train", "train"), "evaluate": ("evaluate", "app")}
-_EXTENDED = ("evaluate",)
-"""Verbs that other distributions add to."""
 VERSION = "--version"
 """Needs no verb."""
 
@@ -40,7 +41,7 @@ def program(verb: str | None = None) -> typer.Typer:
     Parameters
     ----------
     verb : str, optional
-        What is no verb of ours, or is extended by others, takes all verbs; ``VERSION`` takes none.
+        A name that is no verb of ours takes all verbs; ``VERSION`` takes none.
 
     Returns
     -------
@@ -48,7 +49,7 @@ def program(verb: str | None = None) -> typer.Typer:
     """
     if verb == VERSION:
         names: tuple[str, ...] = ()
-    elif verb in ORDER and verb not in _EXTENDED:
+    elif verb in ORDER:
         names = (verb,)
     elif verb is None:
         names = ORDER
@@ -74,8 +75,6 @@ def _add(app: typer.Typer, name: str) -> None:
         for inner in MAPS:
             maps.command(inner)(_member(f"map_{inner}", inner))
         app.add_typer(maps, name=name, context_settings=HELP_NAMES)
-    elif name in _GROUPS:
-        app.add_typer(_member(*_GROUPS[name]), name=name, context_settings=HELP_NAMES)
     else:
         app.command(name)(_member(name, name))
 
@@ -93,6 +92,23 @@ def _add_plugins(app: typer.Typer) -> None:
             plugin.load()(app)
         except Exception as error:  # whatever another package does must not end ours
             print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
+    present = {command.name for command in app.registered_commands}
+    present |= {inner.name for inner in app.registered_groups}
+    for name in LABORATORY:
+        if name not in present:
+            _add_missing(app, name)
+
+
+def _add_missing(app: typer.Typer, name: str) -> None:
+    """Add a hidden verb that names the distribution it belongs to."""
+
+    def missing() -> None:
+        raise MissingDependency(
+            f"`segloc {name}` belongs to the laboratory: install it with `pip install segloc-lab`"
+        )
+
+    settings = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+    app.command(name, hidden=True, context_settings=settings)(missing)
 
 
 def root(

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import geometry
 from ..errors import DatasetError
-from ..reposed import Reposed
-from ..types import Float32, Float64, Pose, Recording, Scan
+from ..types import Float32, Float64, Pose, Recording, Reposed, Scan
 from .gravity import AttitudeEstimator, angle_deg
 from .local_cloud import Accumulator, LocalCloudConfig, window
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..config import Config
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..frontend.local_cloud import Accumulator, window
@@ -20,12 +19,13 @@ from ..frontend.segmentation import Segmentation, Segmenter
 from ..frontend.tilt import frame_lean, levelled
 from ..types import Descriptors, Float64, Pose, Recording, stamp_at
 from .compact import compacted
+from .config import BuildConfig
 from .segment_map import SegmentMap
 
 
 def build_map(
     sequence: Recording,
-    config: Config,
+    config: BuildConfig,
     *,
     every_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -38,7 +38,8 @@ def build_map(
         With poses: they define the map frame, whose z axis must point up. Where it certainly does
         not, ``metadata["frame"]`` of the map says so; with ``config.mapping.level`` the poses are
         turned first, and ``metadata["T_map_odom"]`` says how.
-    config : Config
+    config : BuildConfig
+        Or a :class:`segloc.Config`, which is one.
     every_m : float, optional
         Distance between views; overrides the configuration.
     progress : callable, optional
@@ -66,7 +67,7 @@ def build_map(
     return compacted(prior_map, config.mapping.compact)
 
 
-def _framed(sequence: Recording, config: Config) -> tuple[Recording, dict[str, str]]:
+def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:
     """The recording in the map's frame, and what there is to say of that frame."""
     _poses(sequence)
     lean = frame_lean(sequence, config.local_cloud)
@@ -89,7 +90,7 @@ class View:
     scene: Segmentation
 
 
-def empty_map(descriptor: Descriptor, config: Config, origin: ArrayLike) -> SegmentMap:
+def empty_map(descriptor: Descriptor, config: BuildConfig, origin: ArrayLike) -> SegmentMap:
     """A map of nothing yet, to be described by ``descriptor``; the origin is near its place."""
     return SegmentMap.empty(
         descriptor.name,
@@ -127,7 +128,7 @@ def add_view(
 
 def map_views(
     sequence: Recording,
-    config: Config,
+    config: BuildConfig,
     *,
     every_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -165,7 +166,7 @@ def _poses(sequence: Recording) -> Float64:
     return poses
 
 
-def _plan(poses: np.ndarray, config: Config, every_m: float | None) -> list[tuple[int, range]]:
+def _plan(poses: np.ndarray, config: BuildConfig, every_m: float | None) -> list[tuple[int, range]]:
     """The views of a map: (index of the reference scan, scans it gathers), along the path."""
     travelled = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []

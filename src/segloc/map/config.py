@@ -1,11 +1,27 @@
-"""What a map is built of."""
+"""Configuration of map building."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
 from pydantic import Field
 
+from ..descriptors import preset
+from ..errors import ConfigError
+from ..frontend.local_cloud import LocalCloudConfig
+from ..frontend.mounting import MountConfig
+from ..frontend.segmentation import SegmentationConfig
 from ..system.section import Section
+from ..system.yamlfile import parse_yaml
 from .compact import CompactConfig
+from .merge import TEXT_SEPARATOR
+from .segment_map import SegmentMap
+
+DEFAULT_METHOD = "profile"
+_MAX_CHARACTERS = 1 << 16  # of the configuration in a map file; one has about 3000
 
 SMALL_CLOUD_VOXEL_M = 0.4
 """Of the cloud of a map that shall be small."""
@@ -42,3 +58,64 @@ class MappingConfig(Section):
         """The same for a map that shall take as little room as it can."""
         compact = CompactConfig(bits=4, max_views=1, cloud_bits=0, cloud_range_m=30.0)
         return self.model_copy(update={"compact": compact, "cloud_voxel": SMALL_CLOUD_VOXEL_M})
+
+
+class BuildConfig(Section):
+    """All that a map depends on; :class:`segloc.Config` adds what queries in it need.
+
+    Frozen: derive a changed one with ``model_copy(update=...)``.
+    """
+
+    method: str = Field(DEFAULT_METHOD, description="how segments are described")
+    weights: Path | None = Field(None, description="trained weights in place of the shipped ones")
+    threads: int = Field(0, ge=0, le=1024, description="0: all cores; results do not depend on it")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="of the estimators that draw samples")
+    local_cloud: LocalCloudConfig = LocalCloudConfig()
+    segmentation: SegmentationConfig = SegmentationConfig()
+    mapping: MappingConfig = MappingConfig()
+
+    def to_yaml(self) -> str:
+        """The whole configuration as YAML, with every default written out."""
+        text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        return text
+
+
+BuildConfigT = TypeVar("BuildConfigT", bound=BuildConfig)
+
+
+def stored_config(prior_map: SegmentMap, model: type[BuildConfigT]) -> BuildConfigT:
+    """The configuration that a map was built with, except threads and the sensor's mount.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+        If it was merged from maps built differently, the first one's configuration is returned. If
+        it holds none that this version reads, the preset of its method is.
+    model : type
+        :class:`BuildConfig`, or a subclass that reads more of the same text.
+    """
+    text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
+    return _parsed(text, prior_map.descriptor, model)
+
+
+@lru_cache(maxsize=8)  # the tiles of a map share one text, and YAML is slow to parse
+def _parsed(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT:
+    default = model.model_validate(_known({"method": method, **preset(method)}, model))
+    if len(text) > _MAX_CHARACTERS:  # map files come from strangers
+        return default
+    try:
+        values = parse_yaml(text, "the map") or {}
+        stored = model.model_validate(_known({**values, "threads": 0}, model))
+    except (ConfigError, ValueError, TypeError, AttributeError, ArithmeticError):
+        return default
+    return unmounted(stored) if stored.method == method else default
+
+
+def _known(values: dict[str, object], model: type[BuildConfig]) -> dict[str, object]:
+    return {key: value for key, value in values.items() if key in model.model_fields}
+
+
+def unmounted(config: BuildConfigT) -> BuildConfigT:
+    """The configuration without the sensor's mount, which is the robot's and not the map's."""
+    local_cloud = config.local_cloud.model_copy(update={"mount": MountConfig()})
+    return config.model_copy(update={"local_cloud": local_cloud})

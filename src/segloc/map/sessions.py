@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ..config import Config
 from ..errors import ConfigError
 from ..system.files import folder_in
 from ..system.processes import all_of
 from ..types import Recording
 from .build import build_map
 from .compact import compacted
+from .config import BuildConfig
 from .segment_map import SegmentMap
 
 Progress = Callable[[int, int], None]
@@ -25,14 +25,14 @@ class _Task:
     """A recording to be mapped; ``out`` is the file of its map, None: it is handed back."""
 
     recording: Recording
-    config: Config
+    config: BuildConfig
     every_m: float | None
     out: Path | None
 
 
 def build_merged_map(
     recordings: Sequence[Recording],
-    config: Config,
+    config: BuildConfig,
     progress: Progress | None = None,
     *,
     every_m: float | None = None,
@@ -49,7 +49,8 @@ def build_merged_map(
     recordings : sequence of Recording
         The segments of the first are marked as session 0, and so on. For processes and clusters
         they can be pickled, and their files are read where the tasks are done.
-    config : Config
+    config : BuildConfig
+        Or a :class:`segloc.Config`, which is one.
     progress : callable, optional
         Called with (sessions done, sessions in all).
     every_m : float, optional

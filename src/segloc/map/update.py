@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from ..config import Config, map_config
 from ..errors import SeglocError
 from ..system.section import Section
 from ..types import Float64, Recording
 from .build import build_map
 from .compact import compacted
+from .config import BuildConfig, stored_config
+from .merge import TEXT_SEPARATOR
 from .same_place import check_same_place
 from .segment_map import SegmentMap
 from .visibility import Visibility, VisibilityConfig, visibility
@@ -75,7 +76,7 @@ class UpdateCounts:
 def update_map(
     prior_map: SegmentMap,
     recording: Recording,
-    config: Config | None = None,
+    config: BuildConfig | None = None,
     update: UpdateConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
     *,
@@ -93,7 +94,7 @@ def update_map(
     prior_map : SegmentMap
     recording : Recording
         Its poses are T_map_sensor.
-    config : Config, optional
+    config : BuildConfig, optional
         How the session is described; by default as the map was built.
     update : UpdateConfig, optional
     progress : callable, optional
@@ -117,7 +118,6 @@ def update_map(
         If far more of what should be in view is gone than changes in a place: then the poses are
         not in the map's frame.
     """
-    config = config or map_config(prior_map)
     update = update or UpdateConfig()
     judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
     _check_frame(judged, recording.name, update.max_gone)
@@ -125,7 +125,7 @@ def update_map(
     missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
         np.int32
     )
-    fresh = build_map(recording, config)
+    fresh = _described(prior_map, recording, config)
     check_same_place(prior_map, fresh, elsewhere=elsewhere)
     stay = missed < update.max_missed
     waiting = stay & gone
@@ -134,7 +134,7 @@ def update_map(
     merged = old.merge(fresh)
     keep = _newest_views(merged, update)
     bounded = merged.kept(keep, np.ones(len(merged.cloud), dtype=bool))
-    updated = compacted(bounded, config.mapping.compact)
+    updated = compacted(bounded, (config or stored_config(prior_map, BuildConfig)).mapping.compact)
     return updated, UpdateCounts(
         added=len(fresh),
         seen=int(seen.sum()),
@@ -144,6 +144,18 @@ def update_map(
         bounded=len(merged) - len(updated),
         points_removed=int((~points).sum()),
     )
+
+
+def _described(
+    prior_map: SegmentMap, recording: Recording, config: BuildConfig | None
+) -> SegmentMap:
+    """The map of the session alone; by default as ``prior_map`` was built, which it then says."""
+    if config is not None:
+        return build_map(recording, config)
+    fresh = build_map(recording, stored_config(prior_map, BuildConfig))
+    if kept := prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]:
+        fresh.metadata["config"] = kept
+    return fresh
 
 
 def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:

@@ -25,8 +25,8 @@ def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> It
     Who comes second waits. The lock is on a file ``.NAME.lock`` beside ``path``, which is removed
     at the end. A holder that is killed leaves that file and no lock on it, so nothing is blocked.
     It is of the process: threads of one process wait for each other as well. Reading, and
-    :func:`~segloc.system.files.replacing` a file that was not read before, need no lock. On systems and
-    disks without ``flock`` there is none.
+    :func:`.files.replacing` a file that was not read before, need no lock. On systems and disks
+    without ``flock`` there is none.
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 
     python -m segloc_lab.bench.methods [--methods segmatch-eigen,nsm] [--map 10000]
 
-Segments are shapes of `segloc_lab.training.shapes`, seen from several sides. SegMap's network is also
-timed against PyTorch and ONNX Runtime.
+Segments are shapes of `segloc_lab.training.shapes`, seen from several sides. SegMap's network is
+also timed against PyTorch and ONNX Runtime.
 """
 
 from collections.abc import Callable

@@ -1,14 +1,18 @@
-"""What this distribution adds to the command line, by the entry point group ``segloc.commands``."""
+"""Verbs that ``segloc-lab`` adds to the command line (entry point ``segloc.commands``)."""
 
 from __future__ import annotations
 
 import typer
 
-from . import bench
-from . import studies as evaluate
+from segloc.cli.groups import HELP_NAMES
+
+from . import bench, evaluate, simulate, studies, train
 
 
 def register(app: typer.Typer) -> None:
-    """Add ``segloc bench`` and the paper's studies of ``segloc evaluate``."""
+    """Add ``evaluate``, ``simulate``, ``train`` and ``bench``."""
+    studies.register()
+    app.add_typer(evaluate.app, name="evaluate", context_settings=HELP_NAMES)
+    app.command("simulate")(simulate.simulate)
+    app.add_typer(train.train, name="train", context_settings=HELP_NAMES)
     app.command("bench")(bench.bench)
-    evaluate.register(app)

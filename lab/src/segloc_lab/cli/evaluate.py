@@ -1,4 +1,4 @@
-"""``segloc evaluate``: on one's own recordings; ``segloc-lab`` adds the paper's studies."""
+"""``segloc evaluate`` on recordings of one's own; :mod:`.studies` adds the paper's."""
 
 from __future__ import annotations
 
@@ -77,28 +77,6 @@ app = group(
     "DIR/report.html shows them.",
 )
 evaluate_failures.register(app)
-
-
-@app.command("localization")
-def localization(
-    mapped: Annotated[Path, typer.Argument(metavar="MAP", help="The recording to map.")],
-    query: Annotated[Path, typer.Argument(metavar="QUERY", help="One to localize in that map.")],
-    out: Out = OUT,
-    methods: Methods = None,
-    threads: Threads = 1,
-    workers: Workers = 2,
-    cluster: Cluster = None,
-    map_poses: MapPoses = None,
-    poses: QueryPoses = None,
-    truth: Truth = None,
-    map_select: MapSelect = None,
-    select: QuerySelect = None,
-    topic: Topic = None,
-    every: Every = 10.0,
-) -> None:
-    """How many queries does each method localize, and how many of them falsely?"""
-    pair = own_pair(mapped, query, map_poses, poses, truth, map_select, select, topic, every)
-    compare_on(pair, out, methods, threads, workers, cluster)
 
 
 @app.command("report")

@@ -46,13 +46,9 @@ Sets = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another world.")]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the studies to ``segloc evaluate``; ``localization`` also runs without recordings."""
-    del app
+def register() -> None:
+    """Add the studies to ``segloc evaluate``."""
     group = own.app
-    group.registered_commands[:] = [
-        command for command in group.registered_commands if command.name != "localization"
-    ]
     for name in _EXPLAINED:
         _add(group, name)
     group.command("localization")(localization)

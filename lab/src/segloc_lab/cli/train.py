@@ -12,6 +12,7 @@ from segloc.cli.console import say
 from segloc.cli.groups import group
 
 from .train_extract import extract
+from .train_pairs import pairs
 
 Commit = Annotated[
     str | None,
@@ -26,6 +27,7 @@ train = group("Make datasets, train descriptors, score them.")
 
 
 train.command("extract")(extract)
+train.command("pairs")(pairs)
 
 
 @train.command("score")

@@ -104,7 +104,7 @@ def _save(maps: Mapping[str, SegmentMap], arrays: Mapping[str, Float64], folder:
 
 
 def answers_of(workspace: Workspace, jobs: Sequence[Job]) -> list[Answers]:
-    """What :func:`~segloc_lab.evaluation.comparison.localize_all` finds for each job, in their order.
+    """Localize each job by :func:`.comparison.localize_all`; in the order of the jobs.
 
     Pieces that have been answered before are not answered again.
     """

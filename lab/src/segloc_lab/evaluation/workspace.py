@@ -139,8 +139,8 @@ class Workspace:
     ) -> list[T]:
         """:meth:`cached` for many tasks, each under its (name, settings), done in parallel.
 
-        ``work`` and ``tasks`` are those of :func:`segloc.system.processes.as_finished`; ``title`` names
-        the progress.
+        ``work`` and ``tasks`` are those of :func:`segloc.system.processes.as_finished`; ``title``
+        names the progress.
         """
         found = {
             k: part for k, key in enumerate(keys) if (part := self.find(*key, load)) is not None

@@ -12,9 +12,8 @@ from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.datasets import Selection
 from segloc.live.replay import Replay, replay
 from segloc.live.score import pose_errors
-from segloc.reposed import Derived
 from segloc.tracking.views import Status
-from segloc.types import Float64, Int64, Recording
+from segloc.types import Derived, Float64, Int64, Recording
 
 from ..simulation import (
     PLATFORMS,

@@ -24,8 +24,7 @@ from segloc.proposals.landmarks import (
     Landmarks,
     find_stems,
 )
-from segloc.reposed import Derived
-from segloc.types import Float64, Recording
+from segloc.types import Derived, Float64, Recording
 
 from ..evaluation.intervals import share
 from ..recordings import Files

@@ -18,7 +18,7 @@ pytest.importorskip("sklearn")
 from segloc_lab.bench.harness import Row  # noqa: E402
 from segloc_lab.evaluation.report.study import Study, Table  # noqa: E402
 from segloc_lab.studies.paper import domain_segments as making  # noqa: E402
-from segloc_lab.studies.paper import (
+from segloc_lab.studies.paper import (  # noqa: E402
     domains,
     generalization,
     learning,

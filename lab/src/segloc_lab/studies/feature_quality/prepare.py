@@ -1,7 +1,7 @@
 """Segments as the networks read them, many at once in PyTorch: changed, aligned, sampled.
 
-The same steps as ``segloc._native.prepare_segments`` and :mod:`segloc_lab.training.augment`, which a
-test compares; on a GPU all segments of a dataset take some seconds.
+The same steps as ``segloc._native.prepare_segments`` and :mod:`segloc_lab.training.augment`, which
+a test compares; on a GPU all segments of a dataset take some seconds.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 ``kitti``, ``burgess`` and ``robotcar`` are simulated counterparts of the three datasets of Tinchev
 et al., "Real-time LIDAR localization in natural and urban environments", section Feature
-Performance: the test sets of those names in :data:`segloc_lab.simulation.suites.SIX`. ``kitti00`` is
+Performance: the test sets of those names in :data:`.simulation.suites.SIX`. ``kitti00`` is
 KITTI odometry 00 itself, where it is at hand. Training never sees a place of the tests.
 """
 
