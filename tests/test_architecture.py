@@ -1,4 +1,4 @@
-"""Rooms import downwards only: read from the source, imports in functions and for types included."""
+"""Rooms import downwards only: read from the source, with imports in functions and for types."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LAYERS = (
     "system",
     "errors _native",
 )
-"""Top to bottom. A room imports rooms of lower layers; rooms of one layer do not know each other."""
+"""Top to bottom. A room imports rooms of lower layers, and none of its own layer."""
 
 ONLY = {
     room: {"motion", "geometry", "types", "system", "errors", "_native"}

@@ -6,6 +6,7 @@ import itertools
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from segloc import (
     InvalidScan,
     Localizer,
     MapMismatch,
+    Prior,
     Scan,
     SegmentMap,
     build_map,
@@ -30,7 +32,8 @@ from segloc.localization import Localization, Reason
 from segloc.pipeline.search import Search
 from segloc.proposals.landmarks.config import StemConfig
 from segloc.proposals.occupancy import OccupancyConfig
-from segloc.types import Candidate, Matches
+from segloc.proposals.proposer import Proposals, Query
+from segloc.types import Candidate, Float64, Matches, Pose
 
 GEO = Config.preset("geo")
 DECISIVE = Evidence(Score(np.eye(4), 20, 0.9, 900, 1000, 0.1), 4.0, ())
@@ -397,6 +400,40 @@ def test_of_two_attempts_the_decisive_one_counts() -> None:
         both = kept.or_better(second, decisive)
         assert both.verdict is kept.verdict and both.matches is kept.matches
         assert both.candidates == [*kept.candidates, *second.candidates]
+
+
+@dataclass
+class Given:
+    """A proposer and estimator that knows one pose."""
+
+    T_map_local: Pose
+    exhaustive: bool = True
+
+    def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
+        return Proposals([Candidate(self.T_map_local, 0, 0.9)])
+
+    def estimate(self, query: Float64, map_centroids: Float64, matches: Matches) -> list[Candidate]:
+        return [Candidate(self.T_map_local, 20)]
+
+    def agreement(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> Callable[[Pose], int]:
+        return lambda T: 20 if np.allclose(T[:3, 3], self.T_map_local[:3, 3], atol=2.0) else 0
+
+
+@pytest.mark.parametrize("name", ["proposers", "estimator"])
+@pytest.mark.parametrize("shift_m", [0.0, 15.0])
+def test_poses_of_a_proposer_or_estimator_of_ones_own_are_verified(
+    plaza: Plaza, prior_map: SegmentMap, name: str, shift_m: float
+) -> None:
+    true = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
+    own = Given(geometry.yaw_transform(1.0, (3.0 + shift_m, -2.0, 1.7)))
+    parts: dict[str, Any] = {"estimator": own, "proposers": [own] if name == "proposers" else []}
+    localizer = Localizer(prior_map, **parts)
+    found = localizer.localize(plaza.scan(true))
+    assert found.localized == (shift_m == 0.0), found.message
+    if found.localized:
+        assert np.linalg.norm(found.T_map_sensor[:3, 3] - true[:3, 3]) < 0.3
 
 
 def test_nothing_more_is_tried_after_the_deadline(prior_map: SegmentMap) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -15,14 +16,15 @@ from .likelihood import QueryCloud, Verdict, Verifier
 from .localization import Localization
 from .map.segment_map import SegmentMap
 from .pipeline.answer import answer
-from .pipeline.fallback import Fallback
-from .pipeline.search import Query, Search
+from .pipeline.search import Search
 from .prior import Near, Prior, allowed, within
+from .proposals.landmarks import StemProposer
 from .proposals.matching import Matcher
-from .proposals.occupancy import is_storeyed
+from .proposals.occupancy import OccupancyProposer, is_storeyed
 from .proposals.pose import PoseEstimator
+from .proposals.proposer import Estimator, Proposer, Query
 from .system.stage_times import Clock, StageTimes
-from .types import LocalCloud
+from .types import Candidate, LocalCloud
 
 
 class TileSearch(Protocol):
@@ -55,6 +57,12 @@ class Localizer:
         prior, or else where most of it agrees with a thin map of all tiles.
     config : Config, optional
         By default the one that the map was built with.
+    estimator : Estimator, optional
+        Estimates poses from matches of segments; by default as ``config.pose`` says.
+    proposers : sequence of Proposer, optional
+        Tried in their order where segments are inconclusive; by default stems, then occupancy.
+    verifier : Verifier, optional
+        Compares clouds at poses and decides; by default one for the map's own cloud.
     clock : callable
         What the times of the stages are measured by; returns seconds.
 
@@ -75,7 +83,7 @@ class Localizer:
         If the map was described by another method, by other weights or by another version of its
         descriptor.
     ConfigError
-        If it is given something else than a map.
+        If it is given something else than a map, or proposers or a verifier for tiles.
     MapFormatError
         If the thin map of all tiles cannot be read.
 
@@ -90,10 +98,16 @@ class Localizer:
         prior_map: SegmentMap | InTiles,
         config: Config | None = None,
         *,
+        estimator: Estimator | None = None,
+        proposers: Sequence[Proposer] | None = None,
+        verifier: Verifier | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
+        self._given = estimator, proposers, verifier, clock
         self.tiles = None if isinstance(prior_map, SegmentMap) else _tiles(prior_map)
         if self.tiles is not None:
+            if proposers is not None or verifier is not None:
+                raise ConfigError("proposers and verifiers are of one map: they do not suit tiles")
             prior_map = self.tiles.coarse()
         assert isinstance(prior_map, SegmentMap)
         config, self.notes = query_config(prior_map, config)
@@ -114,23 +128,14 @@ class Localizer:
             )
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
-        self.estimator = PoseEstimator(config.pose, threads=threads, seed=config.seed)
-        path = prior_map.trajectory[:, :3, 3]
-        self.verifier = Verifier(
-            prior_map.cloud,
-            prior_map.origin,
-            config.verification,
-            separation=config.pose.separation,
-            threads=threads,
-            storeyed=is_storeyed(path - prior_map.origin),
-            path=path,
-        )
-        self.fallback = Fallback(prior_map, config, self.estimator, self.verifier)
+        self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
+        self.proposers = _proposers(prior_map, config) if proposers is None else tuple(proposers)
+        self.verifier = verifier or _verifier(prior_map, config)
         self._tile_search = None if self.tiles is None else self.tiles.search(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its map and configuration, and made anew: so it goes to other processes."""
-        return _restored, (self.tiles or self.prior_map, self.config, self.clock)
+        return _restored, (self.tiles or self.prior_map, self.config, *self._given)
 
     def in_one_piece(self) -> Localizer:
         """This localizer, if its map is not in tiles.
@@ -218,9 +223,8 @@ class Localizer:
     ) -> Search:
         """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
 
-        Where segments say little, for or against a pose, they are tried again with more
-        neighbours; then stems, if there are any; and where those do not settle it, the clouds are
-        compared all over the map. All that was tried is judged together.
+        If segments are inconclusive, they are matched again with more neighbours; then the
+        proposers are tried. All candidates are verified together.
 
         Raises
         ------
@@ -232,7 +236,7 @@ class Localizer:
         cloud = self.verifier.query(query.scene)
         found = self._by_segments(query, cloud, times, deadline_ms, near)
         if found.verdict.is_thin:
-            found = self.fallback.search(query, found, cloud, times, deadline_ms, near)
+            found = self._by_proposers(query, found, cloud, times, deadline_ms, near)
         if near and near.anywhere and found.verdict.reason is not None:
             return self.search(query, times, deadline_ms)
         return replace(found, near=near)
@@ -249,6 +253,7 @@ class Localizer:
         where = query.scene.segments.centroids, self.prior_map.centroids
         matcher = self._matcher_near(near)
         neighbours = matcher.neighbours(query.descriptors)
+        may_defer = any(proposer.exhaustive for proposer in self.proposers)
         best: Search | None = None
         for count in matcher.schedule:
             with times("matching"):
@@ -261,7 +266,7 @@ class Localizer:
             with times("verification"):
                 decisive = self.verifier.is_decisive(candidates)
                 for_clouds = candidates and (best is not None or not decisive)
-                if for_clouds and self.fallback.is_enabled and not times.beyond(deadline_ms):
+                if for_clouds and may_defer and not times.beyond(deadline_ms):
                     verdict = Verdict.put_off(candidates)
                 else:
                     verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
@@ -271,6 +276,62 @@ class Localizer:
                 break
         assert best is not None  # no schedule is empty
         return best
+
+    def _by_proposers(
+        self,
+        query: Query,
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+        deadline_ms: float | None,
+        near: Prior | None,
+    ) -> Search:
+        """Proposers, one after another -> verdict on all candidates together."""
+        proposed: list[Candidate] = []
+        for proposer in self.proposers:
+            if times.beyond(deadline_ms):
+                break
+            with times("pose"):
+                proposals = proposer.propose(query, near)
+            candidates = within(near, proposals.candidates)
+            if proposals.decided and candidates:
+                found = self.verify_proposed(query, candidates, tried, cloud, times, near)
+                best = found.verdict.best
+                if found.verdict.reason is None and best is not None:
+                    apart = self.config.pose.separation.apart
+                    if not apart(best.T_map_local, candidates[0].T_map_local):
+                        return tried.or_surer(found)
+            proposed += candidates
+        if tried.verdict.is_judged and not proposed:
+            return tried
+        found = self.verify_proposed(query, proposed, tried, cloud, times, near)
+        return tried.or_surer(found)
+
+    def verify_proposed(
+        self,
+        query: Query,
+        proposed: Sequence[Candidate],
+        tried: Search,
+        cloud: QueryCloud,
+        times: StageTimes,
+        near: Prior | None = None,
+    ) -> Search:
+        """Verify candidates of proposers together with all that was tried before."""
+        with times("pose"):
+            inliers = self.estimator.agreement(
+                query.scene.segments.centroids, self.prior_map.centroids, tried.matches
+            )
+            # All clouds are compared here, so candidates of matches need no `fit`.
+            candidates = [
+                replace(c, inliers=inliers(c.T_map_local), fit=c.fit or 0.0)
+                for c in (*proposed, *tried.candidates)
+            ]
+        if tried.verdict.is_judged and (best := tried.verdict.best) is not None:
+            fit = None if tried.verdict.is_decided else best.overlap  # what segments say counts
+            candidates.append(Candidate(best.T_map_local, best.inliers, fit=fit))
+        with times("verification"):
+            verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
+        return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
 
     def _matcher_near(self, near: Prior | None) -> Matcher:
         """What matches segments that are in view from near a prior."""
@@ -289,5 +350,41 @@ def _tiles(given: InTiles) -> InTiles:
     return given
 
 
-def _restored(prior_map: SegmentMap | InTiles, config: Config, clock: Clock) -> Localizer:
-    return Localizer(prior_map, config, clock=clock)
+def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
+    """The proposers that the configuration enables, in the order in which they are tried."""
+    cloud, origin = prior_map.cloud, prior_map.origin
+    found: list[Proposer] = []
+    if config.stems.enabled:
+        voxel = prior_map.cloud_voxel
+        found.append(StemProposer(cloud, origin, voxel, config.stems, config.segmentation))
+    if config.occupancy.enabled:
+        path = prior_map.trajectory
+        found.append(OccupancyProposer(cloud, origin, path, config.occupancy, config.segmentation))
+    return tuple(found)
+
+
+def _verifier(prior_map: SegmentMap, config: Config) -> Verifier:
+    """Compares a query with the map's own cloud."""
+    path = prior_map.trajectory[:, :3, 3]
+    return Verifier(
+        prior_map.cloud,
+        prior_map.origin,
+        config.verification,
+        separation=config.pose.separation,
+        threads=config.threads,
+        storeyed=is_storeyed(path - prior_map.origin),
+        path=path,
+    )
+
+
+def _restored(
+    prior_map: SegmentMap | InTiles,
+    config: Config,
+    estimator: Estimator | None,
+    proposers: Sequence[Proposer] | None,
+    verifier: Verifier | None,
+    clock: Clock,
+) -> Localizer:
+    return Localizer(
+        prior_map, config, estimator=estimator, proposers=proposers, verifier=verifier, clock=clock
+    )

@@ -17,8 +17,9 @@ from .frontend.rolling_cloud import RollingCloud
 from .likelihood import RefinedScore
 from .localization import Reason
 from .localizer import Localizer
-from .pipeline.search import Query, Search
+from .pipeline.search import Search
 from .prior import Prior
+from .proposals.proposer import Query
 from .system.checks import checked_pose
 from .system.stage_times import StageTimes
 from .tracking.hypotheses import Hypotheses

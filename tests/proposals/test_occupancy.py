@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from samples.maps import occupancy
 from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
 from segloc_lab.evaluation.negative_maps import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
 from segloc.datasets import open_sequence
-from segloc.proposals.occupancy import OccupancyConfig, OccupancySearch
+from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer
 from segloc.proposals.occupancy.storeys import storeys
 from segloc.proposals.occupancy.view import free_cells
 from segloc.types import Pose
@@ -159,7 +160,7 @@ def test_the_best_candidate_is_near_the_truth(
 ) -> None:
     T = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7))
     scene = localizer.describe(plaza.scan(T, seed=5)).scene
-    first, again = (localizer.fallback.occupancy.candidates(scene) for _ in range(2))
+    first, again = (occupancy(localizer).candidates(scene) for _ in range(2))
     best = first[0]
     assert near(best.T_map_local, T) and abs(best.T_map_local[2, 3] - 1.7) < 0.5
     assert best.inliers == 0 and best.fit is not None and 0.5 < best.fit <= 1.0
@@ -192,7 +193,7 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
     floor = (rng.uniform(-20, 20, (4000, 3)) * [1, 1, 0] - [0, 0, 1.7]).astype(np.float32)
     for points in (np.empty((0, 3), np.float32), np.zeros((1, 3), np.float32), floor):
         scene = localizer.describe(Scan(points)).scene
-        assert localizer.fallback.occupancy.candidates(scene) == []
+        assert occupancy(localizer).candidates(scene) == []
     empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
     assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
 
@@ -200,7 +201,7 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
 def test_a_map_too_wide_for_it_has_no_candidates(plaza: Plaza, localizer: Localizer) -> None:
     scene = localizer.describe(plaza.scan(geometry.yaw_transform(0.0, (0, 0, 1.7)))).scene
     cloud = np.concatenate([localizer.prior_map.cloud, [[3e5, 3e5, 0]]]).astype(np.float32)
-    assert OccupancySearch(cloud, np.zeros(3), np.empty((0, 4, 4))).candidates(scene) == []
+    assert OccupancyProposer(cloud, np.zeros(3), np.empty((0, 4, 4))).candidates(scene) == []
 
 
 @pytest.mark.data
@@ -216,7 +217,7 @@ def test_a_corridor_driven_back_is_found_by_what_stands() -> None:
     for i, truth in enumerate(back.poses):
         query = localizer.describe(back.scan(i))
         T = truth @ geometry.inverse(query.cloud.T_local_sensor)
-        found += near(localizer.fallback.occupancy.candidates(query.scene)[0].T_map_local, T)
+        found += near(occupancy(localizer).candidates(query.scene)[0].T_map_local, T)
     assert found >= 20
 
 

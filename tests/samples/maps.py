@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from segloc import Localizer
 from segloc.geometry import yaw_transform
 from segloc.map.segment_map import SegmentMap
+from segloc.proposals.occupancy import OccupancyProposer
 from segloc.types import Descriptors
 
 
@@ -83,3 +85,8 @@ def town(
         )
         made.add_trajectory(yaw_transform(view, (4e5 + view / 3, 5e6, 301.0))[None])
     return made
+
+
+def occupancy(localizer: Localizer) -> OccupancyProposer:
+    """The proposer of a localizer that searches by occupancy."""
+    return next(p for p in localizer.proposers if isinstance(p, OccupancyProposer))

@@ -19,7 +19,7 @@ from ..system.stage_times import Clock, StageTimes
 from ..types import Float64, Int64, LocalCloud, Recording
 
 if TYPE_CHECKING:
-    from ..pipeline.search import Query
+    from ..proposals.proposer import Query
 
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None

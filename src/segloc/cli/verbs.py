@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import MissingDependency
+from ..errors import SeglocError
 from .groups import HELP_NAMES, Listed, group
 
 ORDER = (
@@ -103,7 +103,7 @@ def _add_missing(app: typer.Typer, name: str) -> None:
     """Add a hidden verb that names the distribution it belongs to."""
 
     def missing() -> None:
-        raise MissingDependency(
+        raise SeglocError(
             f"`segloc {name}` belongs to the laboratory: install it with `pip install segloc-lab`"
         )
 

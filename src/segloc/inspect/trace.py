@@ -14,8 +14,9 @@ from ..likelihood.confidence import FEATURES
 from ..localization import Localization
 from ..localizer import Localizer
 from ..pipeline.answer import answer
-from ..pipeline.search import Query, Search
+from ..pipeline.search import Search
 from ..prior import Prior
+from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
 from ..types import Float32, Int64, LocalCloud, Pose, Segments
 
@@ -124,7 +125,7 @@ def _pairs(
     localizer: Localizer, query: Query, found: Search, T_map_local: Pose | None
 ) -> tuple[Int64, Bools]:
     """One match of each segment, and whether it fits the pose."""
-    matches, config = found.matches, localizer.estimator.config
+    matches, config = found.matches, localizer.config.pose
     if not len(matches):
         return np.empty((0, 2), np.int64), np.empty(0, bool)
     fits = np.zeros(len(matches), dtype=bool)

@@ -17,7 +17,7 @@ from ..frontend.segmentation import Segmenter
 from ..localizer import Localizer
 from ..map.build import View, add_view, empty_map
 from ..map.segment_map import SegmentMap
-from ..pipeline.search import Query
+from ..proposals.proposer import Query
 from ..system.checks import checked_pose
 from ..types import Float64, LocalCloud, Pose, Scan
 from .config import AlignConfig

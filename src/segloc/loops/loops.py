@@ -11,7 +11,7 @@ from .. import geometry
 from ..config import Config
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
-from ..pipeline.search import Query
+from ..proposals.proposer import Query
 from ..types import Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges

@@ -95,7 +95,8 @@ def stored_config(prior_map: SegmentMap, model: type[BuildConfigT]) -> BuildConf
         :class:`BuildConfig`, or a subclass that reads more of the same text.
     """
     text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
-    return _parsed(text, prior_map.descriptor, model)
+    parsed: BuildConfigT = _parsed(text, prior_map.descriptor, model)
+    return parsed
 
 
 @lru_cache(maxsize=8)  # the tiles of a map share one text, and YAML is slow to parse

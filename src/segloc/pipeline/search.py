@@ -1,22 +1,13 @@
-"""What passes between the stages of a query."""
+"""Intermediate results of a query."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..frontend.segmentation import Segmentation
 from ..likelihood import Verdict
 from ..prior import Prior
-from ..types import Candidate, Descriptors, LocalCloud, Matches
-
-
-@dataclass(frozen=True)
-class Query:
-    """What one or several scans show, cut into segments and described."""
-
-    cloud: LocalCloud
-    scene: Segmentation
-    descriptors: Descriptors
+from ..proposals.proposer import Query
+from ..types import Candidate, Matches
 
 
 @dataclass(frozen=True)
@@ -56,6 +47,11 @@ class Search:
         if decisive and not self.verdict.is_judged:
             return other
         return replace(self, candidates=[*self.candidates, *other.candidates])
+
+    def or_surer(self, found: Search) -> Search:
+        """The later search, unless this one is surer that there is nothing."""
+        judged = self.verdict.reason is None or not self.verdict.is_judged
+        return found if judged or found.verdict.rank > self.verdict.rank else self
 
     def counts(self, query: Query) -> dict[str, int]:
         """How many items each stage produced."""

@@ -15,9 +15,10 @@ from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..pipeline.answer import answer
 from ..pipeline.coarse_vote import ThinVote
-from ..pipeline.search import Query, Search
+from ..pipeline.search import Search
 from ..prior import Prior, within
 from ..proposals.matching import Matcher
+from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
 from ..types import Candidate, Matches
 from .index import Tile, TileIndex
@@ -173,7 +174,12 @@ class TileSearch:
         def made() -> Localizer:
             with times("tiles"):
                 part = self._tiles.together(chosen)
-                return Localizer(part, self._coarse.config, clock=self._coarse.clock)
+                return Localizer(
+                    part,
+                    self._coarse.config,
+                    estimator=self._coarse.estimator,
+                    clock=self._coarse.clock,
+                )
 
         return self._tiles.recent.get(key, Localizer, made, _bytes)
 

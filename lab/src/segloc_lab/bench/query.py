@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from segloc import geometry
-from segloc.config import DEFAULT_METHOD, Config
+from segloc.config import Config
 from segloc.errors import SeglocError
 from segloc.localization import Localization
 from segloc.localizer import Localizer
 from segloc.map.build import build_map
+from segloc.map.config import DEFAULT_METHOD
 from segloc.map.segment_map import SegmentMap
 from segloc.system.stage_times import Clock, StageTimes
 from segloc.types import LocalCloud, Pose, Scan

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from segloc.config import DEFAULT_METHOD
+from segloc.map.config import DEFAULT_METHOD
 
 from ..results.fingerprints import FOLLOWING, LOCALIZING
 from ..results.store import Cell, Result

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from segloc import Localizer, RollingCloud, Scan, build_map
-from segloc.config import DEFAULT_METHOD, Config
+from segloc.config import Config
 from segloc.errors import SeglocError
 from segloc.frontend.local_cloud import window
 from segloc.localization import Localization
+from segloc.map.config import DEFAULT_METHOD
 from segloc.map.segment_map import SegmentMap
 from segloc.system.stage_times import StageTimes
 from segloc.types import Float64

@@ -33,7 +33,7 @@ from segloc.datasets import Selection, Sequence
 from segloc.frontend.local_cloud import LocalCloudConfig, window
 from segloc.likelihood import Evidence, VerificationConfig, shipped_confidence
 from segloc.likelihood.decision import demand, equal_rival
-from segloc.pipeline.search import Query
+from segloc.proposals.proposer import Query
 from segloc.system.stage_times import StageTimes
 from segloc.types import Pose
 
@@ -179,8 +179,8 @@ def _judged(localizer: Localizer, query: Query, truth: Pose | None) -> list[Row]
     verdicts = [found.verdict]
     if found.by_segments:
         cloud, times = localizer.verifier.query(query.scene), StageTimes()
-        proposed = localizer.fallback.occupancy.candidates(query.scene)
-        last = localizer.fallback.judged(query, proposed, found, cloud, times)
+        proposed = localizer.proposers[-1].propose(query).candidates
+        last = localizer.verify_proposed(query, proposed, found, cloud, times)
         verdicts.append(last.verdict)
     return [_row(v.evidence, query, truth) for v in verdicts if v.evidence is not None]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +18,8 @@ from segloc.localization import Localization, Localized, NotLocalized, Reason
 from segloc.localizer import Localizer
 from segloc.map.build import add_view, empty_map, map_views
 from segloc.map.segment_map import SegmentMap
-from segloc.pipeline.search import Query
 from segloc.proposals.pose import PoseEstimator
+from segloc.proposals.proposer import Estimator, Query
 from segloc.types import Descriptors, Float64, Recording, Segments
 
 from .methods import published_estimator
@@ -135,12 +134,17 @@ def place_of(
     )
 
 
-def on_the_cloud_of(first: Localizer, other: Localizer) -> Localizer:
-    """A copy of a localizer with the cloud of another's map, and all that is prepared of it."""
-    changed = copy(other)
-    changed.verifier = first.verifier
-    changed.fallback = other.fallback.on_the_cloud_of(first.fallback)
-    return changed
+def on_the_cloud_of(
+    first: Localizer, other: Localizer, estimator: Estimator | None = None
+) -> Localizer:
+    """A localizer in another's map, with the cloud of ``first`` and all that is prepared of it."""
+    return Localizer(
+        other.prior_map,
+        other.config,
+        estimator=estimator or other.estimator,
+        proposers=first.proposers,
+        verifier=first.verifier,
+    )
 
 
 def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
@@ -149,9 +153,8 @@ def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
     for name in ESTIMATORS:
         chosen = published_estimator(config.method) if name == "published" else name
         pose = config.pose.model_copy(update={"estimator": chosen})
-        localizer = on_the_cloud_of(first, base)
-        localizer.estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
-        found[name] = localizer
+        estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+        found[name] = on_the_cloud_of(first, base, estimator)
     return found
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from segloc.config import DEFAULT_METHOD
 from segloc.descriptors import available, create
 from segloc.errors import ConfigError, WeightsError
+from segloc.map.config import DEFAULT_METHOD
 
 METHODS = (
     "segmatch-eigen",

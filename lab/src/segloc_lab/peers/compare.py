@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from segloc.config import DEFAULT_METHOD
+from segloc.map.config import DEFAULT_METHOD
 
 from ..results.store import Cell, Result
 from ..script import storing

@@ -21,7 +21,7 @@ from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.map.compact import CompactConfig, compacted, with_cloud_voxel
 from segloc.map.config import MappingConfig
-from segloc.pipeline.search import Query
+from segloc.proposals.proposer import Query
 from segloc.types import Float64
 
 from ..evaluation.intervals import share

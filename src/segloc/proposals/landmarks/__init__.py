@@ -6,8 +6,7 @@ from .landmark_map import LandmarkMap as LandmarkMap
 from .landmark_map import LandmarkMapper as LandmarkMapper
 from .landmarks import Landmarks as Landmarks
 from .localizer import LandmarkLocalizer as LandmarkLocalizer
-from .stem_search import StemPoses as StemPoses
-from .stem_search import StemSearch as StemSearch
+from .stem_search import StemProposer as StemProposer
 from .stems import StemFinder as StemFinder
 from .stems import Stems as Stems
 from .stems import find_stems as find_stems

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ...frontend.segmentation import Segmentation, SegmentationConfig
+from ...frontend.segmentation import SegmentationConfig
+from ...prior import Prior
 from ...types import Candidate, Float32, Float64, Int64
+from ..proposer import Proposals, Query
 from .config import Effort, LandmarkConfig, StemConfig
 from .landmark_map import LandmarkMap
 from .localizer import LandmarkLocalizer
@@ -23,24 +23,8 @@ RANGE_M, MOST_STEMS = 40.0, 96
 farthest where there are more."""
 
 
-@dataclass(frozen=True)
-class StemPoses:
-    """Where a query may be, by its stems.
-
-    Attributes
-    ----------
-    candidates : list of Candidate
-        T_map_local, best first; ``fit`` is the share of the stems that lie on stems of the map.
-    decided : bool
-        Whether the stems alone would be believed.
-    """
-
-    candidates: list[Candidate]
-    decided: bool = False
-
-
-class StemSearch:
-    """Finds poses at which the stems that a query shows stand in the map, too.
+class StemProposer:
+    """Proposes poses at which the stems that a query shows stand in the map, too.
 
     Parameters
     ----------
@@ -71,30 +55,28 @@ class StemSearch:
         self._finder = StemFinder(self.config, segmentation)
         self._localizer: LandmarkLocalizer | None = None
 
-    def search(self, scene: Segmentation, *, seen_from_origin: bool) -> StemPoses:
-        """The poses that are worth comparing clouds for; none if the query has few stems.
+    exhaustive = False
 
-        Parameters
-        ----------
-        scene : Segmentation
-            Of a local cloud.
-        seen_from_origin : bool
-            Whether it is of a single scan.
+    def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
+        """Propose poses by the stems of a query; none if it has few.
+
+        The prior is not used: there are few stems, and a pose elsewhere shows an ambiguity.
         """
+        scene, seen_from_origin = query.scene, query.cloud.num_scans == 1
         near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < RANGE_M
         stems = self._finder.find(scene.surface[near], seen_from_origin=seen_from_origin)
         columns = stems.moved(np.eye(4))
         nearest = np.argsort(np.hypot(columns[:, 0], columns[:, 1]), kind="stable")
         columns = columns[np.sort(nearest[:MOST_STEMS])]
         if len(columns) < self.config.fewest:
-            return StemPoses([])
+            return Proposals([])
         if self._localizer is None:  # threads that ask at once make the same
             self._localizer = LandmarkLocalizer(self._mapped(), LandmarkConfig(efforts=(EFFORT,)))
         verdict, _ = self._localizer.judged(columns)
         least = max(LEAST_SUPPORT, LEAST_SHARE * len(columns))
         found = [a for a in (verdict.best, verdict.rival) if a and a.support >= least]
         candidates = [Candidate(a.T_map_local, 0, a.support / len(columns)) for a in found]
-        return StemPoses(candidates, verdict.reason is None)
+        return Proposals(candidates, verdict.reason is None)
 
     def _mapped(self) -> LandmarkMap:
         stems = self._finder.find(self._cloud, spacing=self._voxel)

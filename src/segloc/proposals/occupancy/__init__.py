@@ -7,5 +7,5 @@ maps of one floor so; here a cell has several heights, and the work is bounded.
 """
 
 from .config import OccupancyConfig as OccupancyConfig
-from .search import OccupancySearch as OccupancySearch
+from .search import OccupancyProposer as OccupancyProposer
 from .storeys import is_storeyed as is_storeyed

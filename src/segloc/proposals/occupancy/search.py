@@ -12,6 +12,7 @@ from ... import _native, geometry
 from ...frontend.segmentation import Segmentation, SegmentationConfig
 from ...prior import Prior
 from ...types import Candidate, Float32, Float64, Int64
+from ..proposer import Proposals, Query
 from .config import OccupancyConfig
 from .ground import Ground, cells_of, nearest_of
 from .storeys import storeys
@@ -27,8 +28,8 @@ SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
 """Of candidates: nearer ones are refined to the same pose."""
 
 
-class OccupancySearch:
-    """Finds poses at which what a query shows standing stands in the map, too.
+class OccupancyProposer:
+    """Proposes poses at which what a query shows standing stands in the map, too.
 
     Parameters
     ----------
@@ -61,6 +62,12 @@ class OccupancySearch:
         self._path = trajectory[:, :3, 3] - origin
         self._segmentation = segmentation or SegmentationConfig()
         self._maps: list[_OccupancyMap] | None = None
+
+    exhaustive = True
+
+    def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
+        """Propose poses by the cells that are occupied or free."""
+        return Proposals(self.candidates(query.scene, prior))
 
     def candidates(self, scene: Segmentation, near: Prior | None = None) -> list[Candidate]:
         """Candidate poses T_map_local, best first, each with its ``fit``; none if it shows little.

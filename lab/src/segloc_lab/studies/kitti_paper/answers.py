@@ -16,8 +16,8 @@ from segloc.datasets import Sequence
 from segloc.descriptors import Descriptor, create
 from segloc.frontend.segmentation import Segmenter
 from segloc.map.compact import compacted
-from segloc.pipeline.search import Query
 from segloc.proposals.pose import PoseConfig, PoseEstimator
+from segloc.proposals.proposer import Query
 from segloc.types import Pose
 
 from ...evaluation.comparison import build_maps, on_the_cloud_of, shared_config
