@@ -2,6 +2,18 @@
 
 from __future__ import annotations
 
+from segloc_lab.simulation import (
+    SCENES,
+    SENSORS,
+    Conditions,
+    OdometryNoise,
+    SimulatedSequence,
+    World,
+    building,
+    simulate_sessions,
+    warehouse,
+)
+
 from segloc import (
     Config,
     LiveLocalizer,
@@ -18,25 +30,14 @@ from segloc import (
     update_map,
 )
 from segloc._native import instruction_set
-from segloc.alignment import LoopConfig
 from segloc.datasets import NO_POSES, swathes
-from segloc.diagnosis import examine
+from segloc.doctor import examine
 from segloc.io import read_scan
-from segloc.landmarks import LandmarkLocalizer, find_stems
 from segloc.live import LiveConfig, LiveCore
+from segloc.loops import LoopConfig
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
-from segloc.simulation import (
-    SCENES,
-    SENSORS,
-    Conditions,
-    OdometryNoise,
-    SimulatedSequence,
-    World,
-    building,
-    simulate_sessions,
-    warehouse,
-)
+from segloc.proposals.landmarks import LandmarkLocalizer, find_stems
 from segloc.tiles import TiledMap, cut_tiles
 from segloc.tracker import TrackerConfig
 
