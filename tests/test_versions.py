@@ -34,8 +34,8 @@ def test_one_version_everywhere(file: str, pattern: str) -> None:
     assert found(pattern, (ROOT / file).read_text("utf-8")) == VERSION
 
 
-def test_the_experiments_need_the_segloc_that_they_were_made_with() -> None:
-    text = (ROOT / "experiments" / "pyproject.toml").read_text("utf-8")
+def test_the_laboratory_needs_the_segloc_that_it_was_made_with() -> None:
+    text = (ROOT / "lab" / "pyproject.toml").read_text("utf-8")
     major, minor = (int(part) for part in VERSION.split(".")[:2])
     needed = re.findall(r'"segloc\[[\w,]+\](.*)"', text)
     assert needed and set(needed) == {f">={major}.{minor},<{major}.{minor + 1}"}

@@ -16,7 +16,7 @@ ROOT = Path(segloc_lab.__file__).parent
 MODULES = sorted(
     ".".join((ROOT.name, *path.relative_to(ROOT).with_suffix("").parts))
     for path in ROOT.rglob("*.py")
-    if 'if __name__ == "__main__":' in path.read_text("utf-8")
+    if '\nif __name__ == "__main__":' in path.read_text("utf-8")
 )
 SHELL = sorted(ROOT.rglob("*.sh"))
 FOREIGN = {"map_closures", "kiss_matcher", "kiss_slam"}
@@ -45,13 +45,6 @@ def test_a_script_runs_as_a_module() -> None:
     command = [sys.executable, "-m", "segloc_lab.protocols.table", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "summary" not in done.stderr
-
-
-def test_all_rooms_have_scripts() -> None:
-    rooms = {name.split(".")[1] for name in MODULES}
-    assert rooms == {
-        *("bench", "calibration", "feature_quality", "peers", "protocols", "results", "weights")
-    }
 
 
 @pytest.mark.parametrize("path", SHELL, ids=lambda path: path.name)
