@@ -17,10 +17,10 @@ from matplotlib.collections import LineCollection
 from PIL import Image
 
 from segloc import Config, Localizer, build_map, geometry, sample
-from segloc.inspect import Trace, trace
 from segloc.frontend.local_cloud import Accumulator
-from segloc.map.segment_map import SegmentMap
+from segloc.inspect import Trace, trace
 from segloc.inspect.pictures import DARK, GREEN, GREY, PATH, blank, hue, png, rgb
+from segloc.map.segment_map import SegmentMap
 
 QUERY = 4
 LIFTED_M, ELEVATION_DEG, AZIMUTH_DEG = 38.0, 32.0, 68.0

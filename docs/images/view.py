@@ -17,10 +17,10 @@ from segloc_lab.bench.browser import Page, browser
 from segloc import Config, Localizer, build_map, sample
 from segloc.cli.answers import sentence
 from segloc.cli.sample import TUESDAY_STEP
+from segloc.frontend.local_cloud import Accumulator
 from segloc.inspect import trace, viewer
 from segloc.inspect.results import Shown
 from segloc.inspect.seen import seen
-from segloc.frontend.local_cloud import Accumulator
 from segloc.map.segment_map import SegmentMap
 
 QUERY = 18

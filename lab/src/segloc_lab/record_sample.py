@@ -21,9 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import sample
-from .simulation import Conditions, Route, SimulatedSequence, SpinningLidar, car, hdl32e, os1_64, simulate_session, town
-from .simulation.sensors.ranging import Rays
 from segloc.types import Float32, Float64
+
+from .simulation import (
+    Conditions,
+    Route,
+    SimulatedSequence,
+    SpinningLidar,
+    car,
+    hdl32e,
+    os1_64,
+    simulate_session,
+    town,
+)
+from .simulation.sensors.ranging import Rays
 
 SEED, ELSEWHERE_SEED = 0, 1000
 SIZE_M = 180.0

@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ..evaluation.intervals import share
 from segloc.cli.demo import demo
 
+from ..evaluation.intervals import share
 from ..results.store import Cell, Result
 from ..script import storing
 
