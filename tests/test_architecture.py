@@ -14,7 +14,7 @@ LAYERS = (
     "cli",
     ROOT,
     "batch live loops export",
-    "inspect doctor",
+    "inspect doctor sample",
     "datasets",
     "tracker",
     "tracking",
@@ -26,7 +26,7 @@ LAYERS = (
     "map",
     "descriptors",
     "frontend",
-    "io sample",
+    "io",
     "localization prior motion",
     "geometry",
     "types",
@@ -35,11 +35,9 @@ LAYERS = (
 )
 """Top to bottom. A room imports rooms of lower layers, and none of its own layer."""
 
-ONLY = {
-    room: {"motion", "geometry", "types", "system", "errors", "_native"}
-    for room in ("io", "sample")
-}
+ONLY = {"io": {"motion", "geometry", "types", "system", "errors", "_native"}}
 ONLY["datasets"] = ONLY["io"] | {"io"}
+ONLY["sample"] = ONLY["io"] | {"datasets"}
 """Rooms that import no others than these: recordings know nothing of the method."""
 
 PACKAGES = {
