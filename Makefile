@@ -1,23 +1,26 @@
-# make demo: map the sample, localize, report.   make test: every test.   make quick: in a minute.
-# make evaluate [SCALE=full]: the experiments of the paper.   Each sets itself up.
+# `make help` lists the targets. Each sets itself up, in the environment VENV.
 PYTHON ?= python3
-VENV := .venv
+VENV ?= .venv
 BIN := $(VENV)/bin
 SCALE ?= small
-# Nothing is compiled to bytecode but what is imported.
+# Native builds are kept by environment, so that two of them do not disturb each other. Nothing is
+# compiled to bytecode but what is imported.
 INSTALL := -m pip install --quiet --disable-pip-version-check --no-compile
-PIP := $(BIN)/python $(INSTALL) -c constraints.txt
+PIP := SKBUILD_BUILD_DIR=build/native/$(notdir $(VENV)) $(BIN)/python $(INSTALL) -c constraints.txt
 # The extras that tests find. CI has them from those of `dev`, which are these and more.
 TESTED ?= test
 
-.PHONY: demo test quick golden test-lowest test-newest test-ros fuzz evaluate lint docs wheel-check clean
-.PHONY: cross-check
-.PHONY: sanitize sanitize-python sanitize-threads fuzz-native
+.DEFAULT_GOAL := help
+.PHONY: help demo test quick golden test-lowest test-newest test-ros fuzz evaluate lint docs wheel-check
+.PHONY: clean cross-check sanitize sanitize-python sanitize-threads fuzz-native
 
-demo: $(VENV)/.report
+help: ## List the targets.
+	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "  make %-18s %s\n", $$1, $$2}'
+
+demo: $(VENV)/.report ## Map the sample drive, localize another day and another place, report (1 min).
 	$(BIN)/segloc demo --out demo
 
-evaluate: $(VENV)/.evaluate
+evaluate: $(VENV)/.evaluate ## Run the paper's studies: SCALE=small, full or paper (hours).
 	$(BIN)/segloc evaluate all --suite six --scale $(SCALE) --out evaluation
 
 # One process a core, one thread each. Files stay whole: their fixtures are made once.
@@ -25,17 +28,17 @@ CORES ?= logical
 ALONE := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PYTEST := $(ALONE) $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder
 
-test: $(VENV)/.$(TESTED)
+test: $(VENV)/.$(TESTED) ## Run every test.
 	$(PYTEST)
 
 QUICK := -m "not slow and not data and not torch and not fuzz"
-quick: $(VENV)/.$(TESTED)
+quick: $(VENV)/.$(TESTED) ## Run the quick tests: what a change of code usually needs.
 	$(PYTEST) $(QUICK)
 
 # Answers of a fixed corpus beside the stored ones, bit for bit: ACCEPT=1 stores them anew, and
 # GROUPS="world-town kernels" takes some. THREADS changes nothing but the time.
 THREADS ?= 1
-golden: $(VENV)/.$(TESTED)
+golden: $(VENV)/.$(TESTED) ## Compare the answers of a fixed corpus, bit for bit; ACCEPT=1 records them anew.
 	$(ALONE) GOLDEN_THREADS=$(THREADS) PYTHONPATH=tests $(BIN)/python -m golden $(GROUPS) $(if $(ACCEPT),--accept)
 
 # The quick tests of an installed wheel: with Python 3.10 and exactly the lowest versions that
@@ -48,8 +51,8 @@ NEWEST_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.13.*/bin/python)
 define test_installed
 	$(if $(1),,$(error no such Python: name one by $(shell echo $(2) | tr a-z A-Z)_PYTHON=...))
 	$(1) -m venv build/$(2)
-	build/$(2)/bin/python $(INSTALL) --upgrade $(3) \
-	  ".[$(EXTRAS),test-tools]"
+	SKBUILD_BUILD_DIR=build/native/$(2) build/$(2)/bin/python $(INSTALL) --upgrade $(3) \
+	  ".[$(EXTRAS),test-tools]" embreex scikit-learn
 	build/$(2)/bin/python $(INSTALL) --no-deps ./lab
 	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) $(if $(filter smoke,$(TESTS)),$(SMOKE),$(TESTS))
 endef
@@ -59,31 +62,31 @@ TESTS ?= tests
 SMOKE := tests/test_localizer.py tests/proposals/test_pose.py tests/proposals/test_matching.py tests/frontend/test_segmentation.py \
   tests/map/test_file.py tests/io tests/descriptors tests/datasets/ros
 
-test-lowest:
+test-lowest: ## Run the quick tests with Python 3.10 and the lowest versions of all dependencies.
 	mkdir -p build
 	$(LOWEST_PYTHON) .ci/lowest.py $(EXTRAS) test-tools > build/lowest.txt
 	$(call test_installed,$(LOWEST_PYTHON),lowest,-c build/lowest.txt,-W default::DeprecationWarning)
 
-test-newest:
+test-newest: ## Run the quick tests with Python 3.13 and the newest versions.
 	$(call test_installed,$(NEWEST_PYTHON),newest,--upgrade-strategy eager)
 
 # The ROS 2 packages, built by colcon and run as nodes, with ROS 2 from PyPI's wheels: Linux, and
 # Python 3.11 in .venv.
-test-ros: $(VENV)/.$(TESTED)
+test-ros: $(VENV)/.$(TESTED) ## Run the ROS 2 packages as nodes (Linux, Python 3.11).
 	tests/ros2/run.sh $(BIN)/python
 
 # Coverage-guided fuzzing of the readers, a minute a target. What is found joins tests/hostile/found.
 SECONDS ?= 60
 
-fuzz: $(VENV)/.fuzz
+fuzz: $(VENV)/.fuzz ## Fuzz the readers, SECONDS=60 a target.
 	$(BIN)/python tests/fuzz/run.py $(SECONDS)
 
 # The documentation site, into build/site/html; a link that leads nowhere is an error.
-docs: $(VENV)/.dev
+docs: $(VENV)/.dev ## Build the documentation site.
 	$(BIN)/python docs/site.py
 	$(BIN)/zensical build --strict --clean
 
-lint: $(VENV)/.dev
+lint: $(VENV)/.dev ## Run ruff and mypy.
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -92,7 +95,7 @@ lint: $(VENV)/.dev
 CHECKED := -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1"
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 SANITIZED := build/sanitize
-sanitize: $(VENV)/.dev
+sanitize: $(VENV)/.dev ## Run the kernels' tests under AddressSanitizer and UBSan.
 	$(BIN)/cmake -S . -B $(SANITIZED) $(CHECKED) -DSEGLOC_SANITIZE=address -DSEGLOC_TESTS=ON \
 	  -DPython_EXECUTABLE=$(abspath $(BIN))/python -DSKBUILD_PROJECT_VERSION=$(VERSION)
 	$(BIN)/cmake --build $(SANITIZED) --parallel 2 --target kernel_tests
@@ -101,7 +104,7 @@ sanitize: $(VENV)/.dev
 # The Python module likewise, in tests of what it is given: shapes, values and types of all kinds.
 # Python itself is not built so: the sanitizer is loaded before it, and its own leaks are not ours.
 # pytest-xdist may wait for ever for a worker that the sanitizer has ended: hence the time limit.
-sanitize-python: sanitize $(VENV)/.$(TESTED)
+sanitize-python: sanitize $(VENV)/.$(TESTED) ## Run the native module under them.
 	$(BIN)/cmake --build $(SANITIZED) --parallel 2 --target _native
 	timeout 30m env SEGLOC_NATIVE="$$(ls $(abspath $(SANITIZED))/_native*.so)" PYTHONPATH=$(abspath tests/sanitized):src \
 	  ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=1 PYTHONMALLOC=malloc \
@@ -112,14 +115,14 @@ sanitize-python: sanitize $(VENV)/.$(TESTED)
 
 # The kernels' tests, several callers at once among them, under ThreadSanitizer: on demand. It wants
 # its memory where it looks for it.
-sanitize-threads: $(VENV)/.dev
+sanitize-threads: $(VENV)/.dev ## Run the kernels' tests under ThreadSanitizer.
 	$(BIN)/cmake -S cpp/tests -B build/sanitize-threads $(CHECKED) -DSEGLOC_SANITIZE=thread
 	$(BIN)/cmake --build build/sanitize-threads --parallel 2
 	TSAN_OPTIONS=halt_on_error=1 setarch $$(uname -m) -R build/sanitize-threads/kernel_tests
 
 # Random inputs for SECONDS each, by Clang's libFuzzer. What breaks one is left in build/fuzz.
 FUZZERS := $(patsubst cpp/fuzz/%_fuzzer.cpp,%,$(wildcard cpp/fuzz/*_fuzzer.cpp))
-fuzz-native: $(VENV)/.dev
+fuzz-native: $(VENV)/.dev ## Fuzz the kernels by libFuzzer, SECONDS=60 each.
 	CXX=clang++ $(BIN)/cmake -S cpp/fuzz -B build/fuzz $(CHECKED)
 	$(BIN)/cmake --build build/fuzz --parallel 2
 	set -e; for name in $(FUZZERS); do mkdir -p build/fuzz/corpus/$$name; \
@@ -133,7 +136,7 @@ fuzz-native: $(VENV)/.dev
 WHEEL := build/wheel
 WHEEL_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.12.*/bin/python) $(shell command -v python3.12) $(PYTHON))
 MOST_BYTES := 15000000
-wheel-check:
+wheel-check: ## Build, audit and try the wheels.
 	rm -rf $(WHEEL) && mkdir -p $(WHEEL)
 	$(WHEEL_PYTHON) -m venv $(WHEEL)/tools
 	$(WHEEL)/tools/bin/python $(INSTALL) build auditwheel abi3audit
@@ -159,7 +162,7 @@ define try_wheel
 endef
 
 # The kernels compiled for aarch64, Windows and macOS, and run where an emulator is at hand.
-cross-check:
+cross-check: ## Compile the kernels for aarch64, Windows and macOS.
 	.ci/cross
 
 $(BIN)/python:
@@ -181,5 +184,5 @@ $(VENV)/.test $(VENV)/.dev: $(VENV)/.%: $(LABORATORY) | $(BIN)/python
 	$(PIP) -e ".[$*]" -e ./lab
 	@touch $@
 
-clean:
+clean: ## Remove build folders and the environment.
 	rm -rf build $(VENV)
