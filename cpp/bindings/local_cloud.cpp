@@ -3,8 +3,8 @@
 
 #include "bindings/bindings.h"
 #include "bindings/rigid.h"
-#include "local_cloud/crop.h"
-#include "local_cloud/voxel_window.h"
+#include "frontend/crop.h"
+#include "frontend/voxel_window.h"
 
 namespace segloc::bindings {
 namespace {

@@ -3,9 +3,9 @@
 #include <cmath>
 
 #include "bindings/bindings.h"
-#include "matching/knn.h"
-#include "matching/match_order.h"
-#include "matching/random_forest.h"
+#include "proposals/matching/knn.h"
+#include "proposals/matching/match_order.h"
+#include "proposals/matching/random_forest.h"
 
 namespace segloc::bindings {
 namespace {

@@ -1,11 +1,11 @@
 // Descriptor networks.
-#include "network/network.h"
+#include "descriptors/network/network.h"
 
 #include "bindings/bindings.h"
 #include "bindings/tensors.h"
-#include "network/neighbors.h"
-#include "network/perceptron.h"
-#include "network/voxel_network.h"
+#include "descriptors/network/neighbors.h"
+#include "descriptors/network/perceptron.h"
+#include "descriptors/network/voxel_network.h"
 
 namespace segloc::bindings {
 namespace {

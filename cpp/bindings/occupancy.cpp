@@ -4,8 +4,8 @@
 #include <functional>
 
 #include "bindings/bindings.h"
-#include "occupancy/occupancy_pyramid.h"
-#include "occupancy/pose_search.h"
+#include "proposals/occupancy/occupancy_pyramid.h"
+#include "proposals/occupancy/pose_search.h"
 
 namespace segloc::bindings {
 namespace {

@@ -5,11 +5,11 @@
 #include "bindings/bindings.h"
 #include "common/portability.h"
 #include "common/rigid.h"
-#include "consistency/consistency.h"
-#include "pose/consensus.h"
-#include "pose/match_table.h"
-#include "pose/pose_votes.h"
-#include "pose/prosac.h"
+#include "proposals/pose/consensus.h"
+#include "proposals/pose/consistency.h"
+#include "proposals/pose/match_table.h"
+#include "proposals/pose/pose_votes.h"
+#include "proposals/pose/prosac.h"
 
 namespace segloc::bindings {
 namespace {

@@ -3,8 +3,8 @@
 
 #include "bindings/bindings.h"
 #include "bindings/rigid.h"
-#include "registration/gicp.h"
-#include "registration/surface.h"
+#include "likelihood/gicp.h"
+#include "likelihood/surface.h"
 
 namespace segloc::bindings {
 namespace {

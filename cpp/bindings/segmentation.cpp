@@ -1,10 +1,10 @@
 // Voxel grid, ground and clusters.
 #include "bindings/bindings.h"
-#include "segmentation/cluster.h"
-#include "segmentation/ground.h"
-#include "segmentation/planes.h"
-#include "segmentation/spacing.h"
-#include "segmentation/voxel.h"
+#include "frontend/cluster.h"
+#include "frontend/ground.h"
+#include "frontend/planes.h"
+#include "frontend/spacing.h"
+#include "frontend/voxel.h"
 
 namespace segloc::bindings {
 namespace {

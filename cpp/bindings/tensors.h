@@ -8,7 +8,7 @@
 #include <utility>
 
 #include "bindings/bindings.h"
-#include "network/network.h"
+#include "descriptors/network/network.h"
 
 namespace segloc::bindings {
 

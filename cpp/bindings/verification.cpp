@@ -2,10 +2,10 @@
 #include <limits>
 
 #include "bindings/bindings.h"
-#include "verification/correlation.h"
-#include "verification/intrusion.h"
-#include "verification/point_index.h"
-#include "verification/visibility.h"
+#include "likelihood/correlation.h"
+#include "likelihood/intrusion.h"
+#include "likelihood/point_index.h"
+#include "likelihood/visibility.h"
 
 namespace segloc::bindings {
 namespace {

@@ -7,11 +7,11 @@
 #include <stdexcept>
 #include <vector>
 
-#include "segmentation/cluster.h"
-#include "segmentation/ground.h"
-#include "segmentation/voxel.h"
-#include "verification/intrusion.h"
-#include "verification/point_index.h"
+#include "frontend/cluster.h"
+#include "frontend/ground.h"
+#include "frontend/voxel.h"
+#include "likelihood/intrusion.h"
+#include "likelihood/point_index.h"
 
 namespace {
 

@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "matching/random_forest.h"
+#include "proposals/matching/random_forest.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   constexpr std::size_t kFeatures = 4, kNode = 12;

@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "pose/consensus.h"
+#include "proposals/pose/consensus.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   constexpr std::size_t kMatch = 6 * sizeof(float), kMost = 200;

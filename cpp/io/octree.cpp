@@ -171,8 +171,7 @@ std::vector<float> octree_points(const std::uint8_t* codes, std::size_t length, 
     nodes = children(nodes, row);
   }
   if (at != length) throw std::invalid_argument("the octree has more nodes than it needs");
-  if (nodes.size() != count)
-    throw std::invalid_argument("the octree has another number of cells");
+  if (nodes.size() != count) throw std::invalid_argument("the octree has another number of cells");
   return centres(nodes, parts, grid);
 }
 

@@ -1,14 +1,14 @@
 // The table of one instruction set. CMake compiles this file once for each one, with SEGLOC_ISA set
 // to its name and with its flags (simd/instruction_sets.cmake). A new kernel is included here.
-#include "consistency/edges_kernel.h"
 #include "descriptors/fps_kernel.h"
-#include "matching/knn_kernel.h"
-#include "network/conv_kernel.h"
-#include "network/neighbors_kernel.h"
-#include "network/xconv_kernel.h"
-#include "occupancy/windows_kernel.h"
-#include "pose/consensus_kernel.h"
-#include "pose/votes_kernel.h"
+#include "descriptors/network/conv_kernel.h"
+#include "descriptors/network/neighbors_kernel.h"
+#include "descriptors/network/xconv_kernel.h"
+#include "proposals/matching/knn_kernel.h"
+#include "proposals/occupancy/windows_kernel.h"
+#include "proposals/pose/consensus_kernel.h"
+#include "proposals/pose/edges_kernel.h"
+#include "proposals/pose/votes_kernel.h"
 #include "simd/kernels.h"
 #include "training/train_kernel.h"
 

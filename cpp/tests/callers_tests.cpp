@@ -2,15 +2,15 @@
 #include <cstdint>
 #include <thread>
 
-#include "matching/knn.h"
-#include "matching/random_forest.h"
-#include "pose/consensus.h"
-#include "pose/prosac.h"
-#include "registration/gicp.h"
-#include "registration/surface.h"
+#include "likelihood/gicp.h"
+#include "likelihood/point_index.h"
+#include "likelihood/surface.h"
+#include "likelihood/visibility.h"
+#include "proposals/matching/knn.h"
+#include "proposals/matching/random_forest.h"
+#include "proposals/pose/consensus.h"
+#include "proposals/pose/prosac.h"
 #include "tests/check.h"
-#include "verification/point_index.h"
-#include "verification/visibility.h"
 
 namespace segloc {
 namespace {

@@ -3,8 +3,8 @@
 #include <cmath>
 #include <utility>
 
-#include "local_cloud/voxel_table.h"
-#include "local_cloud/voxel_window.h"
+#include "frontend/voxel_table.h"
+#include "frontend/voxel_window.h"
 #include "tests/check.h"
 
 namespace segloc {

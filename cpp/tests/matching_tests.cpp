@@ -1,8 +1,8 @@
 // Descriptor search on every instruction set, and forests.
 #include <cstdint>
 
-#include "matching/knn.h"
-#include "matching/random_forest.h"
+#include "proposals/matching/knn.h"
+#include "proposals/matching/random_forest.h"
 #include "tests/check.h"
 
 namespace segloc {

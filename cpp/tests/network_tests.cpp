@@ -4,10 +4,10 @@
 #include <map>
 #include <string>
 
+#include "descriptors/network/network.h"
+#include "descriptors/network/perceptron.h"
+#include "descriptors/network/voxel_network.h"
 #include "descriptors/voxel_shape.h"
-#include "network/network.h"
-#include "network/perceptron.h"
-#include "network/voxel_network.h"
 #include "tests/check.h"
 
 namespace segloc {

@@ -1,6 +1,6 @@
 // The occupancy search, at every size from nothing up.
-#include "occupancy/occupancy_pyramid.h"
-#include "occupancy/pose_search.h"
+#include "proposals/occupancy/occupancy_pyramid.h"
+#include "proposals/occupancy/pose_search.h"
 #include "tests/check.h"
 
 namespace segloc {

@@ -5,9 +5,9 @@
 #include <random>
 #include <vector>
 
-#include "consistency/consistency.h"
-#include "pose/consensus.h"
-#include "pose/prosac.h"
+#include "proposals/pose/consensus.h"
+#include "proposals/pose/consistency.h"
+#include "proposals/pose/prosac.h"
 #include "simd/kernels.h"
 #include "tests/check.h"
 

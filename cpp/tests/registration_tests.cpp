@@ -1,8 +1,8 @@
 // Registration at every size from nothing up.
 #include <cmath>
 
-#include "registration/gicp.h"
-#include "registration/surface.h"
+#include "likelihood/gicp.h"
+#include "likelihood/surface.h"
 #include "tests/check.h"
 
 namespace segloc {

@@ -1,11 +1,11 @@
 // Verification at every size from nothing up.
 #include <cstdint>
 
+#include "likelihood/correlation.h"
+#include "likelihood/intrusion.h"
+#include "likelihood/point_index.h"
+#include "likelihood/visibility.h"
 #include "tests/check.h"
-#include "verification/correlation.h"
-#include "verification/intrusion.h"
-#include "verification/point_index.h"
-#include "verification/visibility.h"
 
 namespace segloc {
 namespace {

@@ -231,7 +231,7 @@ PICTURES = {
 def _judged(query: Query, site: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which map points have a query point near them, and which lie in measured free space.
 
-    The same idea as cpp/verification/visibility.h, in a few lines: a point is a violation if all
+    The same idea as cpp/likelihood/visibility.h, in a few lines: a point is a violation if all
     that was measured in its direction, and in the eight directions about it, lies behind it.
     """
     config = query.localizer.config.verification

@@ -1,0 +1,295 @@
+#include "frontend/cluster.h"
+
+#include <algorithm>
+#include <array>
+#include <functional>
+#include <numeric>
+
+#include "common/cells.h"
+
+namespace segloc {
+namespace {
+
+class DisjointSets {
+ public:
+  explicit DisjointSets(std::size_t n) : parent_(n) {
+    std::iota(parent_.begin(), parent_.end(), 0u);
+  }
+
+  std::uint32_t find(std::uint32_t i) {
+    while (parent_[i] != i) {
+      parent_[i] = parent_[parent_[i]];
+      i = parent_[i];
+    }
+    return i;
+  }
+
+  // The lower index becomes the root, so roots do not depend on the order of the unions.
+  std::uint32_t unite(std::uint32_t a, std::uint32_t b) {
+    a = find(a);
+    b = find(b);
+    return parent_[std::max(a, b)] = std::min(a, b);
+  }
+
+ private:
+  std::vector<std::uint32_t> parent_;
+};
+
+// Points that are linked for certain: those in a cube of half the radius. Those of the highest
+// level come first.
+struct Cell {
+  std::uint32_t begin;  // of the sorted points
+};
+
+// The up to eight cells in a cube as wide as the radius: whatever a point is linked with lies in
+// its own block or in one that touches it.
+struct Block {
+  std::uint64_t key;
+  std::uint32_t begin, end;  // range of the cells
+  bool whole;                // all cells have points, and all are linked
+  bool grown;                // it has points that are of the level, and of none before it
+};
+
+// Points in cells, of which those of ever more levels are linked.
+class Lattice {
+ public:
+  // A level for each point, below `levels`.
+  Lattice(const std::vector<float>& points, const std::vector<std::uint8_t>& level,
+          std::size_t levels, double radius)
+      : levels_(levels), radius2_(static_cast<float>(radius * radius)), sets_(0) {
+    const std::size_t n = level.size();
+    // A hair wider than the radius, so that rounding never puts linked points two blocks apart.
+    const double block_size = radius * (1.0 + 1e-6);
+    const CellOrder sorted = sort_into_cells(points.data(), n, block_size);
+    stride_y_ = sorted.stride_y;
+    stride_z_ = sorted.stride_z;
+    order_.resize(n);
+    xyz_.resize(3 * n);
+    ends_.reserve(levels * n / 2);
+    blocks_.reserve(n / 4);
+    const std::vector<std::uint16_t> slots = slots_of(points, level, block_size);
+    for (std::size_t i = 0; i < n;) {
+      std::size_t j = i;
+      while (j < n && sorted.keys[j] == sorted.keys[i]) ++j;
+      add_block(points, sorted, slots, i, j);
+      i = j;
+    }
+    sets_ = DisjointSets(cells_.size());
+  }
+
+  // Links the points of one more level with each other and with those of the levels before it.
+  void link_level(std::size_t level) {
+    level_ = level;
+    for (Block& block : blocks_) link_inside(block);
+    // Nearest rows first: most blocks of the others are linked by then.
+    link_row(0);
+    for (const std::int64_t dz : {0, 1}) {
+      for (const std::int64_t dy : {0, 1, -1}) {
+        if (dz > 0 || dy > 0) link_row(dy * stride_y_ + dz * stride_z_);
+      }
+    }
+  }
+
+  // Calls visit(root, first, last) for the sorted points of each cell up to the linked level.
+  template <typename Visit>
+  void each_cell(Visit&& visit) {
+    for (std::uint32_t c = 0; c < cells_.size(); ++c) {
+      if (!is_empty(c)) visit(sets_.find(c), cells_[c].begin, end(c));
+    }
+  }
+
+  std::size_t cells() const { return cells_.size(); }
+  std::uint32_t point(std::size_t sorted) const { return order_[sorted]; }
+
+ private:
+  // The cell of each point within its block, and its level.
+  std::vector<std::uint16_t> slots_of(const std::vector<float>& points,
+                                      const std::vector<std::uint8_t>& level,
+                                      double block_size) const {
+    std::vector<std::uint16_t> slots(level.size());
+    for (std::size_t i = 0; i < slots.size(); ++i) {
+      std::size_t octant = 0;
+      for (unsigned a = 0; a < 3; ++a) {
+        const double at = points[3 * i + a] / block_size;
+        octant |= static_cast<std::size_t>(at - double(floor_of(at)) >= 0.5) << a;
+      }
+      slots[i] = static_cast<std::uint16_t>(octant * levels_ + level[i]);
+    }
+    return slots;
+  }
+
+  void add_block(const std::vector<float>& points, const CellOrder& sorted,
+                 const std::vector<std::uint16_t>& slots, std::size_t begin, std::size_t end) {
+    start_.assign(8 * levels_, 0);
+    for (std::size_t i = begin; i < end; ++i) ++start_[slots[sorted.order[i]]];
+    const auto first_cell = static_cast<std::uint32_t>(cells_.size());
+    auto at = static_cast<std::uint32_t>(begin);
+    for (std::size_t octant = 0; octant < 8; ++octant) {
+      const std::uint32_t cell_begin = at;
+      for (std::size_t k = octant * levels_; k < (octant + 1) * levels_; ++k) {
+        const std::uint32_t count = start_[k];
+        start_[k] = at;
+        at += count;
+        ends_.push_back(at);
+      }
+      if (at > cell_begin) {
+        cells_.push_back({cell_begin});
+      } else {
+        ends_.resize(ends_.size() - levels_);
+      }
+    }
+    for (std::size_t i = begin; i < end; ++i) {
+      const std::uint32_t point = sorted.order[i], slot = start_[slots[point]]++;
+      order_[slot] = point;
+      std::copy_n(points.begin() + 3 * static_cast<std::ptrdiff_t>(point), 3,
+                  xyz_.begin() + 3 * static_cast<std::ptrdiff_t>(slot));
+    }
+    const auto end_cell = static_cast<std::uint32_t>(cells_.size());
+    blocks_.push_back({sorted.keys[begin], first_cell, end_cell, false, false});
+  }
+
+  std::uint32_t end(std::uint32_t cell) const { return ends_[cell * levels_ + level_]; }
+  bool is_empty(std::uint32_t cell) const { return end(cell) == cells_[cell].begin; }
+
+  bool is_grown(std::uint32_t cell) const {
+    return end(cell) > (level_ == 0 ? cells_[cell].begin : ends_[cell * levels_ + level_ - 1]);
+  }
+
+  bool touch(std::uint32_t a, std::uint32_t b) const {
+    const std::uint32_t end_a = end(a), end_b = end(b);
+    for (std::uint32_t i = cells_[a].begin; i < end_a; ++i) {
+      for (std::uint32_t j = cells_[b].begin; j < end_b; ++j) {
+        const float dx = xyz_[3 * i] - xyz_[3 * j];
+        const float dy = xyz_[3 * i + 1] - xyz_[3 * j + 1];
+        const float dz = xyz_[3 * i + 2] - xyz_[3 * j + 2];
+        if (dx * dx + dy * dy + dz * dz <= radius2_) return true;
+      }
+    }
+    return false;
+  }
+
+  void link_inside(Block& block) {
+    block.grown = false;
+    for (std::uint32_t c = block.begin; c < block.end; ++c) block.grown |= is_grown(c);
+    if (!block.grown) return;
+    for (std::uint32_t a = block.begin; a < block.end; ++a) {
+      for (std::uint32_t b = a + 1; b < block.end; ++b) {
+        if (sets_.find(a) != sets_.find(b) && touch(a, b)) sets_.unite(a, b);
+      }
+    }
+    block.whole = true;
+    for (std::uint32_t a = block.begin; a < block.end; ++a) {
+      block.whole &= !is_empty(a) && sets_.find(a) == sets_.find(block.begin);
+    }
+  }
+
+  // Links every block with those next to it along x in the row at some distance. Both come in
+  // rising order of their keys, so one pass with two pointers does it.
+  void link_row(std::int64_t shift) {
+    std::size_t low = 0;
+    for (std::size_t b = 0; b < blocks_.size(); ++b) {
+      const std::uint64_t row = blocks_[b].key + static_cast<std::uint64_t>(shift);
+      while (low < blocks_.size() && blocks_[low].key + 1 < row) ++low;
+      std::size_t k = std::max(low, b + 1);
+      for (; k < blocks_.size() && blocks_[k].key <= row + 1; ++k) link(blocks_[b], blocks_[k]);
+    }
+  }
+
+  void link(const Block& one, const Block& other) {
+    if (!one.grown && !other.grown) return;
+    const bool whole = one.whole && other.whole;
+    if (whole && sets_.find(one.begin) == sets_.find(other.begin)) return;
+    for (std::uint32_t a = one.begin; a < one.end; ++a) {
+      if (is_empty(a)) continue;
+      std::uint32_t root = sets_.find(a);
+      for (std::uint32_t b = other.begin; b < other.end; ++b) {
+        if (!whole && root == sets_.find(b)) continue;
+        if (!touch(a, b)) continue;
+        root = sets_.unite(a, b);
+        if (whole) return;
+      }
+    }
+  }
+
+  std::size_t levels_, level_ = 0;
+  float radius2_;
+  std::int64_t stride_y_ = 0, stride_z_ = 0;
+  std::vector<std::uint32_t> order_;
+  std::vector<float> xyz_;
+  std::vector<Cell> cells_;
+  std::vector<std::uint32_t> ends_, start_;  // of each level of each cell, or of a block's cell
+  std::vector<Block> blocks_;
+  DisjointSets sets_;
+};
+
+// The clusters of the linked points, which are these rows of the input.
+Clusters clusters_of(Lattice& lattice, const std::vector<std::uint32_t>& rows,
+                     std::size_t min_points, std::size_t max_points) {
+  Clusters result;
+  result.offsets.push_back(0);
+  constexpr std::uint32_t kNone = 0xFFFFFFFFu;
+  std::vector<std::uint32_t> size(lattice.cells(), 0), root_of(rows.size(), kNone);
+  lattice.each_cell([&](std::uint32_t root, std::uint32_t first, std::uint32_t last) {
+    size[root] += last - first;
+    for (std::uint32_t i = first; i < last; ++i) root_of[lattice.point(i)] = root;
+  });
+  std::vector<std::int64_t> slot(lattice.cells(), -1);
+  for (const std::uint32_t root : root_of) {
+    if (root == kNone || slot[root] >= 0) continue;
+    if (size[root] < min_points || size[root] > max_points) continue;
+    slot[root] = result.offsets.back();
+    result.offsets.push_back(result.offsets.back() + size[root]);
+  }
+  result.points.resize(static_cast<std::size_t>(result.offsets.back()));
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    if (root_of[i] == kNone || slot[root_of[i]] < 0) continue;
+    result.points[static_cast<std::size_t>(slot[root_of[i]]++)] = rows[i];
+  }
+  return result;
+}
+
+}  // namespace
+
+Clusters clusters_above(const float* points, const float* heights, std::size_t n,
+                        const std::vector<double>& cuts, double radius, std::size_t min_points,
+                        std::size_t max_points) {
+  std::vector<double> falling = cuts;
+  std::sort(falling.begin(), falling.end(), std::greater<>());
+  std::vector<std::uint32_t> rows;
+  std::vector<std::uint8_t> level;
+  std::vector<float> above;
+  for (std::size_t i = 0; i < n; ++i) {
+    const auto cut = std::find_if(falling.begin(), falling.end(),
+                                  [&](double each) { return heights[i] > each; });
+    if (cut == falling.end()) continue;
+    rows.push_back(static_cast<std::uint32_t>(i));
+    level.push_back(static_cast<std::uint8_t>(cut - falling.begin()));
+    above.insert(above.end(), points + 3 * i, points + 3 * (i + 1));
+  }
+  Lattice lattice(above, level, falling.size(), radius);
+  std::vector<Clusters> found(falling.size());
+  for (std::size_t k = 0; k < falling.size(); ++k) {
+    lattice.link_level(k);
+    found[k] = clusters_of(lattice, rows, min_points, max_points);
+  }
+  Clusters result;
+  result.offsets.push_back(0);
+  for (const double cut : cuts) {
+    const auto k = std::find(falling.begin(), falling.end(), cut) - falling.begin();
+    const Clusters& part = found[static_cast<std::size_t>(k)];
+    const std::int64_t before = result.offsets.back();
+    for (std::size_t i = 1; i < part.offsets.size(); ++i) {
+      result.offsets.push_back(before + part.offsets[i]);
+    }
+    result.points.insert(result.points.end(), part.points.begin(), part.points.end());
+  }
+  return result;
+}
+
+Clusters euclidean_clusters(const float* points, std::size_t n, double radius,
+                            std::size_t min_points, std::size_t max_points) {
+  const std::vector<float> heights(n, 1.0f);
+  return clusters_above(points, heights.data(), n, {0.0}, radius, min_points, max_points);
+}
+
+}  // namespace segloc

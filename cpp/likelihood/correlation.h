@@ -1,0 +1,36 @@
+// How well a query cloud fits the map at many poses around one: shifted and turned.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "likelihood/point_index.h"
+
+namespace segloc {
+
+struct CorrelationOptions {
+  double cell = 0.5;        // edge of the occupancy grid, and the step of the shifts, metres
+  double half_width = 15;   // shifts along x and y reach so far, metres
+  double range = 30;        // query points this near the sensor are used, metres
+  std::size_t cells = 600;  // occupied cells of the query that are used at most
+};
+
+// (Headings, shifts along y, shifts along x) row-major: four times the occupied cells of the query
+// that are occupied in the map, too, twice those that lie beside such a cell, and once those where
+// the map has nothing all around; and how many cells of the query were used at each heading.
+struct Correlation {
+  std::vector<std::uint16_t> counts;
+  std::vector<std::uint16_t> used;
+  std::size_t width = 0;  // shifts along each axis
+};
+
+// Correlates occupancy grids exhaustively, as E. Olson does ("Real-Time Correlative Scan Matching",
+// ICRA 2009), with layers of height. Query points, (m, 3), are turned about the z axis of their
+// frame by each heading (radians), taken through a row-major 4 x 4 transform, and shifted along
+// the map's x and y. Cells are occupied by points of about the same height; beside one lie eight.
+Correlation correlate(const PointIndex& map, const float* points, std::size_t m,
+                      const double* transform, const std::vector<double>& headings,
+                      const CorrelationOptions& options);
+
+}  // namespace segloc

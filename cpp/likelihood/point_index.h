@@ -1,0 +1,112 @@
+// Fixed-radius nearest points in a map's cloud, for verification.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "frontend/point_grid.h"
+#include "likelihood/observed_height.h"
+
+namespace segloc {
+
+class PointIndex {
+ public:
+  // Copies n points, (n, 3) row-major. Queries take any radius up to `radius`.
+  PointIndex(const float* points, std::size_t n, double radius);
+
+  struct Overlap {
+    std::size_t judged = 0;    // points no higher than the indexed ones around them
+    std::size_t near = 0;      // those with an indexed point within the radius
+    double squared_sum = 0;    // of the distances of the latter
+    std::size_t unmapped = 0;  // points with no indexed ones around them at any height
+  };
+
+  // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
+  Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
+
+  // What is between two heights, within a horizontal distance of (x, y).
+  struct Column {
+    double x, y, radius;
+    double low = -std::numeric_limits<double>::infinity();
+    double high = std::numeric_limits<double>::infinity();
+    bool holds(double px, double py, double pz) const {
+      const double dx = px - x, dy = py - y;
+      return dx * dx + dy * dy <= radius * radius && low <= pz && pz <= high;
+    }
+  };
+
+  // At most `count` of the points in a column, (k, 3), evenly thinned, in an order of their own.
+  std::vector<float> sample(const Column& column, std::size_t count) const;
+
+  // Calls visit(point) for those within a horizontal distance of (x, y), in the same order.
+  template <typename Visit>
+  void visit(double x, double y, double radius, Visit&& visit) const {
+    const Column column{x, y, radius};
+    each(parts(column), column, 1, [&](std::uint32_t i) { visit(grid_[i]); });
+  }
+
+  // Whether any point is within a radius, no larger than that of the index.
+  bool is_near(const PointGrid::Point& p, double radius) const {
+    return grid_.is_near(p, static_cast<float>(radius * radius));
+  }
+  // Whether there are any points around, at any height.
+  bool is_mapped(float x, float y) const { return height_.is_mapped(x, y); }
+
+  std::size_t size() const { return grid_.size(); }
+  double radius() const { return grid_.radius(); }
+
+ private:
+  // Points of a tile that follow one another, and where they lie.
+  struct Block {
+    std::size_t begin, end;
+    double low_x, high_x, low_y, high_y, low_z, high_z;
+  };
+  struct Tile {
+    std::int64_t y, x;
+    std::size_t first_block, last_block;
+  };
+  // A block of which so many points lie in a column.
+  struct Part {
+    const Block* block;
+    std::size_t count;
+    bool is_whole() const { return count == block->end - block->begin; }
+  };
+
+  void fill_tiles();
+  void fill_blocks(Tile& tile, std::size_t begin);
+  Part part_of(const Block& block, const Column& column) const;
+  // Those of which any do, in order.
+  std::vector<Part> parts(const Column& column) const;
+  // Calls take(i) for every step-th of the points in a column, in the grid's order.
+  template <typename Take>
+  void each(const std::vector<Part>& parts, const Column& column, std::size_t step,
+            const Take& take) const {
+    std::size_t skip = 0;  // before the next one that is taken
+    for (const Part& part : parts) {
+      if (skip >= part.count) {
+        skip -= part.count;
+        continue;
+      }
+      for (std::size_t k = part.block->begin; k < part.block->end; ++k) {
+        if (!part.is_whole() && !column.holds(x_of_[k], y_of_[k], z_of_[k])) continue;
+        if (skip > 0) {
+          --skip;
+          continue;
+        }
+        take(points_[k]);
+        skip = step - 1;
+      }
+    }
+  }
+
+  PointGrid grid_;
+  ObservedHeight height_;
+  std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
+  std::vector<Block> blocks_;
+  std::vector<std::uint32_t> points_;      // of one tile after another
+  std::vector<float> x_of_, y_of_, z_of_;  // of those, to be read one after another
+};
+
+}  // namespace segloc

@@ -1,0 +1,57 @@
+// A cloud as a surface: its points, and the normals of what they lie on.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+#include "common/rigid.h"
+#include "frontend/point_grid.h"
+
+namespace segloc {
+
+// A normal takes longer to find than a point, and an alignment needs few of a large map's: each is
+// computed when it is first needed, and kept. It depends on the points alone, so it does not matter
+// who needs it first, and several threads may call at once.
+class Surface {
+ public:
+  using Normal = std::array<double, 3>;
+
+  struct Nearest {
+    std::uint32_t point;  // its place in the grid's order; kNone where none is close enough
+    float distance;       // to it
+    float next;           // at least as far as this are all others: a bound, not a distance
+  };
+  static constexpr std::uint32_t kNone = PointGrid::kNone;
+
+  // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
+  // metres away; the points within `support` metres of one decide on its normal.
+  Surface(const float* points, std::size_t n, double max_correspondence_distance, double support);
+
+  std::size_t size() const { return grid_.size(); }
+  const PointGrid& grid() const { return grid_; }
+
+  Nearest nearest(const PointGrid::Point& p) const;
+  // How far a place may move before any point can be close enough, where none is. Metres.
+  float room(const PointGrid::Point& p) const;
+
+  // Unit length, of either sign; zero where the points around do not span a plane.
+  Normal normal(std::size_t i) const;
+
+ private:
+  Normal found(std::size_t i) const;
+
+  PointGrid grid_;
+  double max_correspondence_distance_, support_;
+  std::unique_ptr<std::atomic<std::uint64_t>[]> normals_;  // packed; 0: not yet found
+};
+
+// How far every `step`-th of the points of a source, taken through a transform, lies off the plane
+// of the target's nearest point: infinite where there is none, NaN where that has no normal. And
+// the source's own normals there, (n, 3), turned into the target's frame; zero where there is none.
+void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
+                   double* offsets, double* normals);
+
+}  // namespace segloc

@@ -1,0 +1,186 @@
+#include "likelihood/visibility.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace segloc {
+namespace {
+
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;
+constexpr double kRight = 3.14159265358979323846 / 2;
+constexpr float kFar = std::numeric_limits<float>::infinity();
+constexpr double kBeyond = 1.01;     // radii that a point may lie beyond the range and be near
+constexpr double kGroundCell = 3.0;  // metres
+constexpr float kAbove = 0.5f;       // map points lower above the ground are not judged, metres
+constexpr double kNearest = 0.05;    // points nearer than this are no wider, metres
+constexpr double kSteepest = 0.1;    // nor are those that are steeper: the cosine of the elevation
+constexpr double kSlant = 0.05;      // surfaces met at a slant spread over a pixel by their range
+
+double range_squared(const float* p) {
+  return double(p[0]) * p[0] + double(p[1]) * p[1] + double(p[2]) * p[2];
+}
+
+// Hastings' polynomial (Approximations for Digital Computers, 1955), in degrees.
+constexpr double kQuickError = 2e-3;  // degrees, more than it ever is
+double quick_atan2(double y, double x) {
+  const double across = std::abs(x), up = std::abs(y);
+  const double t = std::min(across, up) / std::max(across, up), t2 = t * t;
+  const double odd =
+      -0.33262347 + t2 * (0.19354346 + t2 * (-0.11643287 + t2 * (0.05265332 + t2 * -0.01172120)));
+  double angle = t * (0.99997726 + t2 * odd);
+  if (up > across) angle = kRight - angle;
+  if (x < 0) angle = 2 * kRight - angle;
+  return (y < 0 ? -angle : angle) * kDegrees;
+}
+
+// What a query sees of a map lies so near: points beyond need not be searched.
+std::vector<float> within(const float* points, std::size_t n, double reach) {
+  std::vector<float> near;
+  for (std::size_t i = 0; i < n; ++i) {
+    const float* p = points + 3 * i;
+    if (range_squared(p) <= reach * reach) near.insert(near.end(), p, p + 3);
+  }
+  return near;
+}
+
+RangeImage image_of(const float* structure, std::size_t n, const float* ground, std::size_t g,
+                    double bin_deg) {
+  RangeImage image(bin_deg);
+  for (std::size_t i = 0; i < n; ++i) image.add(structure + 3 * i);
+  for (std::size_t i = 0; i < g; ++i) image.add(ground + 3 * i);
+  return image;
+}
+
+}  // namespace
+
+RangeImage::RangeImage(double bin_deg)
+    : bin_(bin_deg),
+      columns_(static_cast<int>(std::lround(360.0 / bin_deg))),
+      rows_(static_cast<int>(std::lround(180.0 / bin_deg)) + 1),
+      doubt_(kQuickError / bin_deg),
+      nearest_(static_cast<std::size_t>(columns_) * rows_, kFar) {}
+
+void RangeImage::add(const float* point) {
+  float& pixel = nearest_[at(point)];
+  pixel = std::min(pixel, static_cast<float>(std::sqrt(range_squared(point))));
+}
+
+void RangeImage::add(const float* point, double half_width) {
+  const double range = std::max(std::sqrt(range_squared(point)), kNearest);
+  const int up = static_cast<int>(half_width / range * kDegrees / bin_ + 0.5);
+  const double level = std::max(std::hypot(point[0], point[1]) / range, kSteepest);
+  const int aside = std::min(static_cast<int>(std::ceil(up / level)), columns_ / 2);
+  const std::size_t pixel = at(point);
+  const int column = static_cast<int>(pixel) / rows_, row = static_cast<int>(pixel) % rows_;
+  for (int dc = -aside; dc <= aside; ++dc) {
+    float* of = &nearest_[static_cast<std::size_t>((column + dc + columns_) % columns_) * rows_];
+    for (int r = std::max(row - up, 0); r <= std::min(row + up, rows_ - 1); ++r) {
+      of[r] = std::min(of[r], static_cast<float>(range));
+    }
+  }
+}
+
+RangeImage RangeImage::eroded() const {
+  RangeImage least = *this;
+  for (int c = 0; c < columns_; ++c) {
+    for (int r = 0; r < rows_; ++r) {
+      float value = kFar;
+      for (int dc = -1; dc <= 1; ++dc) {
+        const int column = (c + dc + columns_) % columns_;
+        for (int row = std::max(r - 1, 0); row <= std::min(r + 1, rows_ - 1); ++row) {
+          value = std::min(value, nearest_[static_cast<std::size_t>(column) * rows_ + row]);
+        }
+      }
+      least.nearest_[static_cast<std::size_t>(c) * rows_ + r] = value;
+    }
+  }
+  return least;
+}
+
+bool FreeSpace::holds(const float* point, double range, double margin) const {
+  const std::size_t pixel = image_.at(point);
+  return image_[pixel] < kFar && least_[pixel] > range + std::max(margin, kSlant * range);
+}
+
+std::size_t RangeImage::at(const float* point) const {
+  const double x = point[0], y = point[1], z = point[2];
+  const int column = bin_of(y, x, 180.0) % columns_;
+  const int row = std::min(bin_of(z, std::sqrt(x * x + y * y), 90.0), rows_ - 1);
+  return static_cast<std::size_t>(column) * rows_ + row;
+}
+
+// Only where a direction is too near the edge of a bin, or there is none, the exact angle is found.
+int RangeImage::bin_of(double y, double x, double first_deg) const {
+  if (x != 0 || y != 0) {
+    const double quick = (quick_atan2(y, x) + first_deg) / bin_;
+    const double inside = quick - static_cast<int>(quick);
+    if (inside > doubt_ && inside < 1.0 - doubt_) return static_cast<int>(quick);
+  }
+  return static_cast<int>((std::atan2(y, x) * kDegrees + first_deg) / bin_);
+}
+
+GroundCeiling::GroundCeiling(const float* ground, std::size_t count, double range)
+    : side_(2 * static_cast<int>(std::ceil(range / kGroundCell)) + 3),
+      height_(static_cast<std::size_t>(side_) * side_, -kFar) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const float* p = ground + 3 * i;
+    const int x = cell(p[0]), y = cell(p[1]);
+    for (int cy = std::max(y - 1, 0); cy <= std::min(y + 1, side_ - 1); ++cy) {
+      for (int cx = std::max(x - 1, 0); cx <= std::min(x + 1, side_ - 1); ++cx) {
+        float& h = height_[static_cast<std::size_t>(cy) * side_ + cx];
+        h = std::max(h, p[2]);
+      }
+    }
+  }
+}
+
+float GroundCeiling::operator()(float x, float y) const {
+  const int cx = std::clamp(cell(x), 0, side_ - 1), cy = std::clamp(cell(y), 0, side_ - 1);
+  return height_[static_cast<std::size_t>(cy) * side_ + cx];
+}
+
+int GroundCeiling::cell(float v) const {
+  const double c = std::floor(double(v) / kGroundCell) + side_ / 2;
+  return static_cast<int>(std::clamp(c, -2.0, double(side_) + 1.0));
+}
+
+VisibilityCheck::VisibilityCheck(const float* structure, std::size_t n, const float* ground,
+                                 std::size_t g, double range, double bin_deg, double radius)
+    : VisibilityCheck(within(structure, n, range + kBeyond * radius), structure, n, ground, g,
+                      range, bin_deg, radius) {}
+
+VisibilityCheck::VisibilityCheck(const std::vector<float>& near, const float* structure,
+                                 std::size_t n, const float* ground, std::size_t g, double range,
+                                 double bin_deg, double radius)
+    : range_(range),
+      query_(near.data(), near.size() / 3, radius),
+      free_(image_of(structure, n, ground, g, bin_deg)),
+      floor_(ground, g, range) {}
+
+VisibilityCheck::Counts VisibilityCheck::count(const float* map, std::size_t m, const double* T,
+                                               double radius, double margin) const {
+  const double max_range2 = range_ * range_;
+  const auto limit = static_cast<float>(radius * radius);
+  Counts counts;
+  for (std::size_t i = 0; i < m; ++i) {
+    const float* p = map + 3 * i;
+    float moved[3];
+    for (int a = 0; a < 3; ++a) {
+      moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] +
+                                    T[4 * a + 3]);
+    }
+    const double r2 = range_squared(moved);
+    if (!(r2 < max_range2)) continue;
+    const float below = floor_(moved[0], moved[1]);
+    if (below == -kFar || moved[2] <= below + kAbove) continue;
+    if (query_.is_near({moved[0], moved[1], moved[2]}, limit)) {
+      ++counts.confirmed;
+      continue;
+    }
+    if (free_.holds(moved, std::sqrt(r2), margin)) ++counts.violations;
+  }
+  return counts;
+}
+
+}  // namespace segloc

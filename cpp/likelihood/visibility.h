@@ -1,0 +1,91 @@
+// Visibility of the map from one query scan: which of its points the scan confirms, and which
+// violate the free space that the scan has measured.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "frontend/point_grid.h"
+
+namespace segloc {
+
+// The nearest range in every direction.
+class RangeImage {
+ public:
+  explicit RangeImage(double bin_deg);
+  void add(const float* point);
+  // A point that stands for all within `half_width` metres of it.
+  void add(const float* point, double half_width);
+  // The least of each pixel and the eight about it.
+  RangeImage eroded() const;
+  std::size_t at(const float* point) const;
+  float operator[](std::size_t pixel) const { return nearest_[pixel]; }
+
+ private:
+  int bin_of(double y, double x, double first_deg) const;
+
+  double bin_;
+  int columns_, rows_;
+  double doubt_;  // shares of a bin by which a quick angle may be wrong
+  std::vector<float> nearest_;
+};
+
+// What is free about a sensor, by its range image.
+class FreeSpace {
+ public:
+  explicit FreeSpace(const RangeImage& image) : image_(image), least_(image.eroded()) {}
+  // Whether something is measured in a point's direction, and all that is there and about it lies
+  // more than `margin` metres, and more than a share of the range, behind the point.
+  bool holds(const float* point, double range, double margin) const;
+
+ private:
+  RangeImage image_, least_;
+};
+
+// The highest ground of each cell and of the eight about it.
+class GroundCeiling {
+ public:
+  GroundCeiling(const float* ground, std::size_t count, double range);
+  float operator()(float x, float y) const;  // minus infinity where there is no ground
+
+ private:
+  int cell(float v) const;
+
+  int side_;
+  std::vector<float> height_;
+};
+
+// One query cloud, whose frame has its z axis up and its origin at the sensor.
+class VisibilityCheck {
+ public:
+  struct Counts {
+    std::int64_t confirmed = 0;   // map points with a query point near them
+    std::int64_t violations = 0;  // others that lie in free space
+  };
+
+  // `structure` (n, 3) stands above `ground` (g, 3). Map points are judged up to `range` metres, in
+  // directions `bin_deg` wide; `count` takes any radius up to `radius`.
+  VisibilityCheck(const float* structure, std::size_t n, const float* ground, std::size_t g,
+                  double range, double bin_deg, double radius);
+
+  // `map` (m, 3) are points of the map, and T (4, 4) takes them to the query frame. A map point is
+  // a free-space violation where its pixel of the query's range image is measured, and all that is
+  // measured in that pixel and about it lies more than `margin` metres, and more than a share of
+  // the range, behind the point. Points hardly above the query's ground are not judged.
+  Counts count(const float* map, std::size_t m, const double* T, double radius,
+               double margin) const;
+
+  double radius() const { return query_.radius(); }
+
+ private:
+  VisibilityCheck(const std::vector<float>& near, const float* structure, std::size_t n,
+                  const float* ground, std::size_t g, double range, double bin_deg, double radius);
+
+  double range_;
+  PointGrid query_;  // of what is near enough
+  FreeSpace free_;
+  GroundCeiling floor_;
+};
+
+}  // namespace segloc
