@@ -40,6 +40,8 @@ def written() -> dict[Path, Path]:
     for path in sorted((ROOT / "docs").rglob("*")):
         if path.suffix in (".md", ".png", ".svg", ".webp"):
             found[path] = PAGES / path.relative_to(ROOT / "docs")
+    for path in sorted((ROOT / "reports").rglob("*.md")):
+        found[path] = PAGES / path.relative_to(ROOT)
     return found
 
 

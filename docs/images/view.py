@@ -1,7 +1,7 @@
 """Draw the picture of docs/seeing.md: `segloc view` with a query of the sample.
 
-python docs/images/view.py        # writes view.png beside itself; needs the extra view,
-                                  # segloc-lab and a Chromium
+PYTHONPATH=tests python docs/images/view.py   # writes view.png beside itself; needs the extra view
+                                              # and a Chromium
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PIL import Image
-from segloc_lab.bench.browser import Page, browser
+from samples.browser import Page, browser
 
 from segloc import Config, Localizer, build_map, sample
 from segloc.cli.answers import sentence

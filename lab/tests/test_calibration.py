@@ -5,18 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from segloc_lab.calibration import reliability
 from segloc_lab.calibration.reliability import fit, fit_cautious, joined
 
 from segloc.likelihood import shipped_confidence
 from segloc.likelihood.confidence import CAUTIOUS_FEATURES, FEATURES
 
-RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+ROWS = Path(reliability.__file__).parent
 
 
 def test_weights_are_those_of_the_stored_candidates() -> None:
-    first, alike = (
-        np.load(RESULTS / f"confidence-rows{name}.npz")["rows"] for name in ("", "-alike")
-    )
+    first, alike = (np.load(ROWS / f"confidence-rows{name}.npz")["rows"] for name in ("", "-alike"))
     model = shipped_confidence()
     constant, *weights = fit(first)
     assert abs(constant - model.constant) < 0.25

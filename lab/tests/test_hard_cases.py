@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.journal import keep
 from segloc_lab.protocols import (
     change,
     reliability,
     simulation_queries,
-    storeys_in_view,
     wrong_maps,
 )
 from segloc_lab.protocols.simulation_scenarios import scenarios
 from segloc_lab.recordings import kept
-from segloc_lab.results.store import Result
+from segloc_lab.script import keep
 from segloc_lab.simulation import Conditions, building, simulate_sessions, vlp16
-
-from segloc.datasets import Selection
 
 
 def _set(method: str, right: list[bool], **values: object) -> dict[str, object]:
@@ -48,8 +45,9 @@ def test_one_method_has_an_interval(tmp_path: Path) -> None:
     keep(tmp_path / "a.jsonl", _set("profile", [True] * 19 + [False]))
     columns, (row,) = change.table(change.entries(tmp_path / "a.jsonl"))
     assert columns[-2:] == ("profile", "false") and row[-2:] == ("19 of 20 (76 to 99 %)", 0)
-    change.report(change.entries(tmp_path / "a.jsonl"), tmp_path)
-    assert Result.load(tmp_path / "change.json").rows == (row,)
+    change.report(change.entries(tmp_path / "a.jsonl"), tmp_path / "report")
+    (table,) = json.loads((tmp_path / "report" / "rows.json").read_text())
+    assert table["rows"] == [list(row)]
 
 
 def test_what_is_false_in_the_mirror_image_of_a_place_is_told_apart(tmp_path: Path) -> None:
@@ -61,9 +59,10 @@ def test_what_is_false_in_the_mirror_image_of_a_place_is_told_apart(tmp_path: Pa
     assert rows["offices"][1:] == (30, 1, 30, 1, "50 of 60", 0, "59 of 60", 1)
     assert rows["town"][1:] == (0, 0, 0, 0, "0 of 0", 0, "0 of 0", 0)
     halls = {**offices, "world": "warehouse 2"}  # which may be its own mirror image
-    wrong_maps.report([offices, halls], tmp_path)
-    stored = Result.load(tmp_path / "wrong-maps.json")
-    assert stored.rows[-1][1:5] == (90, 3, 30, 1) and "3 false of 90 elsewhere" in stored.note
+    wrong_maps.report([offices, halls], tmp_path / "report")
+    (table,) = json.loads((tmp_path / "report" / "rows.json").read_text())
+    assert table["rows"][-1][1:5] == [90, 3, 30, 1]
+    assert "3 false of 90 elsewhere" in (tmp_path / "report" / "REPORT.md").read_text()
 
 
 @pytest.mark.parametrize(("right", "cause"), [(True, None), (False, "1 candidate")])
@@ -96,26 +95,3 @@ def test_scans_of_worlds_that_differ_are_kept_apart(tmp_path: Path) -> None:
     folders = {kept(drive, tmp_path).folder for drive in (alike, own)}
     assert len(folders) == 2
     assert kept(alike, tmp_path).folder in folders
-
-
-def test_storeys_differ_in_view_by_what_stands_otherwise(tmp_path: Path) -> None:
-    pytest.importorskip("embreex", reason="simulation needs the extra sim")
-    shares = []
-    for own_rooms in (False, True):
-        world = building(4, size_m=40.0, storeys=2, differ=0.0, own_rooms=own_rooms)
-        (drive,) = simulate_sessions(world, vlp16(450), [Conditions()], length_m=20.0, storey=1)
-        each = [drive.select(Selection(((int(i), int(i)),))) for i in drive.indices[::5]]
-        found = [storeys_in_view.differs(one, tmp_path) for one in each]
-        assert found == [storeys_in_view.differs(one, tmp_path) for one in each]
-        shares.append(float(np.mean(found)))
-    alike, divided = shares
-    assert abs(alike) < 0.02 < 0.05 < divided
-
-
-def test_answers_are_told_apart_by_what_differs_in_view() -> None:
-    low, high = storeys_in_view.BOUNDS
-    found = [(low / 2, "refused"), (low, "wrong floor"), (high, "found"), (0.5, "refused")]
-    rows = storeys_in_view.rows(found)
-    assert [row[1] for row in rows] == [1, 1, 2]
-    assert [row[3:] for row in rows] == [(0, 0, 1), (1, 0, 0), (0, 0, 1)]
-    assert str(rows[2][2]).startswith("1 of 2")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import segloc_lab
-from segloc_lab import script
 
 ROOT = Path(segloc_lab.__file__).parent
 MODULES = sorted(
@@ -55,8 +54,3 @@ def test_a_shell_script_is_sound(path: Path) -> None:
     for config in re.findall(r"\$here/(\S+\.yaml)", text):
         pattern = re.sub(r"\$\{?\w+\}?", "*", config)
         assert list(path.parent.glob(pattern)), config
-
-
-def test_tables_are_markdown() -> None:
-    assert script.head("a", "b") == "| a | b |\n| --- | --- |"
-    assert script.row("x", 1) == "| x | 1 |"

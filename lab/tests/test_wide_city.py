@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.bench import inputs
-from segloc_lab.protocols.wide_city import among_copies, widened
+from segloc_lab.city import among_copies, widened
 
 from segloc import Config, Localizer, Scan, build_map
 from segloc.tiles import TiledMap, cut_tiles

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples import browser
 from samples.walk import POINTS_ASIDE, Site, run, walked_site
 from scipy.spatial import cKDTree
 
@@ -134,14 +135,12 @@ def test_debug_needs_a_folder(site: Site, capsys: pytest.CaptureFixture[str]) ->
 def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A page of a headless browser."""
     pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
-    chromium = pytest.importorskip(
-        "segloc_lab.bench.browser", reason="the browser is driven by segloc-lab"
-    )
+    pytest.importorskip("websockets", reason="the browser is driven through a socket")
     pytest.importorskip("matplotlib.image")
-    if chromium.CHROMIUM is None:
+    if browser.CHROMIUM is None:
         pytest.skip("no Chromium here")
     try:
-        with chromium.browser(tmp_path_factory.mktemp("profile")) as page:
+        with browser.browser(tmp_path_factory.mktemp("profile")) as page:
             yield page
     except RuntimeError as error:
         pytest.skip(f"Chromium does not work here: {error}")

@@ -32,13 +32,11 @@ NOT_RUN = {
     r"cd ": "of the command before it",
     r"python -m segloc_lab": LABORATORY,
     r"(lab/src/)\S+\.sh": LABORATORY,
-    r"M=": LABORATORY,
-    r"python docs/": "writes the pages themselves; tests compare them",
     r"segloc bench": LABORATORY,
     r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in lab/tests",
     r"segloc localize .*--gnss": "needs a bag with fixes; in tests/cli/test_gnss.py",
     r"segloc map (update|merge) (tiles|.* tiles)": "of sessions of the reader's; in tests/tiles",
-    r"segloc .*--store docs/results": LABORATORY,
+    r"segloc .*--report": LABORATORY,
     r"segloc evaluate (all|report)": LABORATORY,
     r"segloc evaluate localization .*--kitti": LABORATORY,
     r"segloc simulate --suite": "six places, a quarter of an hour; of them lab/tests/simulation",
@@ -58,7 +56,6 @@ NOT_RUN = {
 """Commands that are not run, by how they begin, and why."""
 
 PAGES = {
-    "docs/evaluation-pairs.md": "needs a dataset of labelled pairs; tests/loops writes one",
     "docs/training.md": "its commands train for hours; smallest in lab/tests/cli/test_train.py",
     "docs/robot.md": "needs a robot",
     "docs/fleet.md": "needs a cluster",

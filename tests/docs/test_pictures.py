@@ -102,7 +102,6 @@ def test_the_moving_picture_is_a_drive_that_ends_localized() -> None:
 
 def test_the_picture_of_the_viewer_is_of_the_size_that_its_command_draws() -> None:
     """Drawing it takes a browser, whose rendering differs from one to another."""
-    pytest.importorskip("segloc_lab", reason="the browser is driven by it")
     image = pytest.importorskip("PIL.Image")
     with image.open(IMAGES / "view.png") as kept:
         view = loaded("view")

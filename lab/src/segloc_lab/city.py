@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import time
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,13 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, build_map, geometry
+from segloc import Config, SegmentMap, build_map, geometry
 from segloc.batch.run import query_clouds, query_positions
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.loops import Reposed
 from segloc.map.compact import CompactConfig, compacted
 from segloc.system.files import replacing
-from segloc.types import Float64, LocalCloud, Pose
+from segloc.tiles import TiledMap
+from segloc.tiles.cut import written
+from segloc.tiles.index import INDEX
+from segloc.tiles.store import store_of
+from segloc.types import Descriptors, Float64, LocalCloud, Pose
 
 from .simulation import SENSORS, Conditions, SimulatedSequence, simulate_sessions, town
 
@@ -24,6 +30,9 @@ A_ROW = 10
 """Towns side by side."""
 PITCH_M = 30.0
 """Between a town and the next, and one that no multiple of the edge of a tile repeats."""
+APART_M = 1000.0
+SPREAD, SHIFT_M = 0.2, 0.2
+"""Noise of descriptors, as a share of their spread, and of centroids."""
 SPACING_M, EVERY_M, MAX_GAP_M, SQUARE_M = 2.0, 20.0, 10.0, 8.0
 
 
@@ -176,3 +185,40 @@ def opened(path: Path) -> tuple[LocalCloud, Pose]:
         T = file["T_local_sensor"]
         cloud = LocalCloud(file["points"], T, int(file["num_scans"]), voxel_size=voxel)
         return cloud, file["truth"]
+
+
+def widened(tiles: Path, out: Path, times: int) -> int:
+    """Write the tiles again with a thin map of ``times`` as many segments; how many these are.
+
+    The files of the tiles are those that are there, under a second name.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    opened = TiledMap(tiles)
+    for tile in opened.index.tiles:
+        if not (out / tile.file).exists():
+            os.link(tiles / tile.file, out / tile.file)
+    larger = among_copies(opened.coarse(), times)
+    coarse = written(store_of(out), larger, "coarse")
+    index = opened.index.model_copy(update={"coarse": coarse})
+    with replacing(out / INDEX) as stream:
+        stream.write(index.model_dump_json().encode())
+    return len(larger)
+
+
+def among_copies(thin: SegmentMap, times: int) -> SegmentMap:
+    """A map with so many copies of itself beside it, the first one included."""
+    larger, rng = thin.crop((0.0, 0.0), math.inf), np.random.default_rng(times)
+    width_m = float(np.ptp(thin.centroids[:, 0])) + APART_M
+    spread = SPREAD * thin.vectors.std(axis=0)
+    for k in range(1, times):
+        vectors = thin.vectors + rng.normal(0, spread, thin.vectors.shape)
+        centroids = thin.centroids + rng.normal(0, SHIFT_M, thin.centroids.shape)
+        larger.add(
+            Descriptors(vectors.astype(np.float32), thin.quality),
+            centroids + np.array([k * width_m, 0.0, 0.0]),
+            thin.sizes,
+            session=k,
+            stamp=0.0,
+            cloud=np.empty((0, 3)),
+        )
+    return larger

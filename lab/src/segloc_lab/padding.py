@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, SegmentMap, build_map, geometry
+from segloc import SegmentMap, geometry
 from segloc.types import Descriptors
 
 from .evaluation.negative_maps import mirrored
-from .simulation import demo_sessions
 
 FAR_M = 20_000.0
 """From the map to the nearest of the other places."""
@@ -63,14 +61,3 @@ def padded(prior_map: SegmentMap, padding: Sequence[SegmentMap], size: int) -> S
 def padded_with_copies(prior_map: SegmentMap, size: int) -> SegmentMap:
     """The map among mirror images of itself, where nothing of it can be found a second time."""
     return padded(prior_map, [mirrored(prior_map)], size)
-
-
-def town_maps(folder: Path, method: str, count: int, first_seed: int) -> list[SegmentMap]:
-    """Maps of so many simulated towns; kept in a folder."""
-    maps = []
-    for seed in range(first_seed, first_seed + count):
-        path = folder / f"town-{seed}-{method}.segmap"
-        if not path.exists():
-            build_map(demo_sessions(seed)["map"], Config.preset(method)).save(path)
-        maps.append(SegmentMap.load(path))
-    return maps

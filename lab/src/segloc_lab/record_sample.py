@@ -11,7 +11,6 @@ machine may record slightly different files. Takes about a minute; needs the ext
 
 from __future__ import annotations
 
-import argparse
 import zipfile
 from dataclasses import fields
 from functools import partial
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from segloc import sample
 from segloc.types import Float32, Float64
 
+from .script import parser
 from .simulation import (
     Conditions,
     Route,
@@ -121,9 +121,9 @@ def write(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=sample.FOLDER)
-    options = parser.parse_args()
+    command = parser(__doc__)
+    command.add_argument("--out", type=Path, default=sample.FOLDER)
+    options = command.parse_args()
     for name, drive in drives().items():
         path = options.out / f"{name}.npz"
         write(path, stored(drive))

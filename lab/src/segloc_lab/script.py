@@ -1,51 +1,65 @@
-"""What the modules that run as scripts share."""
+"""Command lines of the modules that run as scripts, and the files from which long runs go on."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+from .report import new_folder
 
 
 def parser(doc: str | None) -> argparse.ArgumentParser:
-    """A parser that shows a module's docstring as its help."""
+    """Make a parser that shows a module's docstring as its help."""
     return argparse.ArgumentParser(
         description=(doc or "").strip(), formatter_class=argparse.RawDescriptionHelpFormatter
     )
 
 
-def storing(doc: str | None) -> argparse.ArgumentParser:
-    """The same of a script whose table can be kept where results are."""
+def reporting(doc: str | None) -> argparse.ArgumentParser:
+    """Make a parser with an option for the folder of the report."""
     options = parser(doc)
-    options.add_argument("--store", type=Path, help="a folder of stored results")
+    options.add_argument(
+        "--report", type=new_folder, metavar="FOLDER", help="new folder for a dated report"
+    )
     return options
 
 
 def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
-    """The same of a run that keeps what it has done in a file, and of several can be added up."""
-    options = storing(doc)
+    """Make the parser of a run that goes on from its file, and that adds up files of others."""
+    options = reporting(doc)
     options.add_argument("--out", type=Path, default=Path(out))
-    options.add_argument("--report", type=Path, nargs="+", help="what earlier runs have kept")
+    options.add_argument(
+        "--add", type=Path, nargs="+", metavar="FILE", help="add up files of earlier runs, only"
+    )
     return options
 
 
-def shown(path: Path) -> str:
-    """A path as a command that is kept with a result names it: as it was given, or its name."""
-    return path.name if path.is_absolute() else path.as_posix()
+def entries(path: Path) -> list[dict[str, Any]]:
+    """Read the lines of JSON that a run has kept, in order."""
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def keep(path: Path, entry: Mapping[str, Any]) -> None:
+    """Append a line of JSON to a file, which need not exist."""
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(entry) + "\n")
 
 
 def head(*columns: str) -> str:
-    """The head of a Markdown table."""
+    """Format the head of a Markdown table."""
     return f"{row(*columns)}\n{row(*('---' for _ in columns))}"
 
 
 def row(*cells: object) -> str:
-    """A row of a Markdown table."""
+    """Format a row of a Markdown table."""
     return f"| {' | '.join(map(str, cells))} |"
 
 
 def show(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a Markdown table."""
+    """Print a Markdown table, row by row."""
     print(head(*columns))
     for cells in rows:
         print(row(*cells), flush=True)

@@ -9,24 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.bench import (
-    comparing,
     fps,
     geometric,
-    growth,
     harness,
     inputs,
     network,
     query,
-    stored,
+    rows,
     stream,
     suite,
 )
-from segloc_lab.bench.harness import in_process
 from segloc_lab.padding import padded_with_copies
-from segloc_lab.results.store import Result
 from typer.testing import CliRunner
 
-from segloc import Config, ConfigError, Scan, SeglocError, _native, build_map, geometry
+from segloc import Config, ConfigError, Scan, SeglocError, _native, build_map
 from segloc.cli import app
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS
 
@@ -157,10 +153,8 @@ def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, m
     assert row.ours_ms > 0 and all(ms > 0 for ms in row.rivals.values())
     if name == "network" and harness.optional("torch") is not None:
         assert any("PyTorch" in rival for rival in row.rivals)
-    json.dumps(row.as_json(), allow_nan=False)
-    (kept,) = stored.stored([row], "segloc bench", "a machine")
-    assert kept.name == ("streams" if name in stored.SENSORS else "bench")
-    shown = [cell for cell in kept.rows[0] if isinstance(cell, float)]
+    (table,) = rows.tables([row])
+    shown = [cell for cell in table.rows[0] if isinstance(cell, float)]
     assert any(cell == pytest.approx(row.ours_ms, rel=1e-2) for cell in shown)
 
 
@@ -168,32 +162,13 @@ def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
     other = inputs.PlazaWalk(inputs.Plaza(seed=7), steps=2).scan(0)
     scene = replace(plaza_scene, elsewhere=[Scan(other.points)])
     row = query.query_row("profile 3000", scene, 1, 1, segments=3000, rivals=False)
-    kept = stored.stored_queries([("profile", row)], "bench.kitti_query", "a machine")
+    kept = rows.query_table([("profile", row)])
     assert kept.rows[0][:3] == ("profile", 3000, 1) and kept.rows[0][-2] == "2 of 2"
     assert kept.rows[0][-3] == round(row.ours_ms, 1)
     assert row.details["elsewhere, ms"] > 0 and str(kept.rows[0][-1]).endswith("x)")
     with pytest.raises(SeglocError, match="another place"):
         known = replace(plaza_scene, elsewhere=[plaza_scene.queries[0][0]])
         query.query_row("profile 3000", known, 1, 1, segments=3000, rivals=False)
-
-
-def test_maps_grow_and_the_true_pose_is_found() -> None:
-    small, large = (in_process(1, growth.measured, size, 30, (), 1) for size in (2_000, 200_000))
-    assert small.found and large.found
-    assert large.neighbours > small.neighbours and large.map_mb > small.map_mb
-
-
-def test_growth_asks_for_what_it_takes_out_of_maps(plaza_scene, tmp_path: Path) -> None:
-    maps = (tmp_path / "a.segmap", tmp_path / "b.segmap")
-    for path in maps:
-        padded_with_copies(plaza_scene.prior_map, 1500).save(path)
-    found = growth.measured(2_000, 30, maps, 1)
-    assert found.source == "towns" and found.segments == 2_000
-    problem = growth.of_towns(maps, 2_000, 30)
-    assert problem is not None and len(problem.centroids) == 2_000
-    asked = geometry.transform(problem.T_map_local, problem.query_centroids)
-    assert np.linalg.norm(asked[:, None] - problem.centroids, axis=2).min() > 0
-    assert growth.of_towns(maps, 10**6, 30) is None
 
 
 def test_pytorch_runs_in_its_own_forms():
@@ -206,50 +181,15 @@ def test_pytorch_runs_in_its_own_forms():
     assert ops._is_native()
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("verbs")
-def test_what_became_slower_is_said_by_the_clock_and_by_rivals() -> None:
-    def day(ours: float, rival: float) -> list[harness.Row]:
-        return [harness.Row("knn", 1, ours, {"faiss": rival}), harness.Row("pose", 1, ours)]
-
-    for now, slower in (
-        (day(2.0, 4.0), [False, False]),  # as before
-        (day(4.0, 8.0), [False, True]),  # a slower machine, and nothing that tells
-        (day(4.0, 4.0), [True, True]),
-        (day(2.0, 1.0), [False, False]),  # faster rivals
-    ):
-        assert [c.is_slower for c in comparing.compared(day(2.0, 4.0), now)] == slower
-    assert comparing.compared([], day(1.0, 1.0)) == []
-
-
-@pytest.mark.parametrize("text", ["", "{}", '[{"name": "knn"}]', "\x00"])
-def test_other_files_are_not_compared(tmp_path: Path, text: str) -> None:
-    file = tmp_path / "old.json"
-    file.write_text(text)
-    with pytest.raises(SeglocError, match="--json writes"):
-        comparing.read_json(file)
-
-
-def test_the_command_line_writes_every_figure(tmp_path: Path, monkeypatch):
+def test_the_command_line_writes_a_report(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(geometric, "DATABASE", 2000)
-    file = tmp_path / "bench.json"
-    options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1", "--json", str(file)]
-    options += ["--store", str(tmp_path / "results")]
+    options = ["--only", "clustering,knn", "--threads", "1", "--repeats", "1"]
+    options += ["--report", str(tmp_path / "speed")]
     result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)
-    assert result.exit_code == 0
-    rows = json.loads(file.read_text())
-    assert [row["name"] for row in rows] == ["clustering", "knn"]
-    for row in rows:
-        assert row["threads"] == 1
-        assert row["ours_ms"] > 0
-        assert any("SciPy" in name for name in row["rivals"])
-    assert rows[0]["bound_ms"] is None
-    assert rows[1]["bound_ms"] > 0
-    assert "SciPy" in result.stdout
-    kept = Result.load(tmp_path / "results" / "bench.json")
-    assert kept.command == "segloc bench --only clustering,knn --threads 1 --repeats 1"
-    assert [cells[0] for cells in kept.rows] == ["`clustering`", "`knn`"]
-    assert "SciPy" in str(kept.rows[0][3])
-    options = ["--only", "knn", "--threads", "1", "--repeats", "1", "--compare", str(file)]
-    result = CliRunner().invoke(app, ["bench", *options], catch_exceptions=False)
-    assert result.exit_code == 0 and "slower" in result.stdout and "against rivals" in result.stdout
+    assert result.exit_code == 0 and "SciPy" in result.stdout
+    (table,) = json.loads((tmp_path / "speed" / "rows.json").read_text())
+    assert [cells[0] for cells in table["rows"]] == ["`clustering`", "`knn`"]
+    assert all(cells[2] > 0 and "SciPy" in cells[3] for cells in table["rows"])
+    with pytest.raises(ConfigError, match="never rewritten"):
+        CliRunner().invoke(app, ["bench", *options], standalone_mode=False, catch_exceptions=False)

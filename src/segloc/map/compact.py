@@ -25,7 +25,7 @@ POSITION_EXPONENT, ROTATION_EXPONENT = -7, -12
 
 
 class CompactConfig(Section):
-    """What is kept of a map's numbers. What it loses is measured in docs/results.md."""
+    """What is kept of a map's numbers."""
 
     enabled: bool = Field(True, description="off: every number as it was measured")
     bits: int = Field(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -62,10 +62,6 @@ class Row:
     bound: str = ""
     details: dict[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """In values that JSON can hold."""
-        return {**asdict(self), "skipped": list(self.skipped)}
 
 
 def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:

@@ -22,13 +22,12 @@ from segloc.system.machine import processor
 from segloc.types import LocalCloud, stamp_at
 
 from .. import kitti00
-from ..script import storing
+from ..report import publish
+from ..script import reporting
 from .harness import Row, in_process
 from .query import Scene, query_row
-from .rows import show
-from .stored import stored_queries
+from .rows import query_table, show
 
-COMMAND = "python -m segloc_lab.bench.kitti_query DATA"
 NEAR_M, FAR_M = 3.0, 60.0
 """Within map coverage, and farther off than a query sees."""
 THIN_M = 0.2
@@ -80,7 +79,7 @@ def measure(path: str, segments: int, threads: int, repeats: int) -> Row:
 
 
 def main() -> None:
-    parsed = storing(__doc__)
+    parsed = reporting(__doc__)
     parsed.add_argument("folder", type=Path)
     parsed.add_argument("--methods", default="profile,geo,dsm")
     parsed.add_argument("--segments", default="0,50000,1000000")
@@ -102,9 +101,7 @@ def main() -> None:
                     measured = in_process(threads, measure, *arguments)
                     show([measured])
                     found.append((method, measured))
-    if options.store is not None:
-        command = f"{COMMAND} --methods {options.methods}"
-        stored_queries(found, command, processor()).save(options.store)
+    publish(options.report, "A query of KITTI 00 by its stages", query_table(found))
 
 
 if __name__ == "__main__":

@@ -7,10 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from segloc.cli.console import note, say, table
+from segloc.cli.console import note, say
 from segloc.errors import ConfigError, DatasetError
 
 from . import evaluate as own
+
+Report = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
+]
 
 
 def kitti_paper(
@@ -32,33 +36,24 @@ def kitti_paper(
     stored: Annotated[
         bool, typer.Option("--stored", help="Measure nothing: tables of what the folder has.")
     ] = False,
-    store: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Also keep the tables there, as JSON.")
-    ] = None,
+    report: Report = None,
 ) -> None:
     """The paper's own protocol on KITTI 00, with and without our verification. (Table II)
 
     Everything before the last 1300 m is mapped, and a cloud every 9.7 m of the rest is localized.
     K is chosen for each method at other places, and so is the number of inliers that is believed.
     """
-    from ..studies.kitti_paper.answers import DRAWS
+    from ..report import publish, require_new
     from ..studies.kitti_paper.protocol import stored as read
-    from ..studies.kitti_paper.tables import counts, differences, draws_of
+    from ..studies.kitti_paper.tables import counts, differences
 
+    require_new(report)
     folder = out / "kitti-paper"
     answers = read(folder) if stored else _measured(kitti, folder, methods, verify, workers, draws)
-    command = f"segloc evaluate kitti-paper --kitti DATA --methods {','.join(answers)}"
-    command += "" if all(each["verified"] for each in answers.values()) else " --no-verify"
-    if (most := draws_of(answers)) != DRAWS:
-        command += f" --draws {most}"
-    results = [counts(answers, command)]
+    tables = [counts(answers)]
     if "dsm" in answers:
-        results.append(differences(answers, command))
-    for result in results:
-        rows = [tuple("-" if cell is None else str(cell) for cell in row) for row in result.rows]
-        table(result.note, result.columns, rows)
-        if store is not None:
-            say(f"stored in {result.save(store)}")
+        tables.append(differences(answers))
+    publish(report, "The paper's protocol on KITTI 00", *tables)
 
 
 def _measured(

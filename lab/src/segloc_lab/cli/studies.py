@@ -14,7 +14,7 @@ from segloc.cli.console import note, progress, say
 from segloc.errors import ConfigError, MissingDependency
 
 from . import evaluate as own
-from .kitti_paper import kitti_paper
+from .kitti_paper import Report, kitti_paper
 
 if TYPE_CHECKING:
     from ..evaluation.report.study import Study
@@ -34,10 +34,6 @@ Suite = Annotated[str, typer.Option(metavar="NAME", help="The simulated test set
 Scale = Annotated[str, typer.Option(help="small, full or paper.")]
 Kitti = Annotated[
     Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
-]
-Store = Annotated[
-    Path | None,
-    typer.Option(metavar="FOLDER", help="Keep the tables there, with fingerprints of the code."),
 ]
 Sets = Annotated[
     str | None,
@@ -66,11 +62,11 @@ def _add(group: typer.Typer, name: str) -> None:
         threads: own.Threads = 1,
         workers: own.Workers = 2,
         cluster: own.Cluster = None,
-        store: Store = None,
+        report: Report = None,
     ) -> None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
         with _workspace(*given, cluster) as workspace:
-            _run(name, workspace, store)
+            _run(name, workspace, report)
 
     command.__doc__ = _EXPLAINED[name]
     group.command(name)(command)
@@ -100,7 +96,7 @@ def localization(
     select: own.QuerySelect = None,
     topic: own.Topic = None,
     every: own.Every = 10.0,
-    store: Store = None,
+    report: Report = None,
 ) -> None:
     """How many queries does each method localize, and how many of them falsely? (Table II)
 
@@ -110,7 +106,7 @@ def localization(
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
         with _workspace(*given, cluster) as workspace:
             only = None if sets is None else own.chosen(sets, "--sets")
-            _run("localization", replace(workspace, only=only), store)
+            _run("localization", replace(workspace, only=only), report)
         return
     if query is None:
         raise ConfigError("give two recordings, one to map and one to localize in it")
@@ -142,34 +138,41 @@ def _workspace(
         yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
 
 
-def _run(study: str, workspace: Workspace, store: Path | None) -> None:
+def _run(study: str, workspace: Workspace, report: Path | None) -> None:
+    from ..report import require_new
     from ..studies.paper import studies
 
+    require_new(report)
     if study == "all":
-        _run_all(workspace, store)
+        found = list(_run_all(workspace))
     else:
-        own.show(_stored(study, workspace, store))
+        found = [studies.run(study, workspace)]
+        own.show(found[0])
+    if report is not None:
+        _publish(report, found)
     own.write_report(workspace.out, requested=False, order=studies.STUDIES)
 
 
-def _run_all(workspace: Workspace, store: Path | None) -> None:
+def _run_all(workspace: Workspace) -> Iterator[Study]:
     """Run every study; one whose packages are missing is left out with a remark."""
     from ..studies.paper import studies
 
     for name in studies.STUDIES:
         say(f"segloc evaluate {name}")
         try:
-            _stored(name, workspace, store)
+            yield studies.run(name, workspace)
         except MissingDependency as error:
             note(f"{name} is left out: {error}")
 
 
-def _stored(name: str, workspace: Workspace, store: Path | None) -> Study:
-    from ..results.studies import kept
-    from ..studies.paper import studies
+def _publish(folder: Path, found: list[Study]) -> None:
+    """Write the tables that were measured; published figures are left out."""
+    from ..report import Table, write
 
-    study = studies.run(name, workspace)
-    if store is not None:
-        for result in kept(study, store):
-            say(f"stored in {result.save(store)}")
-    return study
+    tables = [
+        Table(each.columns, each.rows, each.note, each.title)
+        for study in found
+        for each in study.tables
+        if each.source == "segloc"
+    ]
+    say(f"stored in {write(folder, ', '.join(study.title for study in found), tables)}")

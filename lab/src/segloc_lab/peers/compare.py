@@ -18,15 +18,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from segloc.map.config import DEFAULT_METHOD
-
-from ..results.store import Cell, Result
-from ..script import storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 from .exchange import Answers, Clouds
-
-COMMAND = "python -m segloc_lab.peers.compare OUT/*/ --store docs/results"
-METHODS = (DEFAULT_METHOD,)
-"""That segloc answers by."""
 
 LABELS = {
     "segloc-profile": "segloc",
@@ -186,7 +180,7 @@ def curve(parts: Sequence[Part], systems: list[str], file: Path) -> None:
 
 
 def main() -> None:
-    parsed = storing(__doc__)
+    parsed = reporting(__doc__)
     parsed.add_argument("folders", nargs="+", type=Path)
     parsed.add_argument("--curve", type=Path, help="draw the simulated offsets of all folders")
     parsed.add_argument("--drawn", nargs="*", default=[], help="the systems in the curve")
@@ -194,10 +188,8 @@ def main() -> None:
     parts = {folder.name: scored(folder) for folder in options.folders}
     tables = {name: table(part) for name, part in parts.items()}
     tables["together"] = (TOGETHER, summary(list(parts.values())))
-    for name, (columns, rows) in tables.items():
-        Result.measured(f"peers-{name}", COMMAND, columns, rows, methods=METHODS).tell(
-            options.store
-        )
+    found = (Table(columns, rows, title=name) for name, (columns, rows) in tables.items())
+    publish(options.report, "Other systems on the same clouds", *found)
     if options.curve:
         curve(list(parts.values()), options.drawn, options.curve)
 

@@ -46,7 +46,6 @@ OFFSETS_M = (0.0, 5.0, 10.0, 15.0)
 PATH_M, WORLD_M = 240.0, {"town": 260.0, "park": 240.0}
 CHANGED = Conditions(foliage=0.2, replaced=0.2, scaffolding=0.1)
 
-
 # --- maps and clouds ------------------------------------------------------------------------------
 
 
@@ -106,7 +105,7 @@ def add_accumulated(
 
 
 def kitti(data: Path, out: Path, protocol: str, every: int) -> None:
-    """One of the three protocols of KITTI 00 (see docs/results.md)."""
+    """One of the three protocols of KITTI 00 (see ``protocols/kitti00.sh``)."""
     prior_map = kitti00.mapped(data, protocol)
     queries = kitti00.query_set(data, protocol, every)
     path, truths, found = kitti00.poses_of(prior_map), queries.truths, Gathering()

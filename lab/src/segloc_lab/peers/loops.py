@@ -1,6 +1,6 @@
 """Loops of three kinds on one odometry: ours, those of map-closures, and KISS-SLAM as it is.
 
-    python -m segloc_lab.peers.loops DATA OUT [--store docs/results]
+    python -m segloc_lab.peers.loops DATA OUT
 
 OUT is where ``kiss_slam_run`` has left the odometry of KISS-ICP, the closures of map-closures
 between local maps of 100 m, and the poses of KISS-SLAM. ``LoopDetector`` is given the same scans at
@@ -26,8 +26,8 @@ from segloc.motion import odometry_covariance
 from segloc.types import Float64
 
 from ..kitti00 import keyframes, poses_of
-from ..results.store import Cell, Result
-from ..script import storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 
 FALSE_M = 5.0
 LOOP_M, LOOP_DEG = 0.5, 0.5
@@ -95,7 +95,7 @@ def false_loops(loops: Edges, truths: Float64) -> int:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--select", default="62:1820")
@@ -112,13 +112,15 @@ def main() -> None:
         _row("LoopDetector", ours, odometry, truths, seconds),
         _row("map-closures", theirs, odometry, truths, None),
         (
-            *("KISS-SLAM", sum(believed), None, round(ate(kept["poses"], truths), 2)),
+            "KISS-SLAM",
+            sum(believed),
+            None,
+            round(ate(kept["poses"], truths), 2),
             f"{float(kept['seconds']):.0f}, odometry included",
         ),
     ]
-    command = "python -m segloc_lab.peers.loops DATA OUT"
     note = f"{len(drive)} keyframes, {geometry.travelled(truths)[-1]:.0f} m."
-    Result.measured("loops", command, COLUMNS, rows, note=note).tell(args.store)
+    publish(args.report, "Loop closures on KITTI 00", Table(COLUMNS, rows, note))
 
 
 def _row(

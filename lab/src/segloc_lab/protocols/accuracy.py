@@ -6,7 +6,7 @@ finer resolution (0.3 m) than verification does (0.8 m), from all points within 
 that move farther than 2.5 m, or from another start (0.3 m aside) end elsewhere, are left out and
 counted.
 
-    python -m segloc_lab.protocols.accuracy DATA OUT --store docs/results
+    python -m segloc_lab.protocols.accuracy DATA OUT
 
 OUT is a folder that ``kitti00.sh`` has filled.
 """
@@ -24,9 +24,8 @@ from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..kitti00 import PROTOCOLS, query_set
-from ..results.stamp import stamped
-from ..results.store import Origin, Result
-from ..script import head, row, storing
+from ..report import Table, publish
+from ..script import reporting
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
 FARTHEST_M, AGREE_M = 2.5, 0.05
@@ -102,38 +101,20 @@ def cells(data: Path, out: Path, protocol: str, config: Config, step: int) -> Ro
     return protocol, len(off), metres, degrees, without, lost
 
 
-def result(rows: list[Row], out: Path, method: str, step: int) -> Result:
-    """The table as it is stored, if the maps are of this code, too.
-
-    Raises
-    ------
-    DatasetError
-        If they are of other code, or nothing says of which.
-    """
-    runs = [f"{name}-{method}" for name, *_ in rows]
-    origins = {run: stamped(out / run) for run in runs}
-    origin = Origin.of_all({**origins, "now": Origin.now((method,))})
-    command = "python -m segloc_lab.protocols.accuracy DATA OUT --store docs/results"
-    note = f"`{method}`; queries within map coverage" + (f", every {step}." if step > 1 else ".")
-    return Result.of(origin, "kitti00-accuracy", command, COLUMNS, rows, note=note)
-
-
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--step", type=int, default=1, help="one of so many queries")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    print(head(*COLUMNS))
     rows = []
     for name in PROTOCOLS:
         if (args.out / f"{name}-{args.method}").is_dir():
             rows.append(cells(args.data, args.out, name, config, args.step))
-            print(row(*rows[-1]), flush=True)
-    if args.store:
-        print(result(rows, args.out, args.method, args.step).save(args.store))
+    note = f"`{args.method}`; queries within map coverage, every {args.step}."
+    publish(args.report, "Accuracy on KITTI 00", Table(COLUMNS, rows, note))
 
 
 if __name__ == "__main__":

@@ -27,9 +27,8 @@ from segloc.frontend.local_cloud import Accumulator, window
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.types import Float32, Float64, Int64, Pose
 
-from ..results.fingerprints import LOCALIZING
-from ..results.store import Result
-from ..script import storing
+from ..report import Table, publish
+from ..script import reporting
 from ..simulation import OdometryNoise
 from ..training.session_registration import Registration
 
@@ -39,7 +38,6 @@ PLACE_M = 5.0
 FALSE_M, FALSE_DEG = 3.0, 5.0
 EVERY = 3  # of the scans with a place in the other session
 CLOUD_M = 16.0
-COMMAND = "python -m segloc_lab.protocols.align_kitti00 DATA --store docs/results"
 COLUMNS = (
     "sessions",
     "pairs of poses",
@@ -131,10 +129,8 @@ def timed(label: str) -> Iterator[Callable[[int, int], None]]:
     print(f"{label}: {time.perf_counter() - began:.0f} s", flush=True)
 
 
-def tell(
-    name: str, command: str, found: Alignment, false: int, off: Errors, store: Path | None
-) -> None:
-    """How far poses of two sessions are off, as a table; of the loops and the time, as its note."""
+def tell(title: str, found: Alignment, false: int, off: Errors, folder: Path | None) -> None:
+    """Publish how far poses of two sessions are off, with a note on loops and time."""
     named = {f"{a} and {b}": each for (a, b), each in off.items() if len(each)}
     named["all"] = np.concatenate([np.zeros((0, 2)), *named.values()])
     accepted = sum(loop.accepted for loop in found.loops)
@@ -145,10 +141,7 @@ def tell(
         "a core, simulation or reading included."
     )
     rows = [(label, *_figures(each)) for label, each in named.items()]
-    stages = (*LOCALIZING, "alignment", "simulation")
-    Result.measured(
-        name, command, COLUMNS, rows, stages=stages, methods=("profile",), note=note
-    ).tell(store)
+    publish(folder, title, Table(COLUMNS, rows, note))
 
 
 def _figures(off: Float64) -> tuple[int | float | None, ...]:
@@ -160,7 +153,7 @@ def _figures(off: Float64) -> tuple[int | float | None, ...]:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--threads", type=int, default=1)
@@ -174,7 +167,7 @@ def main() -> None:
     sessions = [drifted(recording, rng) for recording in truth]
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
     false, off = false_loops(truth, found), errors(truth, found)
-    tell("align-kitti00", COMMAND, found, false, off, args.store)
+    tell("Three sessions of KITTI 00 aligned", found, false, off, args.report)
 
 
 if __name__ == "__main__":

@@ -12,19 +12,15 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from argparse import ArgumentParser, Namespace
-
 import numpy as np
 
 from segloc import Config, geometry
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.types import Float64
 
-from ..script import storing
+from ..script import reporting
 from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
 from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, Errors, tell, timed
-
-COMMAND = "python -m segloc_lab.protocols.align_simulation"
 
 
 def errors(truths: list[Float64], found: Alignment) -> Errors:
@@ -61,7 +57,7 @@ def false_loops(truths: list[Float64], found: Alignment) -> int:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("--scene", choices=SCENES, default="town")
     options.add_argument("--sensor", choices=SENSORS, default="hdl64e")
     options.add_argument("--thin", type=int, default=4, help="every n-th firing of the sensor")
@@ -87,18 +83,8 @@ def main() -> None:
         sessions.append(Reposed(drive, frame @ DRIFT.odometry(drive.truth, rng)))
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
     truths = [drive.truth for drive in drives]
-    name = "align-simulation" if args.scene == "town" else f"align-{args.scene}"
-    command = f"{COMMAND}{_changed(options, args)} --store docs/results"
-    tell(name, command, found, false_loops(truths, found), errors(truths, found), args.store)
-
-
-def _changed(options: ArgumentParser, args: Namespace) -> str:
-    """The options that are not as they come."""
-    names = ("scene", "sensor", "thin", "sessions", "length", "seed")
-    given = ((name, getattr(args, name)) for name in names)
-    return "".join(
-        f" --{name} {value}" for name, value in given if value != options.get_default(name)
-    )
+    title = f"{args.sessions} simulated sessions aligned: {args.scene}"
+    tell(title, found, false_loops(truths, found), errors(truths, found), args.report)
 
 
 if __name__ == "__main__":

@@ -31,14 +31,13 @@ from segloc.batch.score import Evaluation, Tolerance
 from segloc.descriptors import Descriptor, create
 from segloc.errors import ConfigError
 
-from .. import script
 from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
 from ..evaluation.intervals import mcnemar, share
 from ..evaluation.scenario import QuerySet
-from ..journal import entries, keep
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept
-from ..results.store import Cell, Result
+from ..report import Cell, Table, publish
+from ..script import entries, keep, resumed
 from ..simulation import (
     SCENES,
     SENSORS,
@@ -163,19 +162,14 @@ def _counted(found: Mapping[str, Sequence[bool]], methods: Sequence[str]) -> tup
     return (len(first), *counts, p)
 
 
-def report(answers: list[dict[str, Any]], store: Path | None) -> None:
-    """Print the table, and keep it where results are."""
+def report(answers: list[dict[str, Any]], folder: Path | None) -> None:
+    """Publish the table."""
     columns, rows = table(answers)
-    methods = tuple(dict.fromkeys(entry["method"] for entry in answers))
-    command = "python -m segloc_lab.protocols.change --report change.jsonl"
     note = (
         "Found of the queries, all of them within map coverage. p: McNemar's exact test, against "
         "the other method that finds most; no correction for several tests."
     )
-    sets = [{**each, "right": "".join("01"[right] for right in each["right"])} for each in answers]
-    Result.measured(
-        "change", command, columns, rows, methods=methods, note=note, counts={"sets": sets}
-    ).tell(store)
+    publish(folder, "Places that changed", Table(columns, rows, note))
 
 
 def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> SpinningLidar:
@@ -217,7 +211,7 @@ class Places:
 
 def arguments() -> argparse.Namespace:
     """What the command line says."""
-    options = script.resumed(__doc__, "change.jsonl")
+    options = resumed(__doc__, "change.jsonl")
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
     options.add_argument("--seed", type=int, default=9000)
@@ -270,9 +264,9 @@ def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 def main() -> None:
     args = arguments()
-    if not args.report:
+    if not args.add:
         measure(args)
-    report([entry for path in args.report or [args.out] for entry in entries(path)], args.store)
+    report([entry for path in args.add or [args.out] for entry in entries(path)], args.report)
 
 
 if __name__ == "__main__":

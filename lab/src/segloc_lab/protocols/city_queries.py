@@ -30,8 +30,12 @@ from ..stages import processor_clock
 
 WIDE = "ten times as wide"
 WAYS = (
-    *("no prior", "prior", "elsewhere", "elsewhere, prior"),
-    *(f"no prior, {WIDE}", f"elsewhere, {WIDE}"),
+    "no prior",
+    "prior",
+    "elsewhere",
+    "elsewhere, prior",
+    f"no prior, {WIDE}",
+    f"elsewhere, {WIDE}",
 )
 RADIUS_M, METRES, DEGREES = 200.0, 3.0, 5.0
 MEMORY_BYTES = 48_000_000

@@ -25,8 +25,8 @@ from segloc.proposals.proposer import Query
 from segloc.types import Float64
 
 from ..evaluation.intervals import share
-from ..results.store import Cell, Result
-from ..script import storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 from .real import maps, outcome, queries
 
 REPEATS = 5
@@ -128,7 +128,7 @@ def counted(way: str, records: list[dict[str, Any]]) -> Iterator[tuple[Cell, ...
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
@@ -150,12 +150,8 @@ def main() -> None:
             size = len(place), megabytes, round(load_ms(path) / km)
             sizes.append((way, name, round(km, 2), *size))
         rows += counted(way, comparison.answers(places))
-    command = (
-        f"python -m segloc_lab.protocols.compact DATA OUT --ways {' '.join(args.ways)} "
-        f"--step {args.step}"
-    )
-    for kept, columns, cells in (("compact-sizes", SIZES, sizes), ("compact", COLUMNS, rows)):
-        Result.measured(kept, command, columns, cells, methods=(args.method,)).tell(args.store)
+    tables = Table(SIZES, sizes, title="Sizes"), Table(COLUMNS, rows, title="Queries")
+    publish(args.report, "What compact maps save and lose", *tables)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Descriptors apart from the pipeline, side by side: areas, and recall in pools of any size.
 
-    python -m segloc_lab.protocols.descriptor_scores DATASET --name real-pairs \\
-      --methods profile geo dsm --store docs/results
+    python -m segloc_lab.protocols.descriptor_scores DATASET --methods profile geo dsm
 
 Every session of the dataset is searched among all others. With ``--pool`` the table gives recall
 among the 25 nearest where segments of the ``--distractors`` fill the pool up to each of these
@@ -14,9 +13,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..results.fingerprints import DESCRIBING
-from ..results.store import Cell, Result
-from ..script import shown, storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 from ..training.dataset import SegmentDataset
 from ..training.scoring import KS, Report, load_descriptor, score_descriptor
 from ..training.shards import load_dataset
@@ -63,9 +61,8 @@ def scored(
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("dataset", type=Path)
-    options.add_argument("--name", default="descriptor-scores", help="of the stored table")
     options.add_argument("--methods", nargs="+", default=["profile", "geo", "dsm", "esm"])
     options.add_argument("--distractors", type=Path, nargs="*", default=[])
     options.add_argument("--pool", type=int, nargs="*", default=[], help="sizes")
@@ -73,20 +70,9 @@ def main() -> None:
     others = [load_dataset(path) for path in given.distractors]
     reports = scored(given.methods, load_dataset(given.dataset), others, given.pool)
     columns, rows = by_pool(reports) if given.pool else by_rank(reports)
-    what = f"{shown(given.dataset)} --name {given.name} --methods {' '.join(reports)}"
-    if given.pool:
-        what += f" --distractors {' '.join(map(shown, given.distractors))}"
-        what += f" --pool {' '.join(map(str, given.pool))}"
     queries = next(iter(reports.values())).queries
-    Result.measured(
-        given.name,
-        f"python -m segloc_lab.protocols.descriptor_scores {what} --store docs/results",
-        columns,
-        rows,
-        stages=(*DESCRIBING, "training"),
-        methods=tuple(reports),
-        note=f"{queries} queries, each of a session among all others.",
-    ).tell(given.store)
+    note = f"{queries} queries, each of a session among all others."
+    publish(given.report, f"Descriptors on {given.dataset.name}", Table(columns, rows, note))
 
 
 if __name__ == "__main__":

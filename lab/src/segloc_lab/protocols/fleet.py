@@ -1,6 +1,6 @@
 """What a kilometre costs, from recordings to a map in tiles and queries in it.
 
-    python -m segloc_lab.protocols.fleet OUT --workers 2 --store docs/results
+    python -m segloc_lab.protocols.fleet OUT --workers 2
 
 Simulated drives through one town are written to OUT/scans as LAZ, once; the rest is what a fleet
 does: a map is built of them, cut into tiles, a later drive is localized in it and then updates the
@@ -30,9 +30,8 @@ from segloc.system.processes import executing
 from segloc.tiles import TiledMap, cut_tiles, update_tiles
 
 from ..evaluation.scenario import folder_size
-from ..results.fingerprints import LOCALIZING
-from ..results.store import Cell, Result
-from ..script import storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 from ..simulation import SENSORS, Conditions, record, simulate_sessions, town
 
 Value = TypeVar("Value")
@@ -131,7 +130,7 @@ def localized(drive: Sequence, tiles: Path, config: Config) -> tuple[int, int]:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("out", type=Path)
     options.add_argument("--recordings", type=int, default=4)
     options.add_argument("--length", type=float, default=500.0, help="metres of each")
@@ -141,13 +140,8 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=5)
     args = options.parse_args()
     steps = measured(args)
-    names = ("recordings", "length", "thin", "size", "workers")
-    given = " ".join(f"--{name} {getattr(args, name):g}" for name in names)
-    command = f"python -m segloc_lab.protocols.fleet OUT {given} --store docs/results"
-    stages, note = (*LOCALIZING, "tiles", "simulation"), " ".join(steps.remarks)
-    Result.measured("fleet", command, COLUMNS, steps.rows, stages=stages, note=note).tell(
-        args.store
-    )
+    table = Table(COLUMNS, steps.rows, " ".join(steps.remarks))
+    publish(args.report, "What a kilometre costs", table)
 
 
 if __name__ == "__main__":

@@ -29,8 +29,8 @@ from segloc.types import Pose
 from ..evaluation.intervals import share, wilson
 from ..evaluation.negative_maps import mirrored
 from ..recordings import beside, has_room, kept
-from ..results.store import Result
-from ..script import storing
+from ..report import Table, publish
+from ..script import reporting
 from ..simulation import SCENES, Conditions, World
 from .change import SIZES_M, SPINNING, drives, mapped_drive, query_sets, sensor_of
 
@@ -151,7 +151,7 @@ class Forests:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("--seeds", type=int, nargs="+", default=[9100, 9101, 9102])
     options.add_argument("--other", type=int, default=9199, help="seed of the forest elsewhere")
     options.add_argument("--sensor", default="vlp16", choices=SPINNING, help="of the queries")
@@ -187,9 +187,7 @@ def main() -> None:
                         tally.add(answer, truth if place == "own" else None, seconds)
     columns = ("clouds", "map", "by", "found", "near", "false", "ms")
     rows = [(*key, *tally.cells()) for key, tally in tallies.items()]
-    command = "python -m segloc_lab.protocols.forest_scans --clouds "
-    command += f"{' '.join(args.clouds)} --columns {args.columns} --every {args.every}"
-    Result.measured("forest-scans", command, columns, rows, methods=("profile",)).tell(args.store)
+    publish(args.report, "Forests from scans alone", Table(columns, rows))
 
 
 if __name__ == "__main__":

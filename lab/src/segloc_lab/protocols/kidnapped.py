@@ -239,7 +239,11 @@ class World:
             return round(float(path[int(found.argmax())]), 1) if found.any() else None
 
         return Trial(
-            *(self.seed, number, self.kind.scene, self.kind.sensor, way),
+            self.seed,
+            number,
+            self.kind.scene,
+            self.kind.sensor,
+            way,
             bool(right[n - 1]),
             first(~false[n:]),
             first(right[n:]),

@@ -10,7 +10,7 @@ Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of 
 map has the place. Held: metres of the whole trial localized farther off than that.
 
 Each seed is a world of its own, so runs of different seeds can work at once. What was tried is
-kept, a line a trial, and a run goes on where the last one ended. ``--report`` adds up. Needs the
+kept, a line a trial, and a run goes on where the last one ended. ``--add`` adds up. Needs the
 extra ``sim``.
 """
 
@@ -28,16 +28,22 @@ from pathlib import Path
 import numpy as np
 
 from ..evaluation.intervals import share
-from ..journal import entries, keep
-from ..results.fingerprints import FOLLOWING
-from ..results.store import Cell, Result
-from ..script import resumed
+from ..report import Cell, Table, publish
+from ..script import entries, keep, resumed
 from .kidnapped import HELD_M, KINDS, NOTICED_M, RECOVERED_M, WAYS, Trial, World
 
 COLUMNS = (
-    *("world", "sensor", "carried to", "trials", "known before", f"noticed within {NOTICED_M:g} m"),
-    *(f"recovered within {RECOVERED_M:g} m", f"false for more than {HELD_M:g} m"),
-    *("noticed, median / worst (m)", "recovered, median / worst (m)", "held, worst (m)"),
+    "world",
+    "sensor",
+    "carried to",
+    "trials",
+    "known before",
+    f"noticed within {NOTICED_M:g} m",
+    f"recovered within {RECOVERED_M:g} m",
+    f"false for more than {HELD_M:g} m",
+    "noticed, median / worst (m)",
+    "recovered, median / worst (m)",
+    "held, worst (m)",
 )
 
 
@@ -58,11 +64,15 @@ def _row(name: tuple[str, str, str], found: list[Trial]) -> tuple[Cell, ...]:
     recovered = [np.inf if t.recovered is None else t.recovered for t in mapped]
     held = [t.held for t in found]
     return (
-        *(*name, len(found), len(known)),
+        *name,
+        len(found),
+        len(known),
         share(int((np.array(noticed) <= NOTICED_M).sum()), len(known)),
         share(int((np.array(recovered) <= RECOVERED_M).sum()), len(mapped)),
         int((np.array(held) > HELD_M).sum()),
-        *(_spread(noticed), _spread(recovered), max(held, default=0.0)),
+        _spread(noticed),
+        _spread(recovered),
+        max(held, default=0.0),
     )
 
 
@@ -73,15 +83,10 @@ def _spread(values: list[float]) -> str:
     return f"{np.median(values):.0f} / {worst}"
 
 
-def report(found: list[Trial], store: Path | None) -> None:
-    """Print the table, and keep it where results are."""
-    rows = table(found)
-    command = "python -m segloc_lab.protocols.kidnapping --report kidnapping.jsonl"
-    kept = {"trials": [asdict(t) for t in found]}
+def report(found: list[Trial], folder: Path | None) -> None:
+    """Publish the table."""
     note = "Recovered: of those known before and put where the map has the place."
-    Result.measured(
-        "kidnapping", command, COLUMNS, rows, stages=FOLLOWING, note=note, counts=kept
-    ).tell(store)
+    publish(folder, "Robots that are carried away", Table(COLUMNS, table(found), note))
 
 
 def read(paths: Iterable[Path]) -> list[Trial]:
@@ -99,8 +104,8 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--done", type=Path, nargs="+", default=[], help="what others have tried")
     args = options.parse_args()
-    if args.report:
-        report(read(args.report), args.store)
+    if args.add:
+        report(read(args.add), args.report)
         return
     begun = time.monotonic()
     done = {(t.seed, t.number) for t in read([args.out, *args.done])}
@@ -112,7 +117,7 @@ def main() -> None:
             world = world or World(KINDS[seed % len(KINDS)], seed)
             if len(world.known):  # a drive need not meet the map
                 keep(args.out, asdict(world.trial(number)))
-    report(read([args.out]), args.store)
+    report(read([args.out]), args.report)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@
 set -euo pipefail
 data=$1 out=$2
 shift 2
-segloc=${SEGLOC:-segloc} python=${PYTHON:-python}
+segloc=${SEGLOC:-segloc}
 mkdir -p "$out"
 
 build() {  # MAP METHOD ARGUMENTS...
@@ -19,9 +19,8 @@ build() {  # MAP METHOD ARGUMENTS...
 localize() {  # RUN METHOD MAP ARGUMENTS...
   local run="$out/$1-$2" map="$out/$3-$2.segmap" method=$2
   shift 3
-  [ -e "$run/produced.json" ] && return
+  [ -e "$run/summary.json" ] && return
   $segloc localize "$@" --map "$map" --threads 1 --out "$run"
-  $python -m segloc_lab.results.stamp "$run" "$method"
 }
 
 for method in "$@"; do

@@ -7,11 +7,11 @@ frame, and is driven once for the map: every eighth firing of an HDL-64E, a scan
 n-th is driven once more, with other parked cars, in another lane and partly the other way, and is
 queried there; towns that the map does not hold are queried, too, and whatever is found of these is
 false. A query is the cloud of the last 40 m, by noisy odometry. For time and memory queries are
-also asked in a thin map ten times as large, of copies of this one (``wide_city``).
+also asked in a thin map ten times as large, of copies of this one, each moved by noise.
 
 Whatever is finished is kept in WORK, so a run goes on where the last one ended, and ends before the
 limit by itself. Queries are asked by a fresh process that does nothing else: its processor time and
-its largest resident memory are measured. ``OUT --limit 0 --store docs/results`` only reports what
+its largest resident memory are measured. ``OUT --limit 0 --report FOLDER`` only reports what
 another machine measured. Needs the extra ``sim``.
 """
 
@@ -40,20 +40,20 @@ from segloc.system.files import replacing
 from segloc.system.processes import all_of, executing, single_threaded_pool
 from segloc.tiles import cut_tiles
 
-from ..city import Piece, done
-from ..results.fingerprints import LOCALIZING
-from ..results.store import Result
-from ..script import storing
+from ..city import Piece, done, widened
+from ..evaluation.intervals import share
+from ..report import Table, publish
+from ..script import reporting
 from . import city_queries
-from .city_queries import WAYS
-from .city_report import concise, lines
-from .wide_city import widened
+from .city_queries import WAYS, WIDE
 
-NAME = "large-city"
 ELSEWHERE = 10_000
 """Added to the seeds of towns that are not in the map."""
 PIECE_S = 110.0
 """A piece is not begun where less than this is left, and a twentieth of a whole limit."""
+
+
+Line = tuple[str, str]
 
 
 class City:
@@ -180,6 +180,85 @@ class City:
         return lines(known, records, self.options.workers)
 
 
+def lines(known: dict[str, Any], records: list[dict[str, Any]], workers: int) -> list[Line]:
+    """All of them: of what is in the city's ``city.json``, and in the records of its towns."""
+    found = _built(records)
+    if cut := known.get("cut"):
+        found += _cut(cut, sum(r["km"] for r in records))
+    found += _scaled(known, workers)
+    if "wide" in known:
+        found.append((f"segments of the thin map {WIDE}, by copies", str(known["wide"])))
+    for way in WAYS:
+        if way in known and known[way]["answers"]:
+            found += _answered(way, known[way])
+    return found
+
+
+def _built(records: list[dict[str, Any]]) -> list[Line]:
+    km, streets = (sum(r[name] for r in records) for name in ("km", "streets_km"))
+    described, segments = (sum(r[name] for r in records) for name in ("described", "segments"))
+    world, mapped = (sum(r[name] for r in records) for name in ("world_s", "map_s"))
+    megabytes = sum(r["bytes"] for r in records) / 1e6
+    seeds = [r["seed"] for r in records]
+    return [
+        ("towns, and their seeds", f"{len(records)}, {min(seeds)} to {max(seeds)}"),
+        ("km driven, of them streets driven for the first time", f"{km:.1f}, {streets:.1f}"),
+        ("segments described, and kept in their maps", f"{described}, {segments}"),
+        ("MB a km", f"{megabytes / km:.2f}"),
+        ("processor s a km: making the towns", f"{world / km:.1f}"),
+        ("processor s a km: scans cast, and mapped", f"{mapped / km:.1f}"),
+        ("km mapped an hour and core, scans cast included", f"{3600 * km / mapped:.0f}"),
+        ("km an hour and core, making the towns included", f"{3600 * km / (world + mapped):.0f}"),
+    ]
+
+
+def _cut(cut: dict[str, Any], km: float) -> list[Line]:
+    wall_s, cpu_s = cut["all_s"]
+    tiles_mb, thin_mb = (size / 1e6 for size in cut["bytes"])
+    return [
+        ("tiles", f"{cut['tiles']} of {tiles_mb:.1f} MB together"),
+        ("segments in them, each once, and in the thin map", f"{cut['segments']}, {cut['thin']}"),
+        ("MB of the thin map", f"{thin_mb:.1f}"),
+        ("processor s a km, s in all: joined and cut", f"{cpu_s / km:.1f}, {wall_s:.0f}"),
+    ]
+
+
+def _scaled(known: dict[str, Any], most: int) -> list[Line]:
+    """How much of one worker's pace each of several has, where each does the same."""
+    if "workers 1" not in known:
+        return []
+    alone = known["workers 1"]["wall_s"]
+    several = (n for n in sorted({2, most} - {1}) if f"workers {n}" in known)
+    found = {n: known[f"workers {n}"]["wall_s"] for n in several}
+    return [
+        (f"efficiency of {n} workers", f"{100 * alone / wall:.0f} %") for n, wall in found.items()
+    ]
+
+
+def _answered(way: str, asked: dict[str, Any]) -> list[Line]:
+    answers = asked["answers"]
+    outcomes = [answer["outcome"] for answer in answers]
+    total, found, false = len(answers), outcomes.count("found"), outcomes.count("false")
+
+    def spread(values: list[float]) -> str:
+        return f"{np.median(values):.0f} / {np.quantile(values, 0.95):.0f} / {np.mean(values):.0f}"
+
+    columns = ("search_ms", "again_ms", "describe_ms")
+    search, again, described = ([answer[name] for answer in answers] for name in columns)
+    right = [] if way.startswith("elsewhere") else [(f"{way}: found", share(found, total))]
+    return [
+        *right,
+        (f"{way}: false", share(false, total)),
+        (f"{way}: description, processor ms, median / 95 % / mean", spread(described)),
+        (f"{way}: search, tiles opened anew", spread(search)),
+        (f"{way}: search, tiles in memory", spread(again)),
+        (
+            f"{way}: most MB resident, and before the first query",
+            f"{asked['peak_mb']:.0f}, {asked['ready_mb']:.0f}",
+        ),
+    ]
+
+
 def _cpu_s() -> float:
     """Processor time of this process and of those that it waited for."""
     times = os.times()
@@ -187,7 +266,7 @@ def _cpu_s() -> float:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("work", type=Path)
     options.add_argument("--towns", type=int, default=80)
     options.add_argument("--first-seed", type=int, default=20_000)
@@ -213,12 +292,7 @@ def main() -> None:
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
         shutil.copy(city.kept, args.out / "city.json")
-    command = f"python -m segloc_lab.protocols.large_city WORK --towns {args.towns}"
-    command += f" --first-seed {args.first_seed} --elsewhere {args.elsewhere}"
-    stages, kept = (*LOCALIZING, "tiles"), concise(city.known())
-    Result.measured(
-        NAME, command, ("", "measured"), rows, stages=stages, methods=("profile",), counts=kept
-    ).tell(args.store)
+    publish(args.report, "A city of simulated towns", Table(("", "measured"), rows))
 
 
 if __name__ == "__main__":

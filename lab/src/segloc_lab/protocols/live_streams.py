@@ -11,7 +11,7 @@ and the second followed. Localized: of the scans within 3 m of the mapped path. 
 is switched on anew every 20 m of the way. False: metres localized, or degraded with a pose, more
 than 2 m (KITTI, whose truth is good to a metre: 3 m) or 10 degrees off. Times are those of the
 processor, with one thread. ``--minutes`` instead lets a robot go there and back along a street at
-1.5 m/s, and notes its memory every minute. Runs can work at once; ``--report`` adds up. Needs the
+1.5 m/s, and notes its memory every minute. Runs can work at once; ``--add`` adds up. Needs the
 extra ``sim``.
 """
 
@@ -30,19 +30,30 @@ import numpy as np
 
 from segloc.types import Float64
 
-from ..journal import entries, keep
-from ..results.fingerprints import FOLLOWING
-from ..results.store import Cell, Result
-from ..script import resumed
+from ..report import Cell, Table, publish
+from ..script import entries, keep, resumed
 from .followed import RATE_HZ, kitti00_stream, memory, stream_record, town_stream
 
 COLUMNS = (
-    *("stream", "scans", "localized", "starts", "first fix, median / 95 % (m)", "false (m)"),
-    *("degraded and false (m)", "error, median / 95 % (m)", "a scan, median / 99 % (ms)"),
-    *("a query, median / 99 % (ms)", "share of a core at 10 Hz"),
+    "stream",
+    "scans",
+    "localized",
+    "starts",
+    "first fix, median / 95 % (m)",
+    "false (m)",
+    "degraded and false (m)",
+    "error, median / 95 % (m)",
+    "a scan, median / 99 % (ms)",
+    "a query, median / 99 % (ms)",
+    "share of a core at 10 Hz",
 )
 MEMORY_COLUMNS = (
-    *("minutes", "scans", "memory (MB)", "localized", "false (m)", "share of a core at 10 Hz"),
+    "minutes",
+    "scans",
+    "memory (MB)",
+    "localized",
+    "false (m)",
+    "share of a core at 10 Hz",
 )
 MINUTES = (1, 5, 10, 20, 30, 40, 50, 60)
 
@@ -59,10 +70,17 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
         load = (scan.sum() + query.sum()) / 1e3 * RATE_HZ / max(1, len(scan))
         rows.append(
             (
-                *(name, total["scans"], f"{100 * share:.1f} %", len(fixes), _spread(fixes, 95, 0)),
-                *(round(total["false_m"], 1), round(total["degraded_false_m"], 1)),
-                *(_spread(_joined(here, "errors"), 95, 2), _spread(scan, 99, 1)),
-                *(_spread(query, 99, 0), f"{load:.2f}"),
+                name,
+                total["scans"],
+                f"{100 * share:.1f} %",
+                len(fixes),
+                _spread(fixes, 95, 0),
+                round(total["false_m"], 1),
+                round(total["degraded_false_m"], 1),
+                _spread(_joined(here, "errors"), 95, 2),
+                _spread(scan, 99, 1),
+                _spread(query, 99, 0),
+                f"{load:.2f}",
             )
         )
     return rows
@@ -88,39 +106,28 @@ def memory_table(samples: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
     chosen = [s for s in samples if s["minute"] in MINUTES or s is samples[-1]]
     return [
         (
-            *(s["minute"], s["scans"], round(s["mb"], 1)),
-            *(f"{100 * s['localized'] / s['scans']:.1f} %", round(s["false_m"], 1)),
+            s["minute"],
+            s["scans"],
+            round(s["mb"], 1),
+            f"{100 * s['localized'] / s['scans']:.1f} %",
+            round(s["false_m"], 1),
             f"{s['seconds'] * RATE_HZ / s['scans']:.2f}",
         )
         for s in chosen
     ]
 
 
-def report(records: list[dict[str, Any]], store: Path | None) -> None:
-    """Print the tables, and keep them where results are."""
+def report(records: list[dict[str, Any]], folder: Path | None) -> None:
+    """Publish the tables of the streams, and of memory where it was noted."""
     streams = [r for r in records if "stream" in r]
-    samples = [r for r in records if "minute" in r]
-    samples.sort(key=lambda s: float(s["minute"]))
-    command = "python -m segloc_lab.protocols.live_streams"
-    if streams:
-        _told("live-streams", f"{command} --report streams.jsonl", COLUMNS, table(streams), store)
+    samples = sorted((r for r in records if "minute" in r), key=lambda s: float(s["minute"]))
+    tables = [Table(COLUMNS, table(streams), title="Streams")] if streams else []
     if samples:
         last = samples[len(samples) // 2 :]
         slope = np.polyfit([s["scans"] for s in last], [s["mb"] for s in last], 1)[0]
         note = f"In the second half memory grows by {1e3 * slope:.3f} MB a thousand scans."
-        rows = memory_table(samples)
-        _told("live-memory", f"{command} --minutes 60", MEMORY_COLUMNS, rows, store, note)
-
-
-def _told(
-    name: str,
-    command: str,
-    columns: tuple[str, ...],
-    rows: list[tuple[Cell, ...]],
-    store: Path | None,
-    note: str = "",
-) -> None:
-    Result.measured(name, command, columns, rows, stages=FOLLOWING, note=note).tell(store)
+        tables.append(Table(MEMORY_COLUMNS, memory_table(samples), note, "Memory"))
+    publish(folder, "Robots followed on one core", *tables)
 
 
 def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
@@ -138,8 +145,8 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
     args = options.parse_args()
-    if args.report:
-        report(read(args.report), args.store)
+    if args.add:
+        report(read(args.add), args.report)
         return
     ends = time.monotonic() + args.seconds
     earlier = read([args.out]) if args.out.exists() else []
@@ -154,7 +161,7 @@ def main() -> None:
             if (f"town, {args.sensor}", seed) in done or time.monotonic() > ends:
                 continue
             keep(args.out, stream_record(town_stream(args.sensor, seed, args.length, args.scans)))
-    report(read([args.out]), args.store)
+    report(read([args.out]), args.report)
 
 
 if __name__ == "__main__":

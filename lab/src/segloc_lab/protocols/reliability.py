@@ -20,8 +20,8 @@ import numpy as np
 
 from ..calibration.reliability import BINS
 from ..evaluation.intervals import share
-from ..results.store import Cell, Result
-from ..script import storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 
 Judged = list[tuple[float, bool]]
 """The confidence in a pose, and whether it is right."""
@@ -50,7 +50,7 @@ def _brier(pairs: Judged) -> Cell:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("--real", type=Path, required=True)
     options.add_argument("--simulated", type=Path, required=True)
     args = options.parse_args()
@@ -60,12 +60,8 @@ def main() -> None:
         "simulated: right": judged(answer for rows in simulated for answer in rows),
     }
     columns, rows = ("confidence", *sets), table(sets)
-    command = "python -m segloc_lab.protocols.reliability --real FILE --simulated FILE"
     note = "Of all queries that have a pose, believed or not; in brackets 95 % by Wilson."
-    methods = ("profile",)
-    Result.measured("reliability", command, columns, rows, methods=methods, note=note).tell(
-        args.store
-    )
+    publish(args.report, "Reliability of the confidence", Table(columns, rows, note))
 
 
 if __name__ == "__main__":

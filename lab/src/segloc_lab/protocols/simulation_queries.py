@@ -26,8 +26,8 @@ from segloc.types import Candidate, Pose
 
 from ..evaluation.intervals import share
 from ..recordings import kept
-from ..results.store import Cell, Result
-from ..script import row, storing
+from ..report import Cell, Table, publish
+from ..script import reporting, row
 from ..simulation import SimulatedSequence
 from ..stages import processor_clock
 from .simulation_scenarios import Scenario, scenarios, tilt_deg, within_a_second
@@ -151,7 +151,13 @@ def piece(scenario: Scenario, seed: int, work: Path, count: int) -> Iterator[Row
 
 
 COLUMNS = (
-    *("scenario", "expected", "found", "false", "on wrong floors", "ambiguous", "ms"),
+    "scenario",
+    "expected",
+    "found",
+    "false",
+    "on wrong floors",
+    "ambiguous",
+    "ms",
     "what those not found lack",
 )
 
@@ -180,35 +186,18 @@ def table(results: Mapping[str, list[Row]]) -> list[tuple[Cell, ...]]:
     return [cells(*named, rows) for named, rows in lines.items()]
 
 
-def report(results: Mapping[str, list[Row]], store: Path | None) -> None:
-    """Print the table, and keep it where results are."""
-    rows = table(results)
-    command = "python -m segloc_lab.protocols.simulation_queries --work WORK --out queries.json"
+def report(results: Mapping[str, list[Row]], folder: Path | None) -> None:
+    """Publish the table."""
     note = (
         "`profile`; in brackets 95 % by Wilson; where all should be refused, how many were asked. "
         "Right: within 3 m and 5 degrees, and 1.5 m in height. Milliseconds of processor time of "
         "one thread, on a machine with other work."
     )
-    Result.measured(
-        "simulated-places",
-        command,
-        COLUMNS,
-        rows,
-        methods=("profile",),
-        note=note,
-        counts={"answers": {key: [_kept(r) for r in found] for key, found in results.items()}},
-    ).tell(store)
-
-
-def _kept(answer: Row) -> str:
-    """An answer in a line: what became of it, the confidence, and how far off it is."""
-    became = "right" if answer["right"] else answer["reason"] or "false"
-    off = f" {answer['errors'][0]:.2f} m" if "errors" in answer else ""
-    return f"{became} {answer['confidence']:.4f}{off}"
+    publish(folder, "Simulated places", Table(COLUMNS, table(results), note))
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("--work", type=Path, required=True, help="where maps and scans are kept")
     options.add_argument("--out", type=Path, required=True, help="results, JSON")
     options.add_argument("--only", nargs="*", default=[""], help="words in names of scenarios")
@@ -225,7 +214,7 @@ def main() -> None:
                 with replacing(args.out) as stream:
                     stream.write(json.dumps(results, indent=1).encode())
                 print(row(*cells(key, scenario.expected, results[key])), flush=True)
-    report(results, args.store)
+    report(results, args.report)
 
 
 if __name__ == "__main__":

@@ -147,12 +147,6 @@ def _where(drive: SimulatedSequence, i: int) -> str:
     return "junction" if nearest < JUNCTION_M else "stretch" if nearest > BARE_M else "between"
 
 
-def storey_of(world: World, T_world_sensor: np.ndarray) -> int:
-    """The storey of a building that a sensor is on."""
-    floors = np.array((0.0,) if world.interior is None else world.interior.storeys)
-    return int(np.searchsorted(floors, T_world_sensor[2, 3], side="right")) - 1
-
-
 def within_a_second(drive: SimulatedSequence, noisy: bool = True) -> SimulatedSequence:
     """The scans with poses as odometry has them within a second."""
     return drive.with_odometry() if noisy and len(drive) > 1 else drive

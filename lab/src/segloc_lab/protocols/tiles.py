@@ -24,9 +24,8 @@ from segloc.types import Float64, Pose
 
 from .. import kitti00
 from ..evaluation.intervals import share
-from ..results.fingerprints import LOCALIZING
-from ..results.store import Cell, Result
-from ..script import storing
+from ..report import Cell, Table, publish
+from ..script import reporting
 from .real import outcome
 
 RADIUS_M, FAR_M = 50.0, 80.0
@@ -104,7 +103,7 @@ class Places:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
@@ -126,18 +125,13 @@ def main() -> None:
         rows += places.rows(name, list(queries))
     sizes = [sum(tile.bytes for tile in index.tiles), file.stat().st_size, index.coarse.bytes]
     of_tiles, of_one, of_thin = (each / 1e6 for each in sizes)
-    Result.measured(
-        "tiles",
-        f"python -m segloc_lab.protocols.tiles DATA OUT --size {args.size:g} "
-        f"--step {args.step} --store docs/results",
-        ("queries", "way", "found", "false", "ms, median", "mean"),
-        rows,
-        stages=(*LOCALIZING, "tiles"),
-        methods=(args.method,),
-        note=f"`{args.method}`; {len(index.tiles)} tiles of {of_tiles:.1f} MB with their margins, "
+    note = (
+        f"`{args.method}`; {len(index.tiles)} tiles of {of_tiles:.1f} MB with their margins, "
         f"{of_one:.1f} MB in one piece, {of_thin:.1f} MB the thin map. Milliseconds of processor "
-        "time of one thread, on a machine with other work; in brackets 95 % by Wilson.",
-    ).tell(args.store)
+        "time of one thread, on a machine with other work; in brackets 95 % by Wilson."
+    )
+    columns = ("queries", "way", "found", "false", "ms, median", "mean")
+    publish(args.report, "KITTI 00 in tiles", Table(columns, rows, note))
 
 
 if __name__ == "__main__":

@@ -20,9 +20,8 @@ from segloc.tracker import Tracker
 from segloc.types import Float64
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
-from ..results.fingerprints import FOLLOWING
-from ..results.store import Result
-from ..script import storing
+from ..report import Table, publish
+from ..script import reporting
 
 DRIVES = (
     (FIRST_HALF, SECOND_HALF),
@@ -46,7 +45,7 @@ def held(localizer: Localizer, drive: Sequence, step: int) -> Float64:
 
 
 def main() -> None:
-    options = storing(__doc__)
+    options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--every", type=int, default=3, help="scans between queries")
@@ -63,10 +62,7 @@ def main() -> None:
         known, false = np.isfinite(errors).sum(), (errors > FALSE_M).sum()
         rows.append((mapped, driven, len(errors), found, int(known), int(false)))
     columns = ("map", "drive", "queries", "found within map coverage", "held", "of them false")
-    command, methods = "python -m segloc_lab.protocols.tracking DATA", (args.method,)
-    Result.measured("tracking", command, columns, rows, stages=FOLLOWING, methods=methods).tell(
-        args.store
-    )
+    publish(args.report, "The tracker on KITTI 00", Table(columns, rows))
 
 
 if __name__ == "__main__":

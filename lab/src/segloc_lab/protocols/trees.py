@@ -27,9 +27,8 @@ from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkM
 from segloc.types import Float64, Int64
 
 from ..evaluation.intervals import share, wilson
-from ..journal import entries, keep
-from ..results.store import Cell, Result
-from ..script import resumed
+from ..report import Cell, Table, publish
+from ..script import entries, keep, resumed
 from ..stems import mirrored as mirror_image
 
 BEHIND_M = 50.0
@@ -219,15 +218,11 @@ def cells(name: str, run: Mapping[str, Any]) -> tuple[Cell, ...]:
     )
 
 
-def report(runs: list[dict[str, Any]], store: Path | None) -> None:
-    """Print the table, and keep it where results are."""
+def report(runs: list[dict[str, Any]], folder: Path | None) -> None:
+    """Publish the table."""
     rows = [cells(run["stems"], run) for run in runs]
-    command = "python -m segloc_lab.protocols.trees DATA/oxford_forest_trees"
     note = "In brackets 95 % by Wilson. Milliseconds of processor time of one thread."
-    stages, kept = ("stems", "pose"), {"runs": runs}
-    Result.measured(
-        "forest-walk", command, COLUMNS, rows, stages=stages, note=note, counts=kept
-    ).tell(store)
+    publish(folder, "Tree stems in a real forest", Table(COLUMNS, rows, note))
 
 
 def main() -> None:
@@ -246,7 +241,7 @@ def main() -> None:
             missed = outcome.reason and outcome.gap_m <= REVISIT_M and not mirrored
             if outcome.false or missed:
                 print(outcome)
-    report(entries(args.out), args.store)
+    report(entries(args.out), args.report)
 
 
 if __name__ == "__main__":

@@ -32,9 +32,8 @@ from segloc.types import Pose
 from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
 from ..evaluation.intervals import wilson
 from ..evaluation.negative_maps import mirrored
-from ..journal import entries, keep
-from ..results.store import Result
-from ..script import resumed
+from ..report import Table, publish
+from ..script import entries, keep, resumed
 
 RIGHT_M = 2.0
 HOME = {-2: "own", -1: "half"}
@@ -118,8 +117,15 @@ def _judged(T_map_sensor: Pose | None, truth: Pose | None) -> str:
 
 
 COLUMNS = (
-    *("world", "elsewhere", "false", "in its mirror image", "false there"),
-    *("own map: right", "false, own", "half map: right", "false, half"),
+    "world",
+    "elsewhere",
+    "false",
+    "in its mirror image",
+    "false there",
+    "own map: right",
+    "false, own",
+    "half map: right",
+    "false, half",
 )
 
 
@@ -154,8 +160,8 @@ def _mirrored(record: dict[str, Any]) -> tuple[int, int]:
     return sum(record["counts"].values()) // record["maps"], false
 
 
-def report(records: list[dict[str, Any]], store: Path | None) -> None:
-    """The table, and the rate that so many queries bound; kept where results are."""
+def report(records: list[dict[str, Any]], folder: Path | None) -> None:
+    """Publish the table, with the bound of the false rate."""
     rows = table(records)
     elsewhere, false, mirrored, there = map(int, rows[-1][1:5])
     bound = 100 * wilson(false, elsewhere)[1]
@@ -163,11 +169,7 @@ def report(records: list[dict[str, Any]], store: Path | None) -> None:
         f"{false} false of {elsewhere} elsewhere: at most {bound:.3f} %. {there} of {mirrored} in "
         "the mirror image of the very place, which is that place but for left and right."
     )
-    command = "python -m segloc_lab.protocols.wrong_maps --report wrong_maps.jsonl"
-    kept = {"records": records}
-    Result.measured(
-        "wrong-maps", command, COLUMNS, rows, note=note, methods=("profile",), counts=kept
-    ).tell(store)
+    publish(folder, "Queries in maps that do not hold them", Table(COLUMNS, rows, note))
 
 
 def _home(counts: Counter[str], place: str) -> tuple[str, int]:
@@ -189,13 +191,13 @@ def main() -> None:
     options.add_argument("--every", type=float, default=10.0, metavar="METRES")
     options.add_argument("--maps", type=Path, default=Path("wrong_maps"))
     args = options.parse_args()
-    if args.report:
-        report([r for path in args.report for r in entries(path)], args.store)
+    if args.add:
+        report([r for path in args.add for r in entries(path)], args.report)
         return
     counted = WrongMaps(args.maps, args.out, args.every)
     for world in chosen(args.first_seed, args.worlds, args.skip):
         counted.add(world)
-    report(counted.records, args.store)
+    report(counted.records, args.report)
 
 
 if __name__ == "__main__":

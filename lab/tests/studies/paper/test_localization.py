@@ -21,7 +21,6 @@ from segloc_lab.evaluation.report.study import Study, Table
 from segloc_lab.evaluation.scenario import QuerySet
 from segloc_lab.simulation.suites import SUITES
 from segloc_lab.studies.paper import localization
-from segloc_lab.studies.paper.examples import ASIDE_M
 from segloc_lab.studies.paper.scenarios import KittiScenario, SuiteScenario, scenarios
 from segloc_lab.studies.paper.workspace import Workspace
 
@@ -100,15 +99,11 @@ def test_the_tables_count_what_was_answered(study: Study) -> None:
 
 @pytest.mark.slow
 def test_the_map_shows_every_query(study: Study) -> None:
-    figure, other, example = study.figures
+    figure, other = study.figures
     assert (figure.fold, other.fold) == ("", "tiny: by other methods")
     shown = sum(len(figure.series[key][0]) for key in ("localized", "not localized"))
     assert figure.kind == "map" and shown == 8
     assert len(figure.series["map"][0]) > 100
-    assert example.name == "query-tiny" and len(example.series["query"][0]) > 1000
-    lines = np.column_stack(example.series["matches that fit"]).reshape(-1, 3, 2)
-    lengths = np.linalg.norm(lines[:, 0] - (ASIDE_M, 0.0) - lines[:, 1], axis=1)
-    assert len(lines) >= 3 and lengths.max() < 1.0  # those that fit end where they should
 
 
 @pytest.mark.slow

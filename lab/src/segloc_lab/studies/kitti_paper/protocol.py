@@ -18,8 +18,7 @@ from segloc.system.files import write_text
 from segloc.system.processes import executing
 
 from ...evaluation.methods import METHODS, fingerprint
-from ...results.fingerprints import COMPARING, fingerprints
-from ...results.store import commit
+from ...report import code, commit
 from . import places
 from .answers import DRAWS, ESTIMATORS, NEIGHBOURS
 from .counting import chosen
@@ -50,7 +49,7 @@ class Kept:
         """By the code as it is now."""
         produced: Answers = {
             "method": fingerprint(method),
-            "produced_by": fingerprints(COMPARING, (method,)),
+            "code": code(),
             "verified": verify,
         }
         if draws != DRAWS:

@@ -9,7 +9,7 @@ from segloc.errors import DatasetError
 
 from ...evaluation.intervals import mcnemar, share
 from ...evaluation.methods import METHODS
-from ...results.store import Origin, Result
+from ...report import Table
 from ..paper.published import LOCALIZATIONS
 from .answers import DRAWS, ESTIMATORS, VERIFIED, verified_as
 from .counting import outcomes, threshold, within_coverage
@@ -45,12 +45,6 @@ def outcomes_of(answers: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
-def _origin(stored: Stored) -> Origin:
-    return Origin.of_all(
-        {name: Origin(each["commit"], each["produced_by"]) for name, each in stored.items()}
-    )
-
-
 def draws_of(stored: Stored) -> int:
     """Samples of PROSAC at most.
 
@@ -69,12 +63,12 @@ def _ordered(stored: Stored) -> list[str]:
     return [name for name in METHODS if name in stored]
 
 
-def counts(stored: Stored, command: str) -> Result:
+def counts(stored: Stored) -> Table:
     """Right localizations of all queries by every method and variant, and false ones."""
-    rows, letters = [], {}
+    rows = []
     for name in _ordered(stored):
-        letters[name] = outcomes_of(stored[name])
-        cells = [_count(letters[name].get(variant)) for variant in VARIANTS]
+        letters = outcomes_of(stored[name])
+        cells = [_count(letters.get(variant)) for variant in VARIANTS]
         k = stored[name]["neighbours"]
         rows.append((name, PUBLISHED.get(name), f"{k['published']}, {k['votes']}", *cells))
     first = stored[_ordered(stored)[0]]["test"]
@@ -87,9 +81,7 @@ def counts(stored: Stored, command: str) -> Result:
         "other voxels."
     )
     columns = ("method", "published", "K", *(_TITLES[name] for name in VARIANTS))
-    kept = {"outcomes": letters, "within coverage": _flags(within_coverage(first))}
-    origin = _origin(stored)
-    return Result.of(origin, "kitti-paper", command, columns, rows, note=note, counts=kept)
+    return Table(columns, rows, note, "Counts")
 
 
 def _count(letters: str | None) -> str:
@@ -99,11 +91,7 @@ def _count(letters: str | None) -> str:
     return f"{letters.count('+')}{f' ({false} false)' if false else ''}"
 
 
-def _flags(values: list[bool]) -> str:
-    return "".join("+" if value else "-" for value in values)
-
-
-def differences(stored: Stored, command: str) -> Result:
+def differences(stored: Stored) -> Table:
     """What is found within coverage with intervals, and exact tests against one method."""
     rows: list[tuple[str, ...]] = []
     covered = within_coverage(next(iter(stored.values()))["test"])
@@ -131,5 +119,4 @@ def differences(stored: Stored, command: str) -> Result:
         "In brackets: 95 % by Wilson. p: McNemar's exact test over all queries, right or not; no "
         "correction for several tests."
     )
-    origin = _origin(stored)
-    return Result.of(origin, "kitti-paper-differences", command, columns, rows, note=note)
+    return Table(columns, rows, note, "Differences")

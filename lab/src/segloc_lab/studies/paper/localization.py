@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ...evaluation.comparison_study import compare
-from ...evaluation.methods import best_of, ready
 from ...evaluation.report.study import Study
 from . import published
-from .examples import examples
 from .scenarios import scenarios
 from .workspace import Workspace
 
@@ -24,6 +20,4 @@ def run(workspace: Workspace) -> Study:
         If a recording cannot be read, or results cannot be written.
     """
     found = scenarios(workspace)
-    study = compare(workspace, found, "localization", "Localization", [published.localizations()])
-    method = best_of(ready(workspace.methods))
-    return replace(study, figures=(*study.figures, *examples(workspace, found, method)))
+    return compare(workspace, found, "localization", "Localization", [published.localizations()])

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
 
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
 from segloc.errors import MissingDependency
 
-from ...bench.harness import in_process, optional
+from ...bench.harness import in_process, interleaved, optional
+from ...bench.network import DIM, build, prepared_segments, random_tensors
 from ...evaluation.report.study import Cell, Study, Table
-from .network_memory import (
-    has_gpu,
-    inference_mb,
-    saved_mb,
-    step_ms,
-    training_gpu_mb,
-    training_peak_mb,
-)
+from ...memory import rise_mb
 from .workspace import Workspace
 
 NAME = "memory"
@@ -26,6 +23,7 @@ PUBLISHED_LESS = 70
 """Per cent that DSM takes less of a GPU's memory than ESM, as published."""
 
 _DESCRIBED = 300
+_DISTINCT = 300
 _LAYERS: dict[str, tuple[Layer, ...]] = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
 _TEXT = """\
 DSM is ESM with fewer points in its inner layers, and takes less memory for it: the paper reports \
@@ -59,8 +57,6 @@ def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
         "forward and backward, ms": (step_ms, (batch, repeats)),
         f"describing {_DESCRIBED} segments, peak, MB": (inference_mb, (_DESCRIBED, 1)),
     }
-    if in_process(1, has_gpu):
-        works["peak of the GPU, MB"] = (training_gpu_mb, (batch,))
     rows: list[tuple[Cell, ...]] = []
     with workspace.progress("Measuring memory") as update:
         for done, (name, (work, arguments)) in enumerate(works.items()):
@@ -87,3 +83,53 @@ def _published() -> Table:
     row = ("memory of a GPU, the same batch", None, None, PUBLISHED_LESS)
     return Table("memory-paper", "DSM against ESM", ("", "DSM", "ESM", "less, %"), (row,),
                  "Section Runtime; without absolute figures.", "paper")  # fmt: skip
+
+
+def inference_mb(layers: Sequence[Layer], segments: int = 300, threads: int = 1) -> float:
+    """Peak of describing prepared segments, beyond the segments themselves and the weights."""
+    prepared = np.tile(prepared_segments(_DISTINCT), (-(-segments // _DISTINCT), 1, 1))[:segments]
+    engine = build(layers, random_tensors(layers))
+    return rise_mb(lambda: engine.describe(prepared, threads))
+
+
+def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
+    """Activations that PyTorch keeps for the backward pass of a batch, each storage once."""
+    torch, model, points = _training(layers, batch)
+    sizes: dict[int, int] = {}
+    kept: list[Any] = []
+
+    def pack(tensor: Any) -> Any:
+        storage = tensor.untyped_storage()
+        sizes[storage.data_ptr()] = storage.nbytes()
+        kept.append(tensor)  # alive, so that no address is used twice
+        return tensor
+
+    with torch.autograd.graph.saved_tensors_hooks(pack, lambda tensor: tensor):
+        model(points).square().sum().backward()
+    weights = {p.untyped_storage().data_ptr() for p in model.parameters()}
+    return sum(size for address, size in sizes.items() if address not in weights) / 1e6
+
+
+def training_peak_mb(layers: Sequence[Layer], batch: int = 100) -> float:
+    """Peak of one forward and backward pass, by the memory of the process."""
+    _, model, points = _training(layers, batch)
+    return rise_mb(lambda: model(points).square().sum().backward())
+
+
+def step_ms(layers: Sequence[Layer], batch: int = 100, repeats: int = 3) -> float:
+    """Milliseconds of one forward and backward pass on one thread, the median."""
+    torch, model, points = _training(layers, batch)
+    torch.set_num_threads(1)
+    work = {"step": lambda: model(points).square().sum().backward()}
+    return interleaved(work, 1, repeats)["step"]
+
+
+def _training(layers: Sequence[Layer], batch: int) -> tuple[Any, Any, Any]:
+    from ...training.models import DescriptorNetwork
+
+    found = optional("torch")
+    assert found is not None
+    torch = found[0]
+    torch.manual_seed(0)
+    model = DescriptorNetwork(layers, DIM).train()
+    return torch, model, torch.from_numpy(prepared_segments(batch))

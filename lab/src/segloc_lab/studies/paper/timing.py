@@ -30,7 +30,6 @@ from ...evaluation.report.study import Cell, Study, Table
 from ...padding import padded_with_copies
 from ...stages import STAGES, clock_for, single_pass
 from . import published
-from .gpu import GPU_METHODS, gpu_ms
 from .scenarios import KittiScenario, SuiteScenario
 from .workspace import Workspace
 
@@ -135,11 +134,8 @@ def _measured(
         times[f"{cores} cores"] = in_process(cores, stage_times, bench, cores, repeats)
     segmenter = Segmenter()
     scenes = [segmenter.segment(cloud) for cloud in clouds]
-    networks = tuple(name for name in descriptors if name in GPU_METHODS)
-    gpu = in_process(cores, gpu_ms, [scene.segments for scene in scenes], networks, repeats)
     return {
         "times": times,
-        "gpu": gpu,
         "segments": statistics.median(len(scene.segments) for scene in scenes),
         "map": len(next(iter(bench.maps.values()))),
         "queries": len(clouds),
@@ -198,15 +194,6 @@ def time_table(
         for processor, by_method in measured["times"].items()
         for name, times in by_method.items()
     ]
-    several = list(measured["times"].values())[-1]
-    gpu = measured["gpu"]
-    for name, (prepare, describe) in (gpu["times"] if gpu else {}).items():
-        times = {**several[name], "preprocessing": prepare, "descriptor": describe}
-        rows.append(_row(name, gpu["device"], descriptors, times))
-    if not gpu:
-        columns = len(STAGES) + 5
-        missing = (name for name in descriptors if name in GPU_METHODS)
-        rows += [(name, "GPU: not measured", *(None,) * columns) for name in missing]
     return Table(
         f"times-{label}",
         f"Milliseconds a query, {label}",
@@ -217,8 +204,7 @@ def time_table(
         tuple(rows),
         f"Medians over {measured['queries']} clouds of {measured['segments']:g} segments; the map "
         f"has {max(measured['map'], MAP_SEGMENTS)} segments, {measured['map']} of this place, and "
-        "the others of perturbed copies."
-        + ("" if gpu else " There was no GPU: its rows were not measured."),
+        "the others of perturbed copies.",
     )  # fmt: skip
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from segloc.errors import ConfigError
 
 from ...evaluation import workspace
-from ...results.fingerprints import COMPARING, fingerprints
+from ...report import code
 from ...simulation.suites import PAPER, SUITES, TestSet
 
 SCALES = ("small", "full", PAPER)
@@ -61,8 +60,8 @@ class Workspace(workspace.Workspace):
 
     @property
     def code(self) -> Mapping[str, str]:
-        """That of queries and of training."""
-        return _code()
+        """That of the package: parts that other code has made are made again."""
+        return {"trees": code()}
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
         """What a study says of itself: enough to repeat it."""
@@ -70,8 +69,3 @@ class Workspace(workspace.Workspace):
         only = None if self.only is None else [test.name for test in self.sets]
         own = {"suite": self.suite, "scale": self.scale, "only": only, "data": data}
         return {**super().facts(seconds, fingerprints), **own}
-
-
-@cache
-def _code() -> dict[str, str]:
-    return fingerprints((*COMPARING, "training"))

@@ -1,0 +1,160 @@
+"""Dated reports of studies: a folder with REPORT.md, rows.json and environment.txt."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from segloc.errors import ConfigError
+from segloc.system.files import write_text
+from segloc.system.machine import processor
+
+Cell = str | int | float | None
+_BEGAN = time.monotonic()
+_CLONE = Path(__file__).resolve().parents[3]
+_PACKAGES = ("segloc", "numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of one table, a note on how to read them, and a heading where there are several."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.columns) for row in self.rows):
+            raise ValueError(f"{self.title}: a row and the columns differ in length")
+
+    def parts(self) -> list[str]:
+        """Format the heading, the table and the note as paragraphs of Markdown."""
+        rows = (self.columns, ["---"] * len(self.columns), *self.rows)
+        table = "\n".join(f"| {' | '.join(map(_text, row))} |" for row in rows)
+        heading = f"## {self.title}" if self.title else ""
+        return [part for part in (heading, table, self.note) if part]
+
+
+def publish(folder: Path | None, title: str, *tables: Table) -> None:
+    """Print the tables, and write them as a report where a folder is given."""
+    print("\n\n".join(part for table in tables for part in table.parts()))
+    if folder is not None:
+        print(write(folder, title, tables))
+
+
+def write(folder: Path, title: str, tables: Sequence[Table], pictures: Iterable[Path] = ()) -> Path:
+    """Write a report into a new folder, with copies of the pictures.
+
+    Raises
+    ------
+    ConfigError
+        If the folder exists: reports are never rewritten.
+    """
+    require_new(folder)
+    folder.mkdir(parents=True)
+    minutes = (time.monotonic() - _BEGAN) / 60
+    parts = [
+        f"# {title}",
+        f"    {command()}",
+        f"{date.today().isoformat()}, commit {commit()}, {minutes:.1f} minutes on {machine()}.",
+    ]
+    for table in tables:
+        parts += table.parts()
+    for picture in pictures:
+        shutil.copy(picture, folder / picture.name)
+        parts.append(f"![{picture.stem}]({picture.name})")
+    rows = [{"title": t.title, "columns": t.columns, "rows": t.rows} for t in tables]
+    write_text(folder / "REPORT.md", "\n\n".join(parts) + "\n")
+    write_text(folder / "rows.json", json.dumps(rows, ensure_ascii=False, indent=1) + "\n")
+    write_text(folder / "environment.txt", environment())
+    return folder / "REPORT.md"
+
+
+def require_new(folder: Path | None) -> None:
+    """Refuse a folder that exists, before a study spends hours on its report.
+
+    Raises
+    ------
+    ConfigError
+        If the folder exists.
+    """
+    if folder is not None and folder.exists():
+        raise ConfigError(f"{folder}: exists, and reports are never rewritten; name a new folder")
+
+
+def new_folder(text: str) -> Path:
+    """Parse the folder of a report, which must not exist yet."""
+    try:
+        require_new(Path(text))
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return Path(text)
+
+
+def command() -> str:
+    """Return the command line of this process; absolute paths are shortened to their names."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    name = spec.name.removesuffix(".__main__") if spec else ""
+    program = f"python -m {name}" if name else Path(sys.argv[0]).name
+    arguments = (Path(a).name if a.startswith("/") else a for a in sys.argv[1:])
+    return f"{program} {shlex.join(arguments)}".rstrip()
+
+
+def machine() -> str:
+    """Return the processor and its number of cores."""
+    return f"{processor()}, {os.cpu_count()} cores"
+
+
+def environment() -> str:
+    """Return the versions, the processor and the commit, one a line."""
+    lines = [f"python {platform.python_version()} on {platform.platform()}"]
+    lines += [f"{name} {_version(name)}" for name in _PACKAGES]
+    return "\n".join([*lines, f"processor {machine()}", f"commit {commit()}"]) + "\n"
+
+
+def commit() -> str:
+    """Return the commit of the clone, with ``+`` if src or cpp differ; "unknown" outside of one."""
+    try:
+        found = git("rev-parse", "--short=10", "HEAD")
+        return f"{found}+" if git("status", "--porcelain", "--", "src", "cpp") else found
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def code() -> str:
+    """Return the git trees of src and cpp, which tell whether kept answers are of this code."""
+    try:
+        trees = [tree[:10] for tree in git("rev-parse", "HEAD:src", "HEAD:cpp").split()]
+    except (OSError, subprocess.CalledProcessError):
+        return version("segloc")
+    return "-".join(trees) + commit()[10:]
+
+
+def git(*arguments: str) -> str:
+    """Run git in the clone and return what it prints."""
+    done = ["git", "-C", str(_CLONE), *arguments]
+    return subprocess.run(done, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _text(cell: Cell) -> str:
+    return "-" if cell is None else f"{cell:g}" if isinstance(cell, float) else str(cell)

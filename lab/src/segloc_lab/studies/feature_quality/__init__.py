@@ -1,1 +1,0 @@
-"""FC4, the paper's feature quality: trained in several ways on several surroundings, compared."""

@@ -1,0 +1,57 @@
+"""The pages are complete: reasons of refusals, navigation, pictures, and the reports they quote."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from samples.source import PROJECT
+
+from segloc.localization import Reason
+
+REPORTS = sorted(path for path in (PROJECT / "reports").iterdir() if path.is_dir())
+PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *PROJECT.glob("docs/**/*.md")]
+
+
+def test_every_reason_of_a_refusal_is_explained() -> None:
+    page = (PROJECT / "docs" / "refusals.md").read_text("utf-8")
+    rows = re.findall(r"^\| ([a-z ]+) \| .+ \| .+ \|$", page, re.MULTILINE)
+    assert {reason.value for reason in Reason} <= set(rows)
+
+
+def test_pictures_are_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in (PROJECT / "docs/images").glob("*.*p*g")}
+    moving = (PROJECT / "docs" / "images" / "tracker.webp").stat().st_size
+    assert moving < 1_000_000 and max(sizes.values()) < 500_000
+
+
+def test_every_page_is_in_the_navigation_of_the_site() -> None:
+    text = (PROJECT / "mkdocs.yml").read_text("utf-8")
+    listed = set(re.findall(r": ([\w./-]+\.md)$", text, re.MULTILINE))
+    assert {path.name for path in (PROJECT / "docs").glob("*.md")} <= listed
+
+
+@pytest.mark.parametrize("folder", REPORTS, ids=lambda path: path.name)
+def test_a_report_is_complete_and_names_its_command(folder: Path) -> None:
+    text = (folder / "REPORT.md").read_text("utf-8")
+    assert re.search(r"^    (python -m |segloc |experiments/)", text, re.MULTILINE)
+    assert json.loads((folder / "rows.json").read_text("utf-8"))
+    assert "commit" in (folder / "environment.txt").read_text("utf-8")
+
+
+def test_pages_link_only_to_the_newest_report_of_a_topic() -> None:
+    newest: dict[str, tuple[int, ...]] = {}
+    for folder in REPORTS:
+        version, _, topic = folder.name.partition("-")
+        newest[topic] = max(newest.get(topic, ()), _numbers(version))
+    for page in PAGES:
+        found = re.findall(r"reports/([\d.]+)-([\w-]+)/", page.read_text("utf-8"))
+        for version, topic in found:
+            if page.parent.name != "decisions":  # these keep what they were decided on
+                assert newest.get(topic) == _numbers(version), f"{page.name}: {version}-{topic}"
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, version.split(".")))
