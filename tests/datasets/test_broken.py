@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from samples.datasets import START, Drive, kitti, mulran
 
 from segloc import geometry
-from segloc.datasets import FolderSequence, RecordedSequence, open_sequence
+from segloc.datasets import RecordedSequence, open_sequence
 from segloc.datasets.binary import parse_float4
 from segloc.datasets.loaders import boreas, helipr, nclt, robotcar
 from segloc.datasets.ros.bag_headers import _parse_cdr, _parse_ros1
@@ -191,7 +191,9 @@ def test_tracks_leave_out_what_is_wrong_and_say_so() -> None:
     poses[4, 0, 3] = np.inf
     track = clean_track("odometry", stamps, poses)
     assert track.keys.tolist() == [0.0, 1.0, 3.0]
-    assert track.note == "odometry: 3 of 6 poses left out: not finite, or not later"
+    assert track.note == (
+        "odometry: 3 of 6 poses left out: not finite, no unit quaternion, or not later"
+    )
     assert track.gaps.tolist() == [2.0]
     with pytest.raises(DatasetError, match="odometry: no poses"):
         clean_track("odometry", stamps[3:4], poses[3:4])
@@ -237,7 +239,8 @@ def test_folders_of_the_same_names_are_not_mistaken(tmp_path: Path) -> None:
         folder.mkdir()
         write_scan(folder / "000100.bin", np.ones((5, 3)))
         sequence = open_sequence(folder)
-        assert isinstance(sequence, FolderSequence)
+        assert isinstance(sequence, RecordedSequence)
+        assert sequence.format == "folder of scans"
         assert sequence.indices.tolist() == [100]
 
 

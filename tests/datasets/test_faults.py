@@ -160,7 +160,9 @@ def test_poses_on_another_clock(name: str, tmp_path: Path) -> None:
     file = tmp_path / "clock.tum"
     times = 5e8 + 0.1 * np.arange(COUNT + 1) + 0.05
     write_tum(file, Trajectory(times, np.tile(np.eye(4), (COUNT + 1, 1, 1))))
-    with pytest.raises(DatasetError, match=r"clock\.tum: no pose for") as caught:
+    with pytest.raises(
+        DatasetError, match=r"clock\.tum: (no pose for|its 13 poses are by time)"
+    ) as caught:
         open_sequence(path, file)
     assert "\n" not in str(caught.value)
 
@@ -170,7 +172,7 @@ def test_topics_and_sensors_that_are_not_there(name: str, tmp_path: Path) -> Non
     write, _ = WRITERS[name]
     path = write(tmp_path, [seen(VLP16, 4.0)] * 3, DRIVE.poses[:3])
     fault = {
-        "folder": "a folder of scans has no topics, so no '/odom'",
+        "folder": "folder of scans has no topics, so no '/odom'",
         "kitti": "KITTI odometry has no topics, so no '/odom'",
         "bag": r"'/odom' is no topic of scans: /points \(3\)",
     }

@@ -30,7 +30,7 @@ from segloc_lab.simulation.drives import mapped_way
 from segloc import cli, geometry
 from segloc.batch.run import localize_sequence
 from segloc.config import Config
-from segloc.datasets import FolderSequence, RecordedSequence, open_sequence
+from segloc.datasets import RecordedSequence, open_sequence
 from segloc.datasets import odometry as odometry_module
 from segloc.datasets.inspection import inspect
 from segloc.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
@@ -60,7 +60,7 @@ class Simulated:
     def bag(self, kind: str, root: Path, *, posed: bool = True) -> Path:
         """Its scans in a bag, at the same times since START."""
         bag = BagWriter(kind)
-        recording = FolderSequence(self.folder, self.folder / "poses.tum", deskew=False)
+        recording = open_sequence(self.folder, self.folder / "poses.tum", deskew=False)
         for i, stamp in enumerate(START + self.stamps):
             scan = recording.scan(i)
             assert scan.times is not None
@@ -341,5 +341,5 @@ def test_odometry_of_a_real_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 )
 def test_beams_of_real_sensors(name: str, sensor: str) -> None:
     sequence = open_sequence(real(name))
-    assert isinstance(sequence, FolderSequence)
+    assert isinstance(sequence, RecordedSequence)
     assert inspect(sequence, sample=2).sensor.startswith(sensor)

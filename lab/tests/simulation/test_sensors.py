@@ -45,7 +45,7 @@ from segloc_lab.simulation.objects.identity import Objects
 from segloc_lab.simulation.objects.mesh import boxes
 from segloc_lab.simulation.objects.terrain import Terrain
 
-from segloc.datasets import FolderSequence, parse_select, swathes
+from segloc.datasets import open_sequence, parse_select, swathes
 from segloc.errors import ConfigError, DatasetError, InvalidScan, MissingDependency
 from segloc.geometry import travelled
 from segloc.io import read_scan, read_trajectory, write_scan
@@ -430,7 +430,7 @@ def test_recordings_of_moving_sensors_keep_times_and_stamps(
     record(drive, tmp_path, suffix=suffix, workers=1)
     stamps = read_trajectory(tmp_path / "poses.tum").stamps
     np.testing.assert_allclose(stamps, drive.stamps, atol=1e-9)
-    read = FolderSequence(tmp_path, tmp_path / "poses.tum")
+    read = open_sequence(tmp_path, tmp_path / "poses.tum", deskew=False)
     assert read.poses is not None
     np.testing.assert_allclose(read.poses, drive.truth, atol=1e-7)
     stored, scan = read.scan(4), drive.scan(4)
@@ -446,7 +446,7 @@ def test_swathes_are_recorded_like_any_sequence(small: World, route: Route, tmp_
     drive = simulate_session(small, 0, route, lms151(91), 5, by_rate=True).with_odometry()
     rows = swathes(drive)
     record(rows, tmp_path, workers=1)
-    read = FolderSequence(tmp_path, tmp_path / "odometry.tum")
+    read = open_sequence(tmp_path, tmp_path / "odometry.tum", deskew=False)
     assert read.indices.tolist() == rows.indices.tolist()
     np.testing.assert_array_equal(read.scan(0).points, rows.scan(0).points)
     assert read.poses is not None
@@ -481,10 +481,10 @@ def test_seconds_as_stamps_need_one_pose_a_scan(tmp_path: Path) -> None:
     line = "{} {} 0 0 0 0 0 1\n"
     poses = tmp_path / "poses.tum"
     poses.write_text("".join(line.format(0.5 * k, k) for k in range(3)))
-    np.testing.assert_allclose(FolderSequence(tmp_path, poses).poses[:, 0, 3], [0, 1, 2])
+    np.testing.assert_allclose(open_sequence(tmp_path, poses).poses[:, 0, 3], [0, 1, 2])
     poses.write_text("".join(line.format(0.5 * k, k) for k in range(2)))
-    with pytest.raises(DatasetError, match="no pose for 1"):
-        _ = FolderSequence(tmp_path, poses).poses
+    with pytest.raises(DatasetError, match="its 2 poses are by time"):
+        _ = open_sequence(tmp_path, poses).poses
     with pytest.raises(DatasetError, match="no room for times"):
         write_scan(tmp_path / "1.ply", np.zeros((1, 3)), times=[0.0])
 

@@ -32,7 +32,7 @@ from segloc_lab.simulation.objects.terrain import Terrain
 from segloc_lab.simulation.worlds.world import World
 
 from segloc.datasets.base import parse_select
-from segloc.datasets.loaders.folder import FolderSequence
+from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.system.processes import ProcessPool
 
@@ -314,7 +314,7 @@ def test_recording_is_the_same_on_two_processes_and_reads_back(
     assert files[-1] == "poses.tum"
     for name in files:
         assert (tmp_path / "one" / name).read_bytes() == (folder / name).read_bytes()
-    read = FolderSequence(folder, folder / "poses.tum")
+    read = open_sequence(folder, folder / "poses.tum")
     assert read.poses is not None
     np.testing.assert_allclose(read.poses, sequence.poses, atol=1e-7)
     chosen = sequence.select(parse_select("4:6"))

@@ -52,13 +52,15 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
     Parameters
     ----------
     poses : (N, 4, 4) float64
+        NaN where there is none: such scans are left out.
     every_m, max_gap_m : float
         Metres.
     """
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    steps = np.linalg.norm(np.diff(poses[known, :3, 3], axis=0), axis=1)
     breaks = np.flatnonzero(steps > max_gap_m) + 1
     chosen = []
-    for part in np.split(np.arange(len(poses)), breaks):
+    for part in np.split(known, breaks):
         distance = geometry.travelled(poses[part])
         if len(part):
             chosen.append(part[geometry.stations(distance, every_m, every_m)])

@@ -62,9 +62,13 @@ def main() -> None:
 
 def _is_interrupt(error: BaseException | None) -> bool:
     """Whether Ctrl-C is behind an error: in the middle of an import it ends as an ImportError."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+    visited: set[int] = set()  # causes may form a ring
+    while error is not None and id(error) not in visited:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        visited.add(id(error))
         error = error.__cause__ or error.__context__
-    return error is not None
+    return False
 
 
 def _end_interrupted() -> NoReturn:

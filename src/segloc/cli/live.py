@@ -77,13 +77,12 @@ def live(
     Only the motion between poses is used, never where they are. Writes poses.tum, states.jsonl and
     summary.json; `segloc view MAP DIR` follows it meanwhile.
     """
-    from ..datasets import poses_at
     from ..live.replay import odometry_of, replay
     from ..live.score import summary
     from ..map.segment_map import SegmentMap
     from .console import progress
     from .live_so_far import SoFar
-    from .recording import levelled_poses, open_recording, place_of_sensor
+    from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
     from .results import check_folder
     from .saving import write_together
 
@@ -95,8 +94,7 @@ def live(
     )
     moved = odometry_of(recording)[1]
     recording = levelled_poses(recording, local, level)
-    T = place_of_sensor(local.mount)
-    truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
+    truths = true_poses(recording, sequence, truth, topic, place_of_sensor(local.mount))
     tell = _teller(recording)
     with SoFar(out, recording, clouds=not rate) as so_far, progress("Following") as update:
 

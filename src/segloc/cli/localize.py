@@ -93,11 +93,10 @@ def localize(
     pose and how sure it is, or why there is none.
     """
     from ..batch.score import Tolerance
-    from ..datasets import poses_at
     from ..system.processes import executing
     from .console import busy, progress
     from .gnss import gnss_priors
-    from .recording import levelled_poses, open_recording, place_of_sensor
+    from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
 
     check_every(every)
     place = parsed_prior(near, radius, anywhere)
@@ -110,8 +109,7 @@ def localize(
         sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
     )
     recording = levelled_poses(recording, localizer.config.local_cloud, level)
-    T = place_of_sensor(mount)
-    truths = poses_at(recording, sequence, truth, topic, T_base_sensor=T) if truth else None
+    truths = true_poses(recording, sequence, truth, topic, place_of_sensor(mount))
     positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
     priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
     asked = _Asked(localizer, prior_map, recording, positions, priors)
@@ -236,19 +234,22 @@ def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:
 def _positions(
     recording: Scans, truths: Float64 | None, every: float | None, max_gap_m: float
 ) -> Int64:
+    """Positions of the queries; with a truth those whose true pose is known."""
     import numpy as np
 
     from ..batch.run import query_positions
     from ..errors import ConfigError
 
+    scored = np.ones(len(recording), bool) if truths is None else np.isfinite(truths[:, 0, 0])
     if every is None:
-        return np.arange(len(recording), dtype=np.int64)
+        return np.flatnonzero(scored)
     path = recording.poses if recording.poses is not None else truths
     if path is None:
         raise ConfigError(
             "--every needs --poses, --odometry or --truth to measure the distance travelled"
         )
     positions = query_positions(path, every, max_gap_m)
+    positions = positions[scored[positions]]
     if not len(positions):
         raise ConfigError(f"--every {every:g}: {recording.name} has no stretch of that length")
     return positions

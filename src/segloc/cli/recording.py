@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from ..datasets import Sequence
     from ..frontend.local_cloud import LocalCloudConfig
     from ..frontend.mounting import MountConfig
-    from ..types import Pose, Recording
+    from ..types import Float64, Pose, Recording
 
 
 def open_recording(
@@ -40,6 +40,27 @@ def open_recording(
     for line in getattr(sequence, "notes", ()):
         note(line)
     return sequence
+
+
+def true_poses(
+    recording: Recording,
+    path: Path,
+    truth: Path | None,
+    topic: str | None,
+    T_base_sensor: Pose | None = None,
+) -> Float64 | None:
+    """True poses of a recording's scans, NaN where unknown, which is noted; None without a file."""
+    import numpy as np
+
+    from ..datasets import poses_at
+    from .console import note
+
+    if truth is None:
+        return None
+    found = poses_at(recording, path, truth, topic, T_base_sensor=T_base_sensor)
+    if lost := int(np.isnan(found[:, 0, 0]).sum()):
+        note(f"{lost} of {len(found)} scans are not scored: no pose in {truth}")
+    return found
 
 
 def place_of_sensor(mount: MountConfig | None) -> Pose | None:

@@ -9,12 +9,12 @@ import numpy as np
 from ..errors import DatasetError
 from ..types import Float64, Pose
 from ..types import Recording as Recording
+from .assembly import assembled
 from .base import Selection as Selection
 from .base import Sequence as Sequence
 from .base import parse_select as parse_select
-from .loaders.folder import FolderSequence as FolderSequence
+from .loaders import folder
 from .recorded import RecordedSequence as RecordedSequence
-from .recorded import assembled
 from .swathes import Swathes as Swathes
 from .swathes import swathes as swathes
 
@@ -31,7 +31,10 @@ def open_sequence(
     deskew: bool = True,
     T_base_sensor: Pose | None = None,
 ) -> Sequence:
-    """Open a recording as the command line names it; its format is recognised. No scan is read.
+    """Open a recording as the command line names it; its format is recognised.
+
+    Scans are read when they are asked for; up to three are read where the unit of their points'
+    times has to be recognised. Scans without a pose are left out, and noted.
 
     Parameters
     ----------
@@ -55,7 +58,7 @@ def open_sequence(
     Raises
     ------
     DatasetError
-        If there are no scans, the poses are not found or do not cover the selected scans, there
+        If there are no scans, the poses are not found or cover none of the selected scans, there
         are several sensors and no ``topic``, or nothing is selected.
     ConfigError
         If the selection cannot be parsed.
@@ -91,23 +94,21 @@ def _opened(
     without = poses is not None and str(poses) == NO_POSES
     file = None if poses is None or without else _find_poses(Path(poses), where)
     known = identify(where)
-    sequence: Sequence
     if known is None:
-        if topic is not None:
-            raise DatasetError(f"{where}: a folder of scans has no topics, so no {topic!r}")
-        sequence = FolderSequence(where, file, deskew=deskew, T_base_sensor=T_base_sensor)
+        found = folder.find(where, file)
     else:
         layout, root, sensor = known
         found = layout.find(root, topic or sensor)
-        if topic is not None and found.topic is None:
-            raise DatasetError(f"{where}: {found.format} has no topics, so no {topic!r}")
-        sequence = assembled(
-            found, file, own_poses=not without, deskewed=deskew, T_base_sensor=T_base_sensor
-        )
-    if selection is not None:
-        sequence = sequence.select(selection)
-    _ = sequence.poses  # raises where they do not cover the scans
-    return sequence
+    if topic is not None and found.topic is None:
+        raise DatasetError(f"{where}: {found.format} has no topics, so no {topic!r}")
+    return assembled(
+        found,
+        file,
+        own_poses=not without,
+        deskewed=deskew,
+        T_base_sensor=T_base_sensor,
+        selection=selection,
+    )
 
 
 def poses_at(
@@ -130,19 +131,23 @@ def poses_at(
     Returns
     -------
     (N, 4, 4) float64
+        NaN for scans without a pose.
 
     Raises
     ------
     DatasetError
-        If a scan has none.
+        If no scan has one.
     """
     same = Selection(tuple((int(i), int(i)) for i in recording.indices))
     known = open_sequence(path, poses, same, topic=topic, T_base_sensor=T_base_sensor)
-    missing = np.setdiff1d(recording.indices, known.indices)
-    if known.poses is None or len(missing):
-        which = f"{len(missing)} scans, the first {missing[0]}" if len(missing) else "any scan"
-        raise DatasetError(f"{poses}: no pose for {which}")
-    return known.poses
+    if known.poses is None:
+        raise DatasetError(f"{poses}: no pose for any scan")
+    found = np.full((len(recording), 4, 4), np.nan)
+    rows = {int(index): pose for index, pose in zip(known.indices, known.poses, strict=True)}
+    for k, index in enumerate(recording.indices):
+        if int(index) in rows:
+            found[k] = rows[int(index)]
+    return found
 
 
 def _find_poses(poses: Path, folder: Path) -> Path:

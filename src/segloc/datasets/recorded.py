@@ -15,8 +15,9 @@ from ..io.scans import read_file
 from ..motion import Motion, deskew
 from ..types import Float64, Int64, Pose, Scan, stamp_at
 from .base import Selection
+from .clocks import TimeUnit
 from .gravity import GravitySource
-from .tracks import Track, read_track
+from .tracks import Track
 
 _LONGEST_SCAN_S = 1.0  # point times that stray farther from the scan's stamp are on another clock
 
@@ -92,6 +93,8 @@ class Found:
     T_base_sensor : (4, 4) float64 or None
         How the sensor is mounted, where the recording says so.
     gravity : GravitySource or None
+    times_sure : bool
+        Whether the format defines the unit of points' times; otherwise it is recognised.
     """
 
     name: str
@@ -108,6 +111,7 @@ class Found:
     base_track: Track | None = field(default=None, repr=False)
     T_base_sensor: Pose | None = None
     gravity: GravitySource | None = None
+    times_sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,8 @@ class RecordedSequence:
         How the sensor is mounted on its robot or vehicle, where that is known.
     gravity : GravitySource or None
         Of scans without poses.
+    time_unit : TimeUnit or None
+        Of the points' times as the source has them; None for seconds after the stamp.
     """
 
     name: str
@@ -151,6 +157,7 @@ class RecordedSequence:
     notes: tuple[str, ...]
     T_base_sensor: Pose | None = None
     gravity: GravitySource | None = None
+    time_unit: TimeUnit | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -177,7 +184,8 @@ class RecordedSequence:
         """The scan at position i as it was recorded, without pose."""
         if not 0 <= i < len(self):
             raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")
-        return self.source.read(int(self.rows[i]))
+        scan = self.source.read(int(self.rows[i]))
+        return self.time_unit.applied(scan, stamp_at(self, i)) if self.time_unit else scan
 
     def where(self, i: int) -> str:
         """The file or message of the scan at position i."""
@@ -195,9 +203,10 @@ class RecordedSequence:
         if not mask.any():
             span = f"{self.indices.min()} to {self.indices.max()}"
             raise DatasetError(f"{self.name}: {selection} selects none of the scans {span}")
-        return self._part(mask)
+        return self.part(mask)
 
-    def _part(self, mask: np.ndarray) -> RecordedSequence:
+    def part(self, mask: np.ndarray) -> RecordedSequence:
+        """The scans at some positions, (N,) bool."""
         return replace(
             self,
             rows=self.rows[mask],
@@ -225,72 +234,3 @@ def times_fit(scan: Scan) -> bool:
     if times is None or not len(times):
         return False
     return bool(np.isfinite(times).all() and np.abs(times).max() <= _LONGEST_SCAN_S)
-
-
-def assembled(
-    found: Found,
-    poses: Path | None,
-    *,
-    own_poses: bool = True,
-    deskewed: bool = True,
-    T_base_sensor: Pose | None = None,
-) -> RecordedSequence:
-    """A sequence of the scans that a reader found, with the poses that were asked for.
-
-    Scans that lie outside the poses in time, or in a gap of theirs, are left out and noted.
-
-    Parameters
-    ----------
-    found : Found
-    poses : path, optional
-        A file to take the poses from.
-    own_poses : bool
-        Whether to take the recording's own where no file is given.
-    deskewed : bool
-    T_base_sensor : (4, 4) float64, optional
-        Where the sensor is on the body that the poses are of, if they are not the sensor's.
-
-    Raises
-    ------
-    DatasetError
-        If there are no scans, the poses cannot be read, or no scan has one.
-    """
-    if not len(found.source):
-        raise DatasetError(f"{found.name}: {found.format} without any scan")
-    track = _chosen(found, poses, own_poses, T_base_sensor)
-    at_scans, motion, notes = None, None, list(found.notes)
-    if track is not None:
-        at_scans = track.at(found.indices, found.stamps)
-        notes += [track.note] if track.note else []
-        if deskewed and track.clock == "seconds" and len(track.keys) > 1:
-            motion = Motion(track.keys, track.poses)
-    sequence = RecordedSequence(
-        found.name, found.format, found.frame, found.fields, found.source,
-        np.arange(len(found.source)), found.indices, found.stamps, at_scans, track, motion,
-        tuple(notes), found.T_base_sensor if T_base_sensor is None else T_base_sensor,
-    )  # fmt: skip
-    if track is None or at_scans is None:
-        notes += [found.gravity.note] if found.gravity and found.gravity.note else []
-        return replace(sequence, gravity=found.gravity, notes=tuple(notes))
-    known = np.isfinite(at_scans[:, 0, 0])
-    if known.all():
-        return sequence
-    lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
-    return replace(sequence._part(known), notes=(*notes, lost))
-
-
-def _chosen(
-    found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
-) -> Track | None:
-    """The track that was asked for, of the sensor."""
-    if poses is not None:
-        if (track := found.own_poses(poses)) is not None:
-            return track
-        track = read_track(poses, found.indices, found.stamps)
-        return track if T_base_sensor is None else track.moved(T_base_sensor)
-    if not own_poses:
-        return None
-    track = found.own_track()
-    if track is None and found.base_track is not None and T_base_sensor is not None:
-        return found.base_track.moved(T_base_sensor)
-    return track

@@ -19,9 +19,11 @@ from ..motion import interpolated
 from ..system.budget import check_points
 from ..system.checks import MOST_METRES
 from ..types import Float64, Int64, Pose
+from .clocks import epoch_unit, unit_beside
 
 LONGEST_GAP_S = 1.0
 """Between poses farther apart in time, no pose is made up."""
+_UNUSABLE = "not finite, no unit quaternion, or not later"
 _ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
 
 
@@ -118,11 +120,9 @@ def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
     good = finite.copy()
     good[finite] = rising(stamps[finite])
     if not good.any():
-        raise DatasetError(f"{source}: no poses")
+        raise DatasetError(f"{source}: no poses, of {len(good)} none is usable: {_UNUSABLE}")
     lost = len(good) - int(good.sum())
-    note = (
-        f"{source}: {lost} of {len(good)} poses left out: not finite, or not later" if lost else ""
-    )
+    note = f"{source}: {lost} of {len(good)} poses left out: {_UNUSABLE}" if lost else ""
     return Track(source, stamps[good], poses[good], note=note)
 
 
@@ -135,28 +135,55 @@ def rising(stamps: Float64) -> NDArray[np.bool_]:
 def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
     """A TUM or KITTI file as a track for scans with these numbers and stamps.
 
-    TUM stamps that are all whole are the scans' numbers, others are seconds; seconds for scans
+    Stamps of a TUM file are the scans' numbers if they are whole, and else times: seconds, or
+    milli-, micro- or nanoseconds, by their size since 1970 or by the scans' stamps. Times for scans
     without stamps are taken in the order of the scans if there are as many. Row i of a KITTI file
     is the pose of scan number i if it has that many rows, and else of the scan at position i.
 
     Raises
     ------
     DatasetError
-        If it cannot be read, or there are no poses in it.
+        If it cannot be read, there are no poses in it, or it has times and the scans have none.
     """
     trajectory, kind = read_trajectory_and_kind(path)
     keys, poses = np.array(trajectory.stamps), np.array(trajectory.poses)
     if not len(keys):
         raise DatasetError(f"{path}: no poses")
-    seconds = kind == "tum" and bool((keys % 1).any())
-    if seconds and stamps is not None:
-        return Track(str(path), keys, poses)
-    if seconds and len(keys) == len(indices):
-        return Track(str(path), indices.astype(np.float64), poses, "numbers")
-    if kind == "kitti" and len(keys) <= indices.max():
-        count = min(len(keys), len(indices))
-        return Track(str(path), indices[:count].astype(np.float64), poses[:count], "numbers")
-    return Track(str(path), keys, poses, "seconds" if seconds else "numbers")
+    if kind == "kitti":
+        return _by_rows(path, keys, poses, indices)
+    unit = _time_unit(keys, indices, stamps)
+    if unit is None:
+        return Track(str(path), keys, poses, "numbers")
+    if stamps is None and len(keys) != len(indices):
+        raise DatasetError(
+            f"{path}: its {len(keys)} poses are by time, from {_span(keys * unit)} s, but the "
+            f"{len(indices)} scans have no times: give poses by scan number, or name the files of "
+            "scans by their times"
+        )
+    return Track(str(path), keys * unit, poses)
+
+
+def _time_unit(keys: Float64, indices: Int64, stamps: Float64 | None) -> float | None:
+    """Seconds a unit of a TUM file's stamps; None if they are numbers of scans."""
+    if (unit := epoch_unit(keys)) is not None:
+        by_number = stamps is None and bool(np.isin(keys, indices).any())
+        return None if by_number else unit
+    whole = not (keys % 1).any()
+    if whole and (stamps is None or np.isin(keys, indices).any()):
+        return None
+    beside = None if stamps is None else unit_beside(keys, stamps)
+    return beside or (None if whole else 1.0)
+
+
+def _by_rows(path: Path, keys: Float64, poses: Float64, indices: Int64) -> Track:
+    """Poses without stamps of their own."""
+    if len(keys) > indices.max():
+        return Track(str(path), keys, poses, "numbers")
+    count = min(len(keys), len(indices))
+    note = ""
+    if count < len(indices):
+        note = f"{path}: {count} rows, taken as the poses of the first {count} scans"
+    return Track(str(path), indices[:count].astype(np.float64), poses[:count], "numbers", note=note)
 
 
 def read_table(
@@ -205,6 +232,12 @@ def euler_poses(xyz: Float64, angles: Float64) -> Float64:
     return _assembled(xyz, Rotation.from_euler("ZYX", angles[:, ::-1]))
 
 
+def are_unit(xyzw: Float64) -> NDArray[np.bool_]:
+    """Which quaternions (N, 4) are near unit length."""
+    with np.errstate(all="ignore"):
+        return np.asarray(np.abs(np.linalg.norm(xyzw, axis=1) - 1) < 0.05)
+
+
 def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
     """Poses (N, 4, 4) from positions (N, 3) and quaternions (N, 4) as x, y, z, w.
 
@@ -215,8 +248,7 @@ def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
     """
     if not len(xyz):
         return np.empty((0, 4, 4))
-    with np.errstate(all="ignore"):
-        good = np.abs(np.linalg.norm(xyzw, axis=1) - 1) < 0.05
+    good = are_unit(xyzw)
     if not good.all():
         raise DatasetError(
             f"{where}: row {int(good.argmin()) + 1} has a quaternion not of length 1"

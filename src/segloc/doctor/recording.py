@@ -70,7 +70,8 @@ def examine(
     misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
     # Where frames are wrong, beams are not where a sensor would have them.
     lines = facts.problems if misframed else (*facts.problems, *facts.sensor_changes)
-    found = [Finding(Fault.READING, line) for line in lines] + seen
+    notes = set(recording.notes)
+    found = [Finding(Fault.READING, line, wrong=line not in notes) for line in lines] + seen
     if not posed and all(finding.fault is not Fault.FEW_BEAMS for finding in found):
         found.append(_NO_POSES)
     said = "not known"

@@ -81,16 +81,21 @@ def column(
 def wanted_columns(names: Sequence[str]) -> list[int]:
     """Positions of x, y and z, and of the first field that holds a time where there is one.
 
+    Capital letters do where there are no small ones.
+
     Raises
     ------
     DatasetError
         If x, y or z is missing or there twice.
     """
+    chosen = []
     for axis in "xyz":
-        if (found := names.count(axis)) != 1:
+        name = axis if axis in names else axis.upper()
+        if (found := names.count(name)) != 1:
             raise DatasetError(f"there are {found} fields named {axis}" if found else f"no {axis}")
-    time = [position for position, name in enumerate(names) if name in TIME_NAMES]
-    return [names.index(axis) for axis in "xyz"] + time[:1]
+        chosen.append(names.index(name))
+    time = [position for position, name in enumerate(names) if name.lower() in TIME_NAMES]
+    return chosen + time[:1]
 
 
 def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | None = None) -> Scan:

@@ -41,7 +41,7 @@ class _Field:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        letter, sizes = _KINDS.get(self.kind, ("", ()))
+        letter, sizes = _KINDS.get(self.kind.upper(), ("", ()))
         if self.size not in sizes:
             raise DatasetError(f"field {self.name} has type {self.kind!r} of size {self.size}")
         return np.dtype(f"<{letter}{self.size}")
@@ -66,7 +66,7 @@ class _Header:
 
     @property
     def integer_times(self) -> bool:
-        return self.fields[self.wanted[-1]].kind in ("I", "U")
+        return self.fields[self.wanted[-1]].kind.upper() in ("I", "U")
 
 
 def parse_pcd(data: bytes) -> Scan:
@@ -118,6 +118,8 @@ def _parse_num_points(entries: dict[str, list[str]]) -> int:
     if "WIDTH" not in entries:
         return count("POINTS")
     grid = count("WIDTH") * count("HEIGHT", "1")
+    if not grid:  # some writers fill POINTS alone
+        return count("POINTS", "0")
     if count("POINTS", str(grid)) != grid:
         raise DatasetError(f"POINTS is {entries['POINTS'][0]}, but WIDTH x HEIGHT is {grid}")
     return grid

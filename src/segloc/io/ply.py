@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -63,8 +64,6 @@ def parse_ply(data: bytes) -> Scan:
         raise DatasetError(f"{names.count('vertex')} vertex elements, not 1")
     before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
     check_points(vertex.count, "vertices")
-    if vertex.has_lists:
-        raise DatasetError("a list among the properties of a vertex is not supported")
     if order == "":
         return _parse_ascii(data[start:], before, vertex)
     for element in before:
@@ -108,12 +107,16 @@ def _parse_property(words: list[str]) -> _Property:
 
 
 def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
-    names = [prop.name for prop in vertex.properties]
+    names = _single(vertex)
     columns = wanted_columns(names)
+    lists = [k for k, prop in enumerate(vertex.properties) if prop.length_type]
+    if lists and lists[0] < max(columns):
+        name = vertex.properties[lists[0]].name
+        raise DatasetError(f"list {name} stands before x, y, z or the time of a vertex")
     table = parse_table(
         data,
         columns=columns,
-        width=len(names),
+        width=None if lists else len(names),
         rows=vertex.count,
         skipped=sum(element.count for element in before),
         more=True,
@@ -122,22 +125,59 @@ def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
     return scan_from_columns(list(table.T), nanoseconds=integer_times)
 
 
+def _single(element: _Element) -> list[str]:
+    """Names of the properties, empty for lists: they are no coordinates."""
+    return ["" if prop.length_type else prop.name for prop in element.properties]
+
+
 def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> Scan:
+    wanted = wanted_columns(_single(vertex))
+    if vertex.has_lists:
+        return _parse_with_lists(data, start, vertex, order, wanted)
     require_bytes(len(data) - start, vertex.count * vertex.stride, f"{vertex.count} vertices")
     columns = []
-    for position in wanted_columns([prop.name for prop in vertex.properties]):
+    for position in wanted:
         dtype = np.dtype(order + vertex.properties[position].type)
         offset = sum(np.dtype(prop.type).itemsize for prop in vertex.properties[:position])
         columns.append(column(data, dtype, vertex.count, start + offset, vertex.stride))
     return scan_from_columns(columns)
 
 
+def _parse_with_lists(
+    data: bytes, start: int, vertex: _Element, order: str, wanted: list[int]
+) -> Scan:
+    """Vertices that have lists beside coordinates, so that their sizes differ."""
+    row, properties = _Row(vertex, order), vertex.properties
+    fixed = not any(prop.length_type for prop in properties[: max(wanted)])
+    places, offsets = [np.empty(0, np.int64)], [np.empty((0, len(wanted)), np.int64)]
+    for place, rows, size in _runs(data, start, vertex, order):
+        places.append(np.arange(place, place + rows * size, size))
+        if not (fixed and len(offsets) > 1):
+            chosen = np.array(row.offsets(data, place))[wanted]
+        offsets.append(np.broadcast_to(chosen, (rows, len(wanted))))
+    at = np.concatenate(places)[:, None] + np.concatenate(offsets)
+    content = np.frombuffer(data, np.uint8)
+    columns = []
+    for k, position in enumerate(wanted):
+        dtype = np.dtype(order + properties[position].type)
+        columns.append(content[at[:, k, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0])
+    return scan_from_columns(columns)
+
+
 def _skip(data: bytes, start: int, element: _Element, order: str) -> int:
     """Where the rows of ``element`` end."""
-    what = f"{element.count} rows of {element.name}"
     if not element.has_lists:
+        what = f"{element.count} rows of {element.name}"
         require_bytes(len(data) - start, element.count * element.stride, what)
         return start + element.count * element.stride
+    for place, rows, size in _runs(data, start, element, order):
+        start = place + rows * size
+    return start
+
+
+def _runs(data: bytes, start: int, element: _Element, order: str) -> Iterator[tuple[int, int, int]]:
+    """Place, number and size of successive rows with lists of the same lengths."""
+    what = f"{element.count} rows of {element.name}"
     check_points(element.count, f"rows of {element.name}")
     # Each row has the byte of a list's length at least, which bounds the loop.
     require_bytes(len(data) - start, element.count, what)
@@ -146,18 +186,21 @@ def _skip(data: bytes, start: int, element: _Element, order: str) -> int:
     while done < element.count:
         size = row.size(data, start, what)
         alike = row.alike(data, start, size, element.count - done)
+        require_bytes(len(data) - start, alike * size, what)
+        yield start, alike, size
         done, start = done + alike, start + alike * size
         for _ in range(min(_ODD_ROWS if alike < _ODD_ROWS else 0, element.count - done)):
-            start += row.size(data, start, what)
-            done += 1
-    require_bytes(len(data), start, what)
-    return start
+            size = row.size(data, start, what)
+            require_bytes(len(data) - start, size, what)
+            yield start, 1, size
+            done, start = done + 1, start + size
 
 
 class _Row:
     """Measures rows with lists, whose sizes are known from what is in them alone."""
 
     def __init__(self, element: _Element, order: str) -> None:
+        self._properties = element.properties
         self._parts: list[tuple[int, struct.Struct | None, int]] = []
         """Bytes before a list, its length, and bytes of one of its values."""
         before = 0
@@ -185,6 +228,19 @@ class _Row:
                     raise DatasetError(f"a list has the length {count}")
                 place += length.size + count * size
         return place - start
+
+    def offsets(self, data: bytes, start: int) -> list[int]:
+        """Where each property of the row at ``start`` begins, bytes from there."""
+        place, found = start, []
+        lists = iter([(length, size) for _, length, size in self._parts if length is not None])
+        for prop in self._properties:
+            found.append(place - start)
+            if prop.length_type:
+                length, size = next(lists)
+                place += length.size + length.unpack_from(data, place)[0] * size
+            else:
+                place += np.dtype(prop.type).itemsize
+        return found
 
     def alike(self, data: bytes, start: int, size: int, most: int) -> int:
         """How many rows from ``start`` on have lists of the same lengths: most meshes' have."""

@@ -33,6 +33,8 @@ _PARSERS: dict[str, Callable[[bytes], Scan]] = {
     ".npz": parse_npz,
     ".txt": parse_txt,
     ".xyz": parse_txt,
+    ".pts": parse_txt,
+    ".asc": parse_txt,
 }
 _FORMATTERS: dict[str, Callable[[Float32], bytes]] = {
     ".bin": format_kitti,
@@ -53,6 +55,11 @@ def scan_suffix(path: Path) -> str | None:
     return next((suffix for suffix in _PARSERS if name.endswith(suffix)), None)
 
 
+def scan_suffixes() -> tuple[str, ...]:
+    """The suffixes that :func:`read_scan` knows."""
+    return tuple(_PARSERS)
+
+
 def read_scan(path: str | Path) -> Scan:
     """Read one point cloud.
 
@@ -64,7 +71,8 @@ def read_scan(path: str | Path) -> Scan:
     .pcd           PCL: ascii, binary, binary_compressed
     .ply           ascii, binary of either byte order
     .csv           named columns (libpointmatcher), or the first three
-    .txt .xyz      the same between white space, commas or semicolons, with comments
+    .txt .xyz      the same between white space, commas or semicolons, with comments, and
+    .pts .asc      perhaps a line with the number of points first
     .vtk           legacy, ASCII and BINARY
     .las .laz      needs the extra ``io``
     .npy .npz      (N, >= 3); the key ``points`` or the only one, and ``times``
@@ -72,7 +80,7 @@ def read_scan(path: str | Path) -> Scan:
 
     Times come from a field named t, time, timestamp or time_stamp, or from LAS GPS times: a number
     with a fractional type is in seconds, an integer in nanoseconds. An empty file is a scan of no
-    points where the format has no header (.bin, .txt, .xyz), and an error elsewhere.
+    points where the format has no header (.bin, .txt and its like), and an error elsewhere.
 
     Raises
     ------

@@ -1,8 +1,9 @@
-"""Numbers as text: ``.csv`` (libpointmatcher's among them), ``.txt`` and ``.xyz``."""
+"""Numbers as text: ``.csv`` (libpointmatcher's among them), ``.txt``, ``.xyz`` and their like."""
 
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
@@ -17,13 +18,20 @@ _BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as 
 _LONGEST_LINE = 1 << 16
 _COMMENTS = ("#", "//")
 _BOM = b"\xef\xbb\xbf"
+_NOT_A_NUMBER = re.compile(r"[-+]?(?:nan\([^)\s]*\)|1\.#(?:q?nan|snan|ind|inf)\w*)", re.I)
+"""As Microsoft's and other C libraries print values that are not finite."""
+
+
+def plain_nan(text: str) -> str:
+    """The text with ``nan`` for other spellings of what is not finite."""
+    return _NOT_A_NUMBER.sub("nan", text)
 
 
 def parse_table(
     data: bytes,
     *,
     columns: Sequence[int],
-    width: int,
+    width: int | None,
     rows: int,
     skipped: int = 0,
     more: bool = False,
@@ -36,8 +44,9 @@ def parse_table(
         The lines; blank ones do not count.
     columns : sequence of int
         Which columns to parse; what stands in the others may be any text.
-    width : int
-        How many columns there are; checked on the last line, where a cut would show.
+    width : int or None
+        How many columns there are; checked on the last line, where a cut would show. None where
+        rows differ.
     rows : int
         How many rows there should be.
     skipped : int
@@ -99,7 +108,7 @@ def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> It
 
 
 def _parse_blocks(
-    blocks: Iterator[list[str]], columns: Sequence[int], width: int, delimiter: str | None
+    blocks: Iterator[list[str]], columns: Sequence[int], width: int | None, delimiter: str | None
 ) -> Float64:
     tables: list[Float64] = []
     count, last = 0, ""
@@ -108,25 +117,33 @@ def _parse_blocks(
             continue
         check_points(count + len(lines))
         try:
-            tables.append(
-                np.loadtxt(
-                    lines,
-                    delimiter=delimiter,
-                    usecols=columns,
-                    comments=None,
-                    ndmin=2,
-                    dtype=np.float64,
-                )
-            )
+            tables.append(_loaded(lines, columns, delimiter))
         except ValueError as error:
             behind = f" behind row {count}" if count else ""
             raise DatasetError(f"cannot parse the points{behind}: {one_line(error)}") from error
         count, last = count + len(lines), lines[-1]
     if not tables:
         return np.empty((0, len(columns)))
-    if (found := len(_words(last, delimiter))) != width:
+    if width is not None and (found := len(_words(last, delimiter))) != width:
         raise DatasetError(f"the last row has {found} columns, not {width}")
     return tables[0] if len(tables) == 1 else np.concatenate(tables)
+
+
+def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> Float64:
+    """Columns of lines of numbers; other spellings of NaN are sought where there may be some."""
+
+    def load(rows: list[str]) -> Float64:
+        return np.loadtxt(
+            rows, delimiter=delimiter, usecols=columns, comments=None, ndmin=2, dtype=np.float64
+        )
+
+    try:
+        return load(lines)
+    except ValueError:
+        plain = [plain_nan(line) for line in lines]
+        if plain == lines:
+            raise
+        return load(plain)
 
 
 def _words(line: str, delimiter: str | None) -> list[str]:
@@ -154,6 +171,8 @@ def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
     lines = next(filter(None, blocks), None)
     if lines is None:
         return None
+    if len(lines) > 1 and _is_count(lines[0]) and not _is_count(lines[1]):
+        del lines[0]
     delimiter = next((mark for mark in ",;" if mark in lines[0]), None)
     first = [word.strip().strip("\"'").lower() for word in _words(lines[0], delimiter)]
     if all(_is_number(word) for word in first[:3]):
@@ -167,9 +186,14 @@ def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
     return scan_from_columns(list(table.T))
 
 
+def _is_count(line: str) -> bool:
+    """Whether a line is one whole number, as .pts files begin."""
+    return len(line) <= _LONGEST_LINE and line.strip().isdecimal()
+
+
 def _is_number(word: str) -> bool:
     try:
-        float(word)
+        float(plain_nan(word))
     except ValueError:
         return False
     return True

@@ -16,6 +16,7 @@ from ..system.checks import MOST_METRES, are_rotations
 from ..system.files import write_text
 from ..types import Float64, Pose
 from .fields import faults_of, one_line
+from .pose_columns import TUM, delimiter, is_header, named_columns
 from .scans import read_file
 
 _UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals
@@ -132,6 +133,9 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
     TUM: ``stamp tx ty tz qx qy qz qw``, stamps rising, quaternions normalised. KITTI: the upper
     three rows of each pose; the stamps are 0, 1, 2, ... A file of comments alone has no poses.
+    Columns stand between white space, commas or semicolons. A first line that names a time, a
+    position and a quaternion, as EuRoC's does, picks the columns by name; times whose unit it gives
+    become seconds.
 
     Raises
     ------
@@ -163,29 +167,49 @@ def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
     check_points(len(lines), "poses")
     if not data.strip():
         raise DatasetError("empty file")
+    first = next((k for k, line in enumerate(text) if line.strip()), 0)
+    named, unit = named_columns(text[first])
+    if lines and lines[0] == first and (named is not None or is_header(text[first])):
+        del lines[0]
+        if named is None:
+            raise DatasetError(
+                f"line {first + 1}: a header without columns of a time, x, y, z, qx, qy, qz and qw"
+            )
     if not lines:
         return np.empty((0, 8)), []
-    rows = [text[k] for k in lines]
+    rows = [text[k].partition("#")[0].strip().rstrip(",;") for k in lines]
     lines = [k + 1 for k in lines]
+    mark = delimiter(rows[0])
+    if named is not None and max(named) >= len(rows[0].split(mark)):
+        named, unit = None, 1.0  # a remark, and not on these columns
     try:
-        numbers: Float64 = np.loadtxt(rows, comments="#", ndmin=2, dtype=np.float64)
+        numbers: Float64 = np.loadtxt(
+            rows, comments=None, delimiter=mark, usecols=named, ndmin=2, dtype=np.float64
+        )
     except ValueError:
         numbers = np.empty((0, 0))
+    if named is not None and numbers.shape[1] == len(named):
+        numbers[:, 0] *= unit
+        numbers[:, 0] += 1e-9 * numbers[:, 8:].sum(axis=1)
+        numbers = numbers[:, : len(TUM)]
     if numbers.shape[1] not in _KINDS:
-        _raise_first_fault(rows, lines)
+        _raise_first_fault(rows, lines, mark, named)
     return numbers, lines
 
 
-def _raise_first_fault(rows: list[str], lines: list[int]) -> NoReturn:
+def _raise_first_fault(
+    rows: list[str], lines: list[int], mark: str | None, named: list[int] | None
+) -> NoReturn:
     """Name the first line that is no pose."""
     width = 0
     for line, row in zip(lines, rows, strict=True):
-        words = row.partition("#")[0].split()
-        if len(words) not in _KINDS or (width and len(words) != width):
+        words = row.split(mark)
+        wrong = max(named) >= len(words) if named else len(words) not in _KINDS
+        if wrong or (width and len(words) != width):
             expected = width or "8 (TUM) or 12 (KITTI)"
             raise DatasetError(f"line {line}: {len(words)} columns, not {expected}")
         width = len(words)
-        for word in words:
+        for word in [words[k] for k in named] if named else words:
             try:
                 np.loadtxt([word], comments=None)
             except ValueError as error:

@@ -10,6 +10,7 @@ from ..errors import DatasetError
 from ..system.budget import check_points
 from ..types import Scan
 from .fields import column, header_lines, one_line, parse_count, require_bytes, scan_from_columns
+from .text import plain_nan
 
 _TYPES = {
     "float": "f4", "double": "f8",
@@ -61,6 +62,8 @@ def _parse_binary(data: bytes, start: int, count: int, dtype: np.dtype[np.generi
 def _parse_ascii(data: bytes, count: int) -> Scan:
     """Numbers in any number of columns: VTK itself writes three points to a line."""
     require_bytes(len(data) + 1, 6 * count, f"{count} points")  # a digit and a space each at least
+    if b"#" in data or b"nan(" in data.lower():
+        data = plain_nan(data.decode("latin-1")).encode("latin-1")
     if not count:
         return Scan(np.empty((0, 3), dtype=np.float32))
     end = _WORD.search(data)

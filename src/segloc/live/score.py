@@ -22,12 +22,12 @@ def pose_errors(replay: Replay, truths: Float64) -> tuple[Float64, Float64]:
     ----------
     replay : Replay
     truths : (M, 4, 4) float64
-        True T_map_sensor of the recording's scans.
+        True T_map_sensor of the recording's scans, NaN where unknown.
     """
     metres, degrees = np.full((2, len(replay.positions)), np.nan)
     for k, position in enumerate(replay.positions):
         T = replay.states[int(position)].T_map_base
-        if T is not None:
+        if T is not None and np.isfinite(truths[position]).all():
             off = geometry.inverse(truths[position]) @ T
             metres[k] = np.linalg.norm(off[:3, 3])
             degrees[k] = np.degrees(geometry.rotation_angle(off))
@@ -97,6 +97,7 @@ def _percentiles(values: NDArray[np.float64]) -> dict[str, float | None]:
 
 
 def _spread(values: Float64) -> dict[str, float | None]:
+    values = values[np.isfinite(values)]
     if not len(values):
         return {"median": None, "p95": None}
     return {

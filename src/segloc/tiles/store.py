@@ -145,8 +145,21 @@ class Remote:
 
 
 def holds_tiles(where: str) -> bool:
-    """Whether a place is one of tiles, a folder or a URL, and no map file."""
-    return "://" in where or Path(where).is_dir()
+    """Whether a place is one of tiles, a folder or a URL, and no map file.
+
+    Raises
+    ------
+    MapFormatError
+        If it is a folder of something else.
+    """
+    folder = Path(where)
+    if "://" in where or not folder.is_dir():
+        return "://" in where
+    if not (folder / INDEX).exists():
+        maps = sorted(path.name for path in folder.glob("*.segmap"))
+        listed = f"name one of its maps: {', '.join(maps[:5])}" if maps else "it holds no map"
+        raise MapFormatError(f"{where}: a folder without {INDEX}, so no map in tiles: {listed}")
+    return True
 
 
 def store_of(where: str | Path) -> Store:

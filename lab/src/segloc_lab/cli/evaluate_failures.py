@@ -53,9 +53,8 @@ def failures(
 
     from segloc.batch.run import query_positions
     from segloc.cli.console import busy
+    from segloc.cli.recording import open_recording, true_poses
     from segloc.cli.results import check_folder
-    from segloc.datasets import open_sequence
-    from segloc.errors import DatasetError
     from segloc.map.segment_map import SegmentMap
     from segloc.system.files import replacing
 
@@ -67,11 +66,10 @@ def failures(
     check_folder(out)
     prior = SegmentMap.load(prior_map)
     localizer = open_localizer(prior, config, threads, weights)
-    recording = open_sequence(sequence, poses, select)
-    truths = open_sequence(sequence, truth, select).poses
-    if truths is None:
-        raise DatasetError(f"{truth}: no poses")
-    positions = np.arange(len(recording), dtype=np.int64)
+    recording = open_recording(sequence, poses, select)
+    truths = true_poses(recording, sequence, truth, None)
+    assert truths is not None  # the option is required
+    positions = np.flatnonzero(np.isfinite(truths[:, 0, 0]))
     if every is not None:
         positions = query_positions(truths, every, localizer.config.local_cloud.max_gap_m)
     with busy("Looking where queries are lost"):

@@ -179,7 +179,7 @@ class _Recordings:
         cluster: str | None,
     ) -> list[Session]:
         from segloc.cli.options import load_config
-        from segloc.datasets import open_sequence
+        from segloc.cli.recording import open_recording
         from segloc.system.processes import executing
 
         from ..training.collect import Posed, collect_recordings
@@ -188,7 +188,7 @@ class _Recordings:
         items = [
             Posed(
                 Session(self.place, f"{k:02d}-{path.resolve().name}", self.sensor),
-                open_sequence(path, poses, select, topic=self.topic),
+                open_recording(path, poses, select, topic=self.topic),
             )
             for k, (path, poses, select) in enumerate(self.rows)
         ]

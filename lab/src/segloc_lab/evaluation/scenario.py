@@ -153,6 +153,8 @@ class PairScenario:
         positions = np.arange(len(query), dtype=np.int64)
         if path is not None:
             positions = query_positions(path, pair.every_m, MAX_GAP_M)
+        if truths is not None:
+            positions = positions[np.isfinite(truths[positions, 0, 0])]
         if not len(positions):
             raise ConfigError(f"{query.name} has no stretch of {pair.every_m:g} m")
         query_set = QuerySet(query, positions, None if truths is None else truths[positions])

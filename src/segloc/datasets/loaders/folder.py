@@ -3,188 +3,104 @@
 from __future__ import annotations
 
 import re
-from copy import copy
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import DatasetError
-from ...io.scans import read_scan, scan_suffix
-from ...io.trajectory import read_trajectory_and_kind
-from ...motion import Motion
-from ...types import Float64, Int64, Pose, Scan
-from ..base import Selection
-from ..recorded import corrected
+from ...io.scans import read_scan, scan_suffix, scan_suffixes
+from ...types import Float64, Int64, Scan
+from ..clocks import epoch_unit
+from ..recorded import Found
 
+NAME = "folder of scans"
 _TEXT_SUFFIXES = frozenset({".csv", ".txt"})  # that poses and lists come in, too
 _LISTED = 5
 _DIGITS = re.compile(r"\d+", re.ASCII)
+_PAIR = re.compile(r"(?:.*\D)?(\d+)([._])(\d{1,9})", re.ASCII)
+"""Seconds and a fraction, or seconds and nanoseconds."""
+_FRACTION_DIGITS = 3  # of stamps that do not count from 1970
+_NANO_DIGITS = 9
+_HINTS = {
+    ".e57": "export E57 to .laz or .ply, for example by CloudCompare",
+    ".rcp": "export it to .laz",
+    ".zip": "unpack it",
+    ".gz": "unpack it",
+    ".zst": "unpack it",
+    ".zstd": "unpack it by `zstd -d`",
+}
 
 
 @dataclass(frozen=True)
-class _Item:
-    path: Path
-    index: int
-    pose: Pose | None
-    stamp: float | None
+class ScanFiles:
+    """One file a scan, in any format that :func:`~segloc.io.read_scan` knows."""
+
+    paths: tuple[Path, ...]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def where(self, k: int) -> str:
+        """The file of a scan."""
+        return str(self.paths[k])
+
+    def read(self, k: int) -> Scan:
+        """Read the scan at position k."""
+        return read_scan(self.paths[k])
 
 
-class FolderSequence:
-    """The scans of a folder, sorted by name (numbers in names by value: 2 before 10).
+def find(path: Path, poses: Path | None) -> Found:
+    """List the scans of a folder, sorted by name (numbers in names by value: 2 before 10).
 
     Every file with a suffix that :func:`~segloc.io.read_scan` knows is a scan, except hidden files
-    and the poses; .csv and .txt files are scans only where there are none of other formats.
+    and the poses; .csv and .txt files are scans only where there are none of other formats. The
+    last number in a name is the scan's index, and without one its position. Names that are times
+    (``SEC.NSEC``, ``SEC_NSEC``, milli-, micro- or nanoseconds since 1970) give stamps; scans named
+    by two numbers are counted by position.
 
     Parameters
     ----------
-    folder : path
-        Or the file of one scan.
-    poses : path, optional
-        A TUM file whose stamps are the scans' indices, or seconds: one with stamps that are no
-        whole numbers, and as many rows as there are scans, is taken in the order of the scans. Or
-        a KITTI file whose row i is the pose of index i; one with fewer rows than the largest index
-        is taken in the order of the scans, too.
-    deskew : bool
-        Whether points with times are moved, along the poses, to where they would be at the start
-        of the scan. Needs poses in seconds.
-    T_base_sensor : (4, 4) float64, optional
-        Where the sensor is on the body that the poses are of, if they are not the sensor's.
-
-    Attributes
-    ----------
-    format, frame, fields : str
-        For tables, as other recordings have them.
-    indices : (N,) int64
-        The last number in each file's name; where there is none, the file's position.
+    path : path
+        A folder, or the file of one scan.
+    poses : path or None
+        A file that is no scan.
 
     Raises
     ------
     DatasetError
-        If the folder is missing or has no scans, two scans have the same number, or the poses
-        cannot be read. Poses that do not cover all scans raise once ``poses`` or a scan is asked
-        for, so that a selection can leave out what is not covered.
+        If the folder is missing or has no scans, or two scans have the same number or stamp.
     """
-
-    format = "folder of scans"
-    frame = "as recorded"
-    fields = ""
-    notes: tuple[str, ...] = ()
-
-    def __init__(
-        self,
-        folder: str | Path,
-        poses: str | Path | None = None,
-        *,
-        deskew: bool = False,
-        T_base_sensor: Pose | None = None,
-    ) -> None:
-        folder = Path(folder)
-        self.name = folder.resolve().name
-        self._poses_path = None if poses is None else Path(poses)
-        paths = _scan_paths(folder, self._poses_path)
-        indices = _indices(paths, folder)
-        found, stamps = _find_poses(self._poses_path, indices)
-        if T_base_sensor is not None:
-            found = [None if pose is None else pose @ T_base_sensor for pose in found]
-        self._T_base_sensor = T_base_sensor
-        self._items = [_Item(*item) for item in zip(paths, indices, found, stamps, strict=True)]
-        track = self.poses if deskew and len(paths) > 1 and stamps[0] is not None else None
-        self._motion = None if track is None else Motion(np.array(stamps, np.float64), track)
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-    @property
-    def indices(self) -> Int64:
-        """The scans' numbers, (N,) int64."""
-        return np.array([item.index for item in self._items], dtype=np.int64)
-
-    @property
-    def poses(self) -> Float64 | None:
-        """T_odom_sensor of each scan, (N, 4, 4) float64, or None where no poses were given.
-
-        Raises
-        ------
-        DatasetError
-            If some scan has none: names the first such scan and how many there are.
-        """
-        if self._poses_path is None:
-            return None
-        return np.array([self._pose(item) for item in self._items])
-
-    @property
-    def stamps(self) -> Float64 | None:
-        """When the scans start, (N,) float64 seconds, or None where the poses do not say."""
-        stamps = [item.stamp for item in self._items]
-        return None if None in stamps else np.array(stamps, dtype=np.float64)
-
-    @property
-    def track(self) -> str | None:
-        """The file that the poses come from."""
-        return None if self._poses_path is None else str(self._poses_path)
-
-    def raw(self, i: int) -> Scan:
-        """The scan at position i as it was recorded, without pose."""
-        if not 0 <= i < len(self):
-            raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")
-        return read_scan(self._items[i].path)
-
-    def where(self, i: int) -> str:
-        """The file of the scan at position i."""
-        return str(self._items[i].path)
-
-    def scan(self, i: int) -> Scan:
-        """Read the scan at position i, de-skewed where that is possible.
-
-        Raises
-        ------
-        DatasetError
-            If there is no such position, the file cannot be read, or its pose is missing.
-        """
-        scan = self.raw(i)
-        item = self._items[i]
-        pose = None if self._poses_path is None else self._pose(item)
-        scan = corrected(scan, self._motion, item.stamp)
-        scan.stamp = item.stamp
-        scan.T_odom_sensor = None if pose is None else pose.copy()
-        scan.T_base_sensor = self._T_base_sensor
-        return scan
-
-    def _pose(self, item: _Item) -> Pose:
-        if item.pose is None:
-            missing = sum(each.pose is None for each in self._items)
-            raise DatasetError(
-                f"{self._poses_path}: no pose for {item.path.name}; "
-                f"{missing} of {len(self)} scans have none"
-            )
-        return item.pose
-
-    def select(self, selection: Selection) -> FolderSequence:
-        """The scans whose indices are in the selection, in the same order.
-
-        Raises
-        ------
-        DatasetError
-            If there are none.
-        """
-        chosen = selection.mask(self.indices)
-        if not chosen.any():
-            span = f"{self.indices.min()} to {self.indices.max()}"
-            raise DatasetError(f"{self.name}: {selection} selects none of the scans {span}")
-        part = copy(self)
-        part._items = [self._items[i] for i in np.flatnonzero(chosen)]
-        return part
+    paths, notes = _scan_paths(path, poses)
+    indices, stamps = _numbered(paths, path)
+    return Found(
+        name=path.resolve().name,
+        format=NAME,
+        source=ScanFiles(tuple(paths)),
+        indices=indices,
+        stamps=stamps,
+        frame="as recorded",
+        fields="",
+        notes=tuple(notes),
+        times_sure=False,
+    )
 
 
-def _scan_paths(folder: Path, poses: Path | None) -> list[Path]:
+def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]]:
+    """The files of scans in order, and notes on files left out."""
     if folder.is_file() and scan_suffix(folder):
-        return [folder]
+        return [folder], []
+    if not folder.exists():
+        raise DatasetError(f"{folder}: no such folder or file")
     if not folder.is_dir():
-        fault = "no recording in a known format" if folder.exists() else "no such folder or file"
-        raise DatasetError(f"{folder}: {fault}")
+        raise DatasetError(
+            f"{folder}: no recording in a known format{_named([folder])}; {known_formats()}"
+        )
     try:
         files = [path for path in folder.iterdir() if path.is_file()]
+        inner = _inner(folder)
     except OSError as error:
         raise DatasetError(f"{folder}: cannot list: {error.strerror or error}") from error
     scans = [
@@ -193,26 +109,62 @@ def _scan_paths(folder: Path, poses: Path | None) -> list[Path]:
         if scan_suffix(path) and path.name[0] != "." and not (poses and _same(path, poses))
     ]
     others = [path for path in scans if scan_suffix(path) not in _TEXT_SUFFIXES]
-    if not scans:
+    if others:
+        return sorted(others, key=_natural_key), []
+    if not scans or inner:
+        below = f"; there are some in {inner}" if inner else f"; {known_formats()}"
         raise DatasetError(
-            f"{folder}: no scans in a known format among its {len(files)} files{_below(folder)}"
+            f"{folder}: no scans in a known format among its {len(files)} files"
+            f"{_named(files)}{below}"
         )
-    return sorted(others or scans, key=_natural_key)
+    numbered, notes = _without_sidecars(scans)
+    return sorted(numbered, key=_natural_key), notes
 
 
-def _below(folder: Path) -> str:
-    """Which folders in it may be meant."""
+def known_formats() -> str:
+    """The formats of recordings, for messages."""
+    return (
+        "known are bags (.bag .db3 .mcap), captures (.pcap), dataset folders, and scans "
+        f"({' '.join(scan_suffixes())})"
+    )
+
+
+def _named(files: Sequence[Path]) -> str:
+    """Suffixes of files and how to read them, in brackets."""
+    counts = Counter(path.suffix.lower() or "no suffix" for path in files)
+    if not counts:
+        return ""
+    listed = ", ".join(f"{n} {suffix}" for suffix, n in counts.most_common(_LISTED))
+    hints = dict.fromkeys(_HINTS[suffix] for suffix in counts if suffix in _HINTS)
+    return f" ({'; '.join([listed, *hints])})"
+
+
+def _inner(folder: Path) -> str:
+    """Names of folders in it that hold scans."""
     names = sorted(
         path.name
         for path in folder.iterdir()
-        if path.is_dir() and any(scan_suffix(file) for file in path.iterdir())
+        if path.is_dir()
+        and any((scan_suffix(file) or ".txt") not in _TEXT_SUFFIXES for file in path.iterdir())
     )
-    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
-    return f"; there are some in {listed}" if names else ""
+    return ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+
+
+def _without_sidecars(texts: list[Path]) -> tuple[list[Path], list[str]]:
+    """Text files without a number, beside ones with numbers, are tables of something else."""
+    numbered = [path for path in texts if _DIGITS.search(_stem(path))]
+    if len(numbered) < 2 or len(numbered) <= len(texts) // 2:
+        return texts, []
+    left = sorted(path.name for path in texts if path not in numbered)
+    return numbered, [f"{name} left out: no number in its name" for name in left]
 
 
 def _same(path: Path, other: Path) -> bool:
     return other.exists() and path.samefile(other)
+
+
+def _stem(path: Path) -> str:
+    return path.name[: -len(scan_suffix(path) or "")]
 
 
 def _natural_key(path: Path) -> tuple[list[tuple[str, int]], str]:
@@ -221,10 +173,51 @@ def _natural_key(path: Path) -> tuple[list[tuple[str, int]], str]:
     return [(text, int(digits or 0)) for text, digits in pairs], path.name
 
 
+def _numbered(paths: list[Path], folder: Path) -> tuple[Int64, Float64 | None]:
+    """Indices and stamps of scans by their names; ``paths`` is put in the order of stamps."""
+    stamps = _stamps_of_pairs([_stem(path) for path in paths])
+    if stamps is not None:
+        order = np.argsort(stamps, kind="stable")
+        paths[:] = [paths[k] for k in order]
+        stamps = stamps[order]
+        if (twice := np.flatnonzero(np.diff(stamps) <= 0)).size:
+            first, second = paths[twice[0]], paths[twice[0] + 1]
+            raise DatasetError(f"{folder}: {first.name} and {second.name} have the same stamp")
+        return np.arange(len(paths)), stamps
+    indices = np.array(_indices(paths, folder), dtype=np.int64)
+    unit = epoch_unit(indices.astype(np.float64))
+    rising = unit is not None and (np.diff(indices) > 0).all()
+    if unit is None or not rising:
+        return indices, None
+    return indices, np.asarray(indices.astype(np.float64) * unit, dtype=np.float64)
+
+
+def _stamps_of_pairs(stems: list[str]) -> Float64 | None:
+    """Stamps, seconds, from names that all end in seconds and a fraction or nanoseconds."""
+    found = [_PAIR.fullmatch(stem) for stem in stems]
+    pairs = [(match[1], match[2], match[3]) for match in found if match is not None]
+    if len(pairs) < len(stems) or any(len(whole) > _NANO_DIGITS * 2 for whole, _, _ in pairs):
+        return None
+    whole = np.array([int(seconds) for seconds, _, _ in pairs], dtype=np.int64)
+    lengths = {len(digits) for _, _, digits in pairs}
+    epoch = epoch_unit(whole.astype(np.float64)) == 1.0
+    decimal = all(mark == "." and stem == f"{a}.{b}" for stem, (a, mark, b) in zip(
+        stems, pairs, strict=True
+    ))  # fmt: skip
+    if not epoch and not (decimal and len(lengths) == 1 and min(lengths) >= _FRACTION_DIGITS):
+        return None
+    # Digits of one length, or as Python prints a float, are a fraction; others are counted.
+    printed = all(mark == "." for _, mark, _ in pairs) and max(lengths) < _NANO_DIGITS - 1
+    count = _NANO_DIGITS if max(lengths) > 6 else 6 if max(lengths) > 3 else 3
+    digits = [part if len(lengths) == 1 or printed else part.zfill(count) for _, _, part in pairs]
+    nanos = np.array([int(part.ljust(_NANO_DIGITS, "0")) for part in digits], dtype=np.int64)
+    return np.asarray((whole * 10**_NANO_DIGITS + nanos) * 1e-9, dtype=np.float64)
+
+
 def _indices(paths: list[Path], folder: Path) -> list[int]:
     seen: dict[int, Path] = {}
     for position, path in enumerate(paths):
-        numbers = _DIGITS.findall(path.name[: -len(scan_suffix(path) or "")])
+        numbers = _DIGITS.findall(_stem(path))
         index = int(numbers[-1]) if numbers else position
         if index > np.iinfo(np.int64).max:
             raise DatasetError(f"{path}: the number in its name is too large")
@@ -234,18 +227,3 @@ def _indices(paths: list[Path], folder: Path) -> list[int]:
             )
         seen[index] = path
     return list(seen)
-
-
-def _find_poses(
-    path: Path | None, indices: list[int]
-) -> tuple[list[Pose | None], list[float | None]]:
-    """The scans' poses, and their stamps where the poses have seconds."""
-    nothing: list[None] = [None] * len(indices)
-    if path is None:
-        return [*nothing], [*nothing]
-    trajectory, kind = read_trajectory_and_kind(path)
-    if kind == "tum" and len(trajectory) == len(indices) and (trajectory.stamps % 1).any():
-        return list(np.array(trajectory.poses)), trajectory.stamps.tolist()
-    by_position = kind == "kitti" and len(trajectory) <= max(indices)
-    keys = range(len(indices)) if by_position else indices
-    return [trajectory.at(key) for key in keys], [*nothing]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,9 @@ from .bag_limits import MOST_METADATA_BYTES, check_metadata, limit_chunks, limit
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-_BEGINNINGS = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
+_MCAP = b"\x89MCAP0\r\n"
+_BEGINNINGS = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": _MCAP}
+_RECOVER = "`mcap recover IN.mcap -o OUT.mcap` writes what is whole"
 _DEFINITIONS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
     "velodyne_msgs/msg/VelodyneScan": (
@@ -56,6 +59,28 @@ def _check_beginnings(paths: tuple[Path, ...]) -> None:
             raise DatasetError(f"{path}: is empty")
         if not head.startswith(_BEGINNINGS[path.suffix]):
             raise DatasetError(f"{path}: no {path.suffix[1:]} file, by its first bytes")
+        if path.suffix == ".mcap" and not _ends_whole(path):
+            raise DatasetError(f"{path}: cut off, its end is missing: {_RECOVER}")
+
+
+def _ends_whole(path: Path) -> bool:
+    """Whether an MCAP file ends as it should: a recorder that was killed writes no end."""
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, len(_MCAP)), os.SEEK_END)
+        return file.read() == _MCAP
+
+
+def remedy(path: Path, error: Exception) -> str:
+    """What mends a bag that its reader refuses; "" where that isn't known."""
+    text = str(error).lower()
+    suffixes = {path.suffix} if path.is_file() else {file.suffix for file in path.glob("*.*")}
+    if ".mcap" in suffixes and ("index" in text or "magic" in text or "eof" in text):
+        return f": {_RECOVER}"
+    if ".bag" in suffixes and ("index" in text or "connection" in text):
+        return ": `rosbag reindex` mends it"
+    if ".db3" in suffixes and ("metadata" in text or "malformed" in text or "table" in text):
+        return ": `ros2 bag reindex` mends it"
+    return ""
 
 
 def _reader(paths: tuple[Path, ...]) -> AnyReader:
@@ -78,14 +103,29 @@ def faults_of(path: Path) -> Iterator[None]:
     try:
         yield
     except DatasetError as error:
-        named = str(error).startswith(str(path))
-        raise error if named else DatasetError(f"{path}: {error}") from error
+        if str(error).startswith(str(path)):
+            raise
+        raise DatasetError(f"{path}: {error}") from error
     except SeglocError:
         raise
     except MemoryError as error:
         raise DatasetError(f"{path}: not enough memory to read it") from error
     except Exception as error:
-        raise DatasetError(f"{path}: cannot be read as a bag: {one_line(error)}") from error
+        raise DatasetError(
+            f"{path}: cannot be read as a bag: {one_line(error)}{remedy(path, error)}"
+        ) from error
+
+
+@contextmanager
+def optional(what: str, remarks: list[str]) -> Iterator[None]:
+    """Turn any error into a remark: the scans are readable without it."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:
+        text = str(error) if isinstance(error, SeglocError) else f"{what}: {one_line(error)}"
+        remarks.append(f"{text}: not used")
 
 
 class BagFile:

@@ -28,7 +28,7 @@ _FIELDS = {
 
 
 def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str) -> Scan:
-    """A message as a scan, its times in seconds after ``stamp``.
+    """A message as a scan, its times in seconds after ``stamp``; a PointCloud2's as they are.
 
     Raises
     ------
@@ -40,7 +40,21 @@ def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str)
     message: Any = reader.deserialize(data, kind)
     if kind == _PACKETS:
         return _unpacked(message, stamp, where)
-    return laserscan.to_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message, stamp)
+    return laserscan.to_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message, 0.0)
+
+
+def defines_times(reader: AnyReader, topic: str, fields: str) -> bool:
+    """Whether the type of a topic's messages defines the unit of points' times, if they have any.
+
+    Parameters
+    ----------
+    reader : AnyReader
+    topic : str
+    fields : str
+        As :func:`fields_of` lists them.
+    """
+    kinds = {item.msgtype for item in reader.connections if item.topic == topic}
+    return _CLOUD not in kinds or not set(pointcloud2.TIMES) & set(fields.split())
 
 
 def fields_of(reader: AnyReader, data: bytes, kind: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...types import Float64, Int64, Pose
 from ..gravity import GravitySource
+from .bag_file import optional
 from .bag_gravity import BagGravity, find_imu
 from .bag_poses import Tracks, find_tracks
 from .bag_tf import mount_on_base, read_tf
@@ -49,9 +50,12 @@ def find_place(
     stamps, logged : (N,)
         Of the scans: seconds, and nanoseconds of recording.
     """
-    edges = read_tf(reader)
+    edges, lost = read_tf(reader)
     tracks, T = find_tracks(reader, edges, frame), mount_on_base(edges, frame)
-    imu = find_imu(reader, edges, frame)
+    tracks.remarks.extend(lost)
+    imu = None
+    with optional("IMU", tracks.remarks):
+        imu = find_imu(reader, edges, frame)
     up = np.array([0.0, 0.0, 1.0]) if T is None else T[2, :3].copy()
     gravity = None if imu is None else BagGravity(paths, imu, stamps, logged, up)
     return Place(tracks, T, gravity)

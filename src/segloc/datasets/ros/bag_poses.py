@@ -10,8 +10,9 @@ from ...errors import DatasetError
 from ...motion import interpolated
 from ...types import Float64
 from ..tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses
+from .bag_file import optional
 from .bag_headers import seconds
-from .bag_tf import Edges, chain, frame_name, fullest_topics, mount, row
+from .bag_tf import Edges, chain, frame_name, fullest_topics, is_pose, mount, row
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -55,19 +56,24 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
     remarks: list[str] = []
     base: Track | None = None
     for topic in fullest_topics(reader, _ODOMETRY):
-        stamps, poses, body = _read_odometry(reader, topic)
-        T_body_sensor = mount(edges, body, frame)
-        if T_body_sensor is not None:
-            return Tracks(clean_track(topic, stamps, poses @ T_body_sensor), None, remarks)
-        base = base or clean_track(topic, stamps, poses)
-        remarks.append(
-            f"{topic} has poses of {body!r}, and nothing says where {frame!r} is in it: not used"
-        )
-    track = _tf_track(edges, frame)
+        with optional(topic, remarks):
+            stamps, poses, body = _read_odometry(reader, topic)
+            T_body_sensor = mount(edges, body, frame)
+            if T_body_sensor is not None:
+                return Tracks(clean_track(topic, stamps, poses @ T_body_sensor), None, remarks)
+            base = base or clean_track(topic, stamps, poses)
+            remarks.append(
+                f"{topic} has poses of {body!r}, and nothing says where {frame!r} is in it: not "
+                "used"
+            )
+    track: Track | None = None
+    with optional("tf", remarks):
+        track = _tf_track(edges, frame)
     return Tracks(track, base if track is None else None, remarks)
 
 
 def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str]:
+    """Stamps (K,), poses (K, 4, 4), NaN for those that are no pose, and the frame they are of."""
     stamps, rows, bodies = [], [], set()
     wanted = [item for item in reader.connections if item.topic == topic]
     for item, logged, data in reader.messages(wanted):
@@ -79,7 +85,10 @@ def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str
     if len(bodies) > 1:
         raise DatasetError(f"{topic}: poses of several frames: {', '.join(sorted(bodies))}")
     values = np.array(rows)
-    return np.array(stamps), quaternion_poses(values[:, :3], values[:, 3:], topic), bodies.pop()
+    good = np.array([is_pose(each) for each in rows], dtype=bool)
+    poses = np.full((len(rows), 4, 4), np.nan)
+    poses[good] = quaternion_poses(values[good, :3], values[good, 3:], topic)
+    return np.array(stamps), poses, bodies.pop()
 
 
 def _tf_track(edges: Edges, frame: str) -> Track | None:

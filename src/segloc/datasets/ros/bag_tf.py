@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ... import geometry
-from ...errors import DatasetError
+from ...checks import MOST_METRES
 from ...types import Float64, Pose
-from ..tracks import quaternion_poses, rising
+from ..tracks import are_unit, quaternion_poses, rising
+from .bag_file import optional
 from .bag_headers import seconds
 
 if TYPE_CHECKING:
@@ -49,31 +51,62 @@ def frame_name(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def read_tf(reader: AnyReader) -> Edges:
-    """What tf says of each frame.
+def read_tf(reader: AnyReader) -> tuple[Edges, list[str]]:
+    """The transforms of each frame, and remarks on what is left out.
 
-    Raises
-    ------
-    DatasetError
-        If a frame has two parents.
+    Transforms that are no rigid motion are left out, and so is a second parent of a frame.
     """
     edges: Edges = {}
-    wanted = [item for item in reader.connections if item.msgtype in _TF]
-    if not wanted:
-        return edges
-    for item, _, data in reader.messages(wanted):
-        message: Any = reader.deserialize(data, item.msgtype)
-        for entry in message.transforms:
-            child, parent = frame_name(entry.child_frame_id), frame_name(entry.header.frame_id)
-            edge = edges.setdefault(child, Edge(parent))
-            if edge.parent != parent:
-                raise DatasetError(
-                    f"{item.topic}: {child} has two parents: {edge.parent}, {parent}"
-                )
-            edge.static |= item.topic.endswith("tf_static")
-            edge.stamps.append(seconds(entry.header.stamp))
-            edge.rows.append(row(entry.transform.translation, entry.transform.rotation))
-    return edges
+    lost: Counter[tuple[str, str]] = Counter()
+    parents: dict[str, str] = {}
+    remarks: list[str] = []
+    for topic in sorted({item.topic for item in reader.connections if item.msgtype in _TF}):
+        wanted = [c for c in reader.connections if c.topic == topic and c.msgtype in _TF]
+        with optional(topic, remarks):
+            for item, _, data in reader.messages(wanted):
+                message: Any = reader.deserialize(data, item.msgtype)
+                for entry in message.transforms:
+                    _add(edges, entry, topic, lost, parents)
+    remarks += [
+        f"{topic}: transforms of {child!r} left out: {count}, no unit quaternion or not finite"
+        for (topic, child), count in lost.items()
+    ]
+    remarks += [
+        f"tf: {child!r} has two parents, {edges[child].parent!r} and {parent!r}: the second left "
+        "out"
+        for child, parent in parents.items()
+    ]
+    return edges, remarks
+
+
+def _add(
+    edges: Edges,
+    entry: Any,
+    topic: str,
+    lost: Counter[tuple[str, str]],
+    parents: dict[str, str],
+) -> None:
+    """Add one transform, or count it among those that cannot be used."""
+    child, parent = frame_name(entry.child_frame_id), frame_name(entry.header.frame_id)
+    values = row(entry.transform.translation, entry.transform.rotation)
+    if not is_pose(values):
+        lost[topic, child] += 1
+        return
+    edge = edges.setdefault(child, Edge(parent))
+    if edge.parent != parent:
+        parents.setdefault(child, parent)
+        return
+    edge.static |= topic.endswith("tf_static")
+    edge.stamps.append(seconds(entry.header.stamp))
+    edge.rows.append(values)
+
+
+def is_pose(values: list[float]) -> bool:
+    """Whether a row of position and quaternion is finite, of unit length and within reason."""
+    numbers = np.array([values])
+    with np.errstate(all="ignore"):
+        near = np.isfinite(numbers).all() and np.abs(numbers[0, :3]).max() <= MOST_METRES
+    return bool(near and are_unit(numbers[:, 3:])[0])
 
 
 def fullest_topics(reader: AnyReader, msgtype: str) -> list[str]:

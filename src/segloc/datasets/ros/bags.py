@@ -18,7 +18,7 @@ from ..tracks import rising
 from . import bag_ouster
 from .bag_file import BagFile, faults_of, opened
 from .bag_headers import Headers, read_headers
-from .bag_messages import KINDS, fields_of, scan_of
+from .bag_messages import KINDS, defines_times, fields_of, scan_of
 from .bag_place import find_place
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 NAME = "bag"
 INNER: tuple[str, ...] = ()
 _SUFFIXES = (".bag", ".db3", ".mcap")
+_PACKED = ".zstd"
 _STORAGE = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag, SQLite", ".mcap": "MCAP"}
 
 
@@ -38,7 +39,7 @@ def recognises(path: Path) -> bool:
 def bag_paths(path: Path) -> tuple[Path, ...]:
     """What has to be opened: a file, a ROS 2 bag's folder, or all ROS 1 bags of a folder."""
     if path.is_file():
-        return (path,) if path.suffix in _SUFFIXES else ()
+        return (path,) if path.suffix in _SUFFIXES or _is_packed(path) else ()
     if not path.is_dir():
         return ()
     if (path / "metadata.yaml").is_file():
@@ -46,7 +47,12 @@ def bag_paths(path: Path) -> tuple[Path, ...]:
     for suffix in _SUFFIXES:
         if found := sorted(path.glob(f"*{suffix}")):
             return tuple(found)
-    return ()
+    return tuple(sorted(file for file in path.glob(f"*{_PACKED}") if _is_packed(file)))
+
+
+def _is_packed(path: Path) -> bool:
+    """Whether a file is one of a ROS 2 bag that is compressed whole."""
+    return path.name.endswith(tuple(f"{suffix}{_PACKED}" for suffix in _SUFFIXES))
 
 
 def _stored(path: Path) -> list[Path]:
@@ -55,9 +61,19 @@ def _stored(path: Path) -> list[Path]:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read the headers of the clouds, and the poses."""
+    """Read the headers of the clouds, and the poses.
 
+    Raises
+    ------
+    DatasetError
+        If the bag or its clouds cannot be read, or there are several topics and none is chosen.
+    """
     paths = bag_paths(path)
+    if packed := [file.name for file in paths if file.suffix == _PACKED]:
+        raise DatasetError(
+            f"{path}: {packed[0]} is compressed, and metadata.yaml is missing: unpack it by "
+            "`zstd -d`, or write the metadata by `ros2 bag reindex`"
+        )
     name = path.resolve().stem if path.is_file() else path.resolve().name
     with opened(paths) as reader:
         chosen = _choose(path, reader, topic)
@@ -69,6 +85,7 @@ def find(path: Path, topic: str | None) -> Found:
         headers, notes = _in_order(headers, str(path), chosen)
         place = find_place(reader, paths, headers.frames[0], headers.stamps, headers.logged)
         fields = _fields(reader, chosen)
+        times_sure = defines_times(reader, chosen, fields)
     return Found(
         name=name,
         format=_kind(paths[0]),
@@ -83,6 +100,7 @@ def find(path: Path, topic: str | None) -> Found:
         frame=headers.frames[0],
         fields=fields,
         notes=(*notes, *place.tracks.remarks),
+        times_sure=times_sure,
     )
 
 

@@ -18,7 +18,8 @@ from ...system.budget import check_points
 from ...types import Float64, Scan
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-_TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "timeOffset")
+TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "timeOffset")
+"""Names of fields with times of points, the first that is there counts."""
 _EPOCH_S = 1e8  # no turn takes so long: such times are seconds since 1970
 
 
@@ -74,8 +75,9 @@ def _columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
     check_points(rows * width)
     step, stride = int(cloud.point_step), int(cloud.row_step)
     data = np.frombuffer(cloud.data, dtype=np.uint8)
-    if stride == 0 or rows == 1:
-        stride = width * step  # some writers leave it out
+    packed = rows * width * step
+    if stride in (0, packed) or rows == 1 or (packed == len(data) and stride != width * step):
+        stride = width * step  # some writers leave it out, or give the size of the whole cloud
     needed = (rows - 1) * stride + width * step if rows and width else 0
     if needed > len(data) or stride < width * step:
         raise DatasetError(
@@ -101,7 +103,7 @@ def _columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
 
 
 def _seconds(columns: dict[str, NDArray[Any]], stamp: float) -> Float64 | None:
-    name = next((name for name in _TIMES if name in columns), None)
+    name = next((name for name in TIMES if name in columns), None)
     if name is None:
         return None
     raw = columns[name]
