@@ -19,6 +19,7 @@ from segloc.doctor import Fault, examine, first_fault, pose_findings, scan_findi
 from segloc.frontend.local_cloud import LocalCloudConfig
 from segloc.types import Float64, Recording, Reposed, Scan
 
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
@@ -29,6 +30,7 @@ def turned(axis: str, degrees: float) -> Points:
 
 POINTS: dict[str, tuple[Points, Fault, str]] = {
     "millimetres": (lambda p: 1000 * p, Fault.MILLIMETRES, "in millimetres: divide them by 1000"),
+    "centimetres": (lambda p: 100 * p, Fault.CENTIMETRES, "in centimetres: divide them by 100"),
     "world": (lambda p: p + [150.0, 40, 3], Fault.WORLD_COORDINATES, "at no plausible place"),
     "utm": (lambda p: p + [455e3, 5428e3, 110], Fault.WORLD_COORDINATES, "world coordinates"),
     "camera": (
@@ -72,6 +74,21 @@ POSES: dict[str, tuple[Poses, Fault, str]] = {
         lambda T: reposed(T, T[:, :3, :3], 1000 * T[:, :3, 3]),
         Fault.POSES_IN_MILLIMETRES,
         "poses are in millimetres .*: divide their positions by 1000",
+    ),
+    "poses in feet": (
+        lambda T: reposed(T, T[:, :3, :3], T[:, :3, 3] / 0.3048),
+        Fault.FEET,
+        "poses are in feet .*: multiply their positions",
+    ),
+    "points in feet": (
+        lambda T: reposed(T, T[:, :3, :3], T[:, :3, 3] * 0.3048),
+        Fault.FEET,
+        "points are in feet .*: multiply them",
+    ),
+    "mirrored points": (
+        lambda T: MIRROR @ T @ MIRROR,
+        Fault.MIRRORED,
+        "y axis of the points is mirrored .*: change the sign of y",
     ),
     "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not meet at their poses"),
 }

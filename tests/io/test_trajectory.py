@@ -183,3 +183,56 @@ def test_recorded_trajectories() -> None:
         np.testing.assert_array_equal(trajectory.poses[:, :3, 3], table[:, 1:4])
         again = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
         np.testing.assert_allclose(np.abs((again * table[:, 4:]).sum(axis=1)), 1, atol=1e-8)
+
+
+ROW = (1.5, 10.0, 20.0, 30.0, 0.1, 0.2, 0.3, 0.927361849549570)  # stamp, position, qx qy qz qw
+TABLES = {
+    "commas": ("", "{0},{1},{2},{3},{4},{5},{6},{7}", 1.0),
+    "semicolons": ("", "{0}; {1}; {2}; {3}; {4}; {5}; {6}; {7};", 1.0),
+    "tabs": ("", "{0}\t{1}\t{2}\t{3}\t{4}\t{5}\t{6}\t{7}", 1.0),
+    "EuRoC": (
+        "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
+        "q_RS_z [],v_RS_R_x [m s^-1],b_w_RS_S_x [rad s^-1]",
+        "{0},{1},{2},{3},{7},{4},{5},{6},9,9",
+        1e9,
+    ),
+    "EuRoC, by name": (
+        "#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z",
+        "{0},{1},{2},{3},{7},{4},{5},{6}",
+        1.0,
+    ),
+    "header": ("timestamp tx ty tz qx qy qz qw", "{0} {1} {2} {3} {4} {5} {6} {7}", 1.0),
+    "more columns": ("num,t,x,y,z,qx,qy,qz,qw", "7,{0},{1},{2},{3},{4},{5},{6},{7}", 1.0),
+    "rostopic": (
+        "%time,field.header.seq,field.header.stamp,field.child_frame_id,"
+        "field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.position.z,"
+        "field.pose.pose.orientation.x,field.pose.pose.orientation.y,"
+        "field.pose.pose.orientation.z,field.pose.pose.orientation.w,field.twist.twist.linear.x",
+        "9,1,{0},base,{1},{2},{3},{4},{5},{6},{7},3",
+        1.0,
+    ),
+    "two times": ("sec,nsec,x,y,z,qx,qy,qz,qw", "1,500000000,{1},{2},{3},{4},{5},{6},{7}", 1.0),
+    "capitals": ('"Time","X","Y","Z","QX","QY","QZ","QW"', "{0},{1},{2},{3},{4},{5},{6},{7}", 1.0),
+    "a remark": ("# x y z of the robot", "{0} {1} {2} {3} {4} {5} {6} {7}", 1.0),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_poses_are_read_by_their_names(name: str, tmp_path: Path) -> None:
+    header, row, scale = TABLES[name]
+    lines = [header] * bool(header)
+    for shift in (0.0, 1.0) if name != "two times" else (0.0,):
+        stamp = scale * (ROW[0] + shift)
+        lines.append(row.format(int(stamp) if scale > 1 else stamp, *ROW[1:]))
+    (tmp_path / "poses.csv").write_text("\r\n".join(lines) + "\r\n")
+    found = read_trajectory(tmp_path / "poses.csv")
+    assert found.stamps[0] == pytest.approx(ROW[0], abs=1e-9)
+    assert found.poses[0, :3, 3].tolist() == list(ROW[1:4])
+    quaternion = Rotation.from_matrix(found.poses[0, :3, :3]).as_quat()
+    np.testing.assert_allclose(quaternion * np.sign(quaternion[3]), ROW[4:], atol=1e-9)
+
+
+def test_a_header_without_all_columns_is_named(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text("time,x,y,yaw\n0,1,2,3\n")
+    with pytest.raises(DatasetError, match="line 1: a header without columns of a time, x"):
+        read_trajectory(tmp_path / "poses.csv")

@@ -19,7 +19,7 @@ _FACTORS = (1e3, 1e6, 1e9, 1e-3, 1e-6, 1e-9)
 _SWEEP_S = (0.01, 0.25)
 """Durations of a scan at common rates, 4 to 100 Hz."""
 _USUAL_S = 0.2
-_LEAST_SHARE, _LEAST_OTHER, _MOST_SHARE = 0.02, 0.05, 1.5
+_LEAST_SHARE, _LEAST_OTHER, _MOST_SHARE = 0.02, 0.1, 1.5
 """Of the time between scans that the points of one take."""
 _FRACTIONS = (0.9, 1.001)  # the largest of a turn
 _SAME_CLOCK_S = 1.0

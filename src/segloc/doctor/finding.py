@@ -11,6 +11,9 @@ class Fault(str, Enum):
 
     READING = "reading"
     MILLIMETRES = "millimetres"
+    CENTIMETRES = "centimetres"
+    FEET = "feet"
+    MIRRORED = "mirrored"
     WORLD_COORDINATES = "world coordinates"
     CAMERA_AXES = "camera axes"
     Z_DOWN = "z down"

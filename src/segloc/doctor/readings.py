@@ -12,6 +12,7 @@ from .. import geometry
 from ..types import Float64
 from .finding import Fault
 
+_FOOT_M = 0.3048
 _T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
@@ -38,10 +39,21 @@ def _turned(R: Float64) -> Callable[[Float64], Float64]:
     return lambda poses: np.asarray(poses @ T)
 
 
-def _in_millimetres(poses: Float64) -> Float64:
-    read: Float64 = poses.copy()
-    read[:, :3, 3] /= 1000.0
+def _scaled(factor: float) -> Callable[[Float64], Float64]:
+    """As poses of points whose unit is another by this factor."""
+
+    def read(poses: Float64) -> Float64:
+        scaled: Float64 = poses.copy()
+        scaled[:, :3, 3] *= factor
+        return scaled
+
     return read
+
+
+def _mirrored(poses: Float64) -> Float64:
+    """As the poses of scans whose y axis points the other way."""
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    return np.asarray(mirror @ poses @ mirror)
 
 
 def _nowhere(poses: Float64) -> Float64:
@@ -89,9 +101,27 @@ READINGS = (
     ),
     Reading(
         Fault.POSES_IN_MILLIMETRES,
-        _in_millimetres,
+        _scaled(1e-3),
         "the poses are in millimetres",
         "divide their positions by 1000",
+    ),
+    Reading(
+        Fault.FEET,
+        _scaled(1.0 / _FOOT_M),
+        "the points are in feet",
+        f"multiply them by {_FOOT_M}",
+    ),
+    Reading(
+        Fault.FEET,
+        _scaled(_FOOT_M),
+        "the poses are in feet",
+        f"multiply their positions by {_FOOT_M}",
+    ),
+    Reading(
+        Fault.MIRRORED,
+        _mirrored,
+        "the y axis of the points is mirrored",
+        "change the sign of y",
     ),
     Reading(
         Fault.WORLD_COORDINATES,

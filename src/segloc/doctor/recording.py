@@ -95,7 +95,10 @@ _NO_POSES = Finding(
     "a map needs some (--poses FILE, or --odometry), and queries are found more often with them",
     wrong=False,
 )
-_FRAME_FAULTS = {Fault.MILLIMETRES, Fault.WORLD_COORDINATES, Fault.CAMERA_AXES, Fault.Z_DOWN}
+_FRAME_FAULTS = {
+    *(Fault.MILLIMETRES, Fault.CENTIMETRES, Fault.WORLD_COORDINATES),
+    *(Fault.CAMERA_AXES, Fault.Z_DOWN),
+}
 """Where points are like this, nothing can be said of what depends on them."""
 
 

@@ -21,6 +21,9 @@ _SLIM_DEG, _THICK = 20.0, 0.4  # seen from the origin: a small, far blob
 _GROUND, _LITTLE = 0.3, 0.3
 """So much of what is flat is one floor; and so little, beside it, lies where ground would."""
 _LOW_M = 3.5  # sensors on vehicles and in hands are no higher above ground; ceilings are
+_LOWEST_M = 0.3
+_SMALL_UNITS = ((Fault.MILLIMETRES, 1000), (Fault.CENTIMETRES, 100))
+_USUAL_RANGE_MM = 2500.0
 _STEEP_DEG = 35.0
 _FEW_BEAMS = 16
 _FEWEST_SEGMENTS, _STANDING = 2, 0.02
@@ -72,12 +75,23 @@ def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
         )
     reach = median(float(np.median(np.linalg.norm(points, axis=1))) for points in clouds)
     if reach > _BEYOND_M:
+        fault, count = _small_unit(clouds, reach)
         return Finding(
-            Fault.MILLIMETRES,
-            f"half of the points are farther than {reach:.0f} m: they are in millimetres",
-            "divide them by 1000",
+            fault,
+            f"half of the points are farther than {reach:.0f} m: they are in {fault}",
+            f"divide them by {count}",
         )
     return None
+
+
+def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
+    """Millimetres or centimetres, by how far below the sensor the ground lies, or by the ranges."""
+    for fault, count in _SMALL_UNITS:
+        found = [floors(np.asarray(points / count, dtype=np.float32)) for points in clouds]
+        heights = [each.metres[2, 0] for each in found if each is not None]
+        if any(_LOWEST_M < height < _LOW_M for height in heights):
+            return fault, count
+    return _SMALL_UNITS[reach < _USUAL_RANGE_MM]
 
 
 def _far_blob(points: Float32) -> bool:
