@@ -283,3 +283,11 @@ def test_points_on_another_clock_are_left_as_they_are(tmp_path: Path) -> None:
     late = replace(sequence, source=Late())
     np.testing.assert_allclose(late.scan(2).points, drive.seen(2), atol=1e-5)
     assert "scan 0: times are not seconds after the stamp: not de-skewed" in inspect(late).problems
+
+
+@pytest.mark.parametrize("stride", [0, 16, 48, 3 * 48])
+def test_a_row_step_that_is_wrong_where_all_bytes_are_there(stride: int) -> None:
+    """Drivers leave it out, or give that of a point or of the whole cloud."""
+    points = np.arange(36, dtype="<f4").reshape(9, 4)
+    message = Message(3, 3, 16, stride, points.view(np.uint8).reshape(-1))
+    np.testing.assert_array_equal(to_scan(message, 0.0).points, points[:, :3])

@@ -234,3 +234,19 @@ def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
     ):
         assert line in text
     assert open_sequence(path, "none").poses is None
+
+
+def test_a_bag_is_read_without_poses_that_are_of_no_use(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from samples.bags import BagWriter
+
+    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    torn = drive.poses.copy()
+    torn[3, :3, 3] = [5e6, 0.0, 0.0]
+    for i, stamp in enumerate(drive.stamps):
+        writer.cloud("/points", stamp, drive.seen(i))
+        writer.odometry("/torn", stamp, torn[i], "lidar")
+        writer.odometry("/yesterday", stamp - 86400.0, drive.poses[i], "lidar")
+    sequence = opened(writer.write(tmp_path / "drive"))
+    assert (len(sequence), sequence.poses) == (COUNT, None)
+    assert [note.partition(":")[0] for note in sequence.notes] == ["/torn", "/yesterday"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from pathlib import Path
 from typing import Any
@@ -229,3 +230,80 @@ def test_a_bin_of_something_else_is_refused(unit: float, tmp_path: Path) -> None
     path.write_bytes(bytes(29 * 7))
     with pytest.raises(DatasetError, match=r"of float32; 203 bytes are .* HeLiPR's Aeva: open the"):
         read_scan(path)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_lists_beside_the_coordinates_of_a_ply(order: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(700, 3)).astype(np.float32)
+    counts = np.where(np.arange(700) < 400, 2, rng.integers(0, 5, 700))
+    kind = "binary_little_endian" if order == "<" else "binary_big_endian"
+    header = (
+        f"ply\nformat {kind} 1.0\nelement vertex 700\nproperty float x\nproperty list uchar int v\n"
+        "property float y\nproperty float z\nelement face 0\nproperty list uchar int w\n"
+        "end_header\n"
+    )
+    rows = [
+        struct.pack(f"{order}fB{n}iff", p[0], n, *range(n), p[1], p[2])
+        for p, n in zip(points, counts.tolist(), strict=True)
+    ]
+    (tmp_path / "a.ply").write_bytes(header.encode() + b"".join(rows))
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.ply").points, points)
+    (tmp_path / "a.ply").write_bytes(header.encode() + b"".join(rows)[:-1])
+    with pytest.raises(DatasetError, match=r"a\.ply: .* bytes"):
+        read_scan(tmp_path / "a.ply")
+    text = header.replace(kind, "ascii").replace(
+        "property list uchar int v\nproperty float y\nproperty float z\n",
+        "property float y\nproperty float z\nproperty list uchar int v\n",
+    )
+    lines = [
+        " ".join(map(repr, [*map(float, p), n, *range(n)])) + "\n"
+        for p, n in zip(points, counts.tolist(), strict=True)
+    ]
+    (tmp_path / "b.ply").write_text(text + "".join(lines))
+    np.testing.assert_array_equal(read_scan(tmp_path / "b.ply").points, points)
+
+
+PLAIN = "1 2 3 9\n4 5 6 9\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "count"),
+    [
+        ("a.pts", f"2\n{PLAIN}", 2),
+        ("a.asc", f"//X Y Z I\n{PLAIN}", 2),
+        ("a.xyz", f"X Y Z I\n{PLAIN}", 2),
+        ("a.csv", "X,Y,Z\n1,2,3\n4,5,6\n", 2),
+        ("a.txt", f"{PLAIN}-nan(ind) nan(0x8000) -NAN(IND) 0\n1.#QNAN -1.#IND 1.#INF00 0\n", 2),
+        ("a.xyz", f"-nan(ind) -nan(ind) -nan(ind) 0\n{PLAIN}", 2),
+    ],
+)
+def test_text_as_other_programs_write_it(name: str, text: str, count: int, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    scan = read_scan(tmp_path / name)
+    np.testing.assert_array_equal(scan.points, [[1, 2, 3], [4, 5, 6]])
+    assert len(scan) == count
+
+
+@pytest.mark.parametrize(
+    ("lines", "kind"),
+    [
+        (
+            "FIELDS X Y Z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2",
+            "binary",
+        ),
+        (
+            "FIELDS x y z\nSIZE 4 4 4\nTYPE f f f\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2",
+            "BINARY",
+        ),
+        (
+            "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 0\nHEIGHT 0\nPOINTS 2",
+            "binary",
+        ),
+    ],
+)
+def test_headers_of_pcd_as_other_programs_write_them(lines: str, kind: str, tmp_path: Path) -> None:
+    points = np.arange(6, dtype="<f4").reshape(2, 3)
+    header = f"VERSION 0.7\n{lines}\nDATA {kind}\n"
+    (tmp_path / "a.pcd").write_bytes(header.encode() + points.tobytes())
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd").points, points)

@@ -49,15 +49,10 @@ def assembled(
     """
     if not len(found.source):
         raise DatasetError(f"{found.name}: {found.format} without any scan")
-    track = _chosen(found, poses, own_poses, T_base_sensor)
-    at_scans, motion, notes, stamps = None, None, list(found.notes), found.stamps
-    if track is not None:
-        if stamps is None and track.clock == "seconds" and len(track.keys) == len(found.indices):
-            stamps = track.keys
-        at_scans = track.at(found.indices, stamps)
-        notes += [track.note] if track.note else []
-        if deskewed and track.clock == "seconds" and len(track.keys) > 1:
-            motion = Motion(track.keys, track.poses)
+    track, at_scans, stamps, said = _posed(found, poses, own_poses, T_base_sensor)
+    notes, motion = [*found.notes, *said], None
+    if track is not None and deskewed and track.clock == "seconds" and len(track.keys) > 1:
+        motion = Motion(track.keys, track.poses)
     unit = _time_unit(found, stamps)
     notes += [unit.note] if unit is not None and unit.note else []
     sequence = RecordedSequence(
@@ -80,6 +75,28 @@ def assembled(
     return replace(sequence.part(known), notes=(*notes, lost))
 
 
+def _posed(
+    found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
+) -> tuple[Track | None, Float64 | None, Float64 | None, list[str]]:
+    """The sensor's track, its poses at the scans, the scans' stamps, and notes."""
+    stamps = found.stamps
+    if poses is not None:
+        track = _of_file(found, poses, T_base_sensor)
+        if stamps is None and track.clock == "seconds" and len(track.keys) == len(found.indices):
+            stamps = track.keys
+        at_scans = track.at(found.indices, stamps)
+        return track, at_scans, stamps, [track.note] * bool(track.note)
+    if not own_poses:
+        return None, None, stamps, []
+    try:
+        own = _own(found, T_base_sensor)
+        if own is None:
+            return None, None, stamps, []
+        return own, own.at(found.indices, stamps), stamps, [own.note] * bool(own.note)
+    except DatasetError as error:  # the scans are readable without
+        return None, None, stamps, [f"{error}: poses not used"]
+
+
 def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
     """The unit of points' times, by some scans; None if the format defines it."""
     if found.times_sure or stamps is None:
@@ -96,17 +113,16 @@ def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
     return time_unit(samples, period_of(stamps))
 
 
-def _chosen(
-    found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
-) -> Track | None:
-    """The track that was asked for, of the sensor."""
-    if poses is not None:
-        if (track := found.own_poses(poses)) is not None:
-            return track
-        track = read_track(poses, found.indices, found.stamps)
-        return track if T_base_sensor is None else track.moved(T_base_sensor)
-    if not own_poses:
-        return None
+def _of_file(found: Found, poses: Path, T_base_sensor: Pose | None) -> Track:
+    """The sensor's track in a file."""
+    if (track := found.own_poses(poses)) is not None:
+        return track
+    track = read_track(poses, found.indices, found.stamps)
+    return track if T_base_sensor is None else track.moved(T_base_sensor)
+
+
+def _own(found: Found, T_base_sensor: Pose | None) -> Track | None:
+    """The sensor's track that comes with the recording, if there is one."""
     track = found.own_track()
     if track is None and found.base_track is not None and T_base_sensor is not None:
         return found.base_track.moved(T_base_sensor)

@@ -89,7 +89,7 @@ def _parse_header(data: bytes) -> _Header:
         if "DATA" in entries:
             fields, points = _parse_fields(entries), _parse_num_points(entries)
             check_points(points)
-            return _Header(fields, points, " ".join(entries["DATA"]), start)
+            return _Header(fields, points, " ".join(entries["DATA"]).lower(), start)
     raise DatasetError("not a PCD file: its header has no DATA line")
 
 

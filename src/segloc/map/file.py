@@ -126,6 +126,8 @@ def read(path: str | Path) -> Contents:
     """
     try:
         if not Path(path).is_file():
+            if Path(path).is_dir():
+                raise MapFormatError(f"{path}: is a folder, not a .segmap file")
             kind = "is not a regular file" if Path(path).exists() else "no such file"
             raise MapFormatError(f"{path}: {kind}")
         with opened(path) as file:

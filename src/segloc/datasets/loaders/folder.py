@@ -27,6 +27,7 @@ _NANO_DIGITS = 9
 _HINTS = {
     ".e57": "export E57 to .laz or .ply, for example by CloudCompare",
     ".rcp": "export it to .laz",
+    ".active": "`rosbag reindex` makes a .bag of a recording that was not ended",
     ".zip": "unpack it",
     ".gz": "unpack it",
     ".zst": "unpack it",

@@ -78,8 +78,10 @@ def remedy(path: Path, error: Exception) -> str:
         return f": {_RECOVER}"
     if ".bag" in suffixes and ("index" in text or "connection" in text):
         return ": `rosbag reindex` mends it"
-    if ".db3" in suffixes and ("metadata" in text or "malformed" in text or "table" in text):
-        return ": `ros2 bag reindex` mends it"
+    if ".db3" in suffixes and "malformed" in text:
+        return ": `sqlite3 IN.db3 .recover | sqlite3 OUT.db3` saves what is whole"
+    if ".db3" in suffixes and ("metadata" in text or "table" in text):
+        return ": `ros2 bag reindex` writes the metadata"
     return ""
 
 

@@ -61,9 +61,12 @@ def to_scan(cloud: Cloud, stamp: float) -> Scan:
     columns = _columns(cloud)
     try:
         with np.errstate(all="ignore"):  # what float32 cannot hold becomes inf, which is dropped
-            xyz = np.column_stack([columns[axis].astype(np.float32) for axis in "xyz"])
+            named = [axis if axis in columns else axis.upper() for axis in "xyz"]
+            xyz = np.column_stack([columns[name].astype(np.float32) for name in named])
     except KeyError as error:
-        raise DatasetError(f"no field {error} among {', '.join(columns) or 'none'}") from error
+        raise DatasetError(
+            f"no field {str(error).lower()} among {', '.join(columns) or 'none'}"
+        ) from error
     times = _seconds(columns, stamp)
     hit = (xyz != 0).any(axis=1)
     return Scan(xyz[hit], times=None if times is None else times[hit])
