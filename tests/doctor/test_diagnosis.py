@@ -174,7 +174,7 @@ def test_real_recordings_have_nothing_wrong(folder: str, poses: str | None) -> N
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize("name", POSES)
+@pytest.mark.parametrize("name", sorted(POSES.keys() - {"points in feet"}))  # too far apart
 @pytest.mark.parametrize(("folder", "poses"), REAL[:2])
 def test_wrong_poses_of_real_recordings_are_named(
     folder: str, poses: str | None, name: str

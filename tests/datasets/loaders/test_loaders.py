@@ -250,16 +250,17 @@ def test_missing_times_and_calibration(tmp_path: Path) -> None:
     assert opened(path).notes == ("times.txt is missing: scans have no times",)
     text = (path / "calib.txt").read_text()
     (path / "calib.txt").write_text(text.replace("Tr", "Tx"))
-    with pytest.raises(DatasetError, match=r"calib\.txt: no line 'Tr'"):
-        opened(path)
+    unposed = opened(path)
+    assert unposed.poses is None
+    assert any("calib.txt: no line 'Tr'" in note for note in unposed.notes)
     raw = kitti_raw(tmp_path, DRIVE)
     (raw / "velodyne_points" / "timestamps.txt").write_text("yesterday\n")
     with pytest.raises(DatasetError, match=r"timestamps\.txt: "):
         opened(raw)
     (raw.parent / "calib_imu_to_velo.txt").unlink()
     (raw / "velodyne_points" / "timestamps.txt").unlink()
-    with pytest.raises(DatasetError, match=r"calib_imu_to_velo\.txt is neither in it nor beside"):
-        opened(raw)
+    (note,) = [note for note in opened(raw).notes if "calib" in note]
+    assert "calib_imu_to_velo.txt is neither in it nor beside" in note
 
 
 @pytest.mark.parametrize("name", ["MulRan", "NCLT", "Boreas", "Newer College", "HeLiPR Avia"])
@@ -269,6 +270,6 @@ def test_pose_files_that_are_none(name: str, harm: bytes, tmp_path: Path) -> Non
     file = next(file for file in path.rglob("*") if file.suffix in (".csv", ".txt"))
     file.write_bytes(harm)
     assert opened(path, poses="none").poses is None  # what is not asked for is not read
-    with pytest.raises(DatasetError, match=file.name.replace(".", r"\.")) as caught:
-        opened(path)
-    assert "\n" not in str(caught.value)
+    sequence = opened(path)
+    assert sequence.poses is None
+    assert [file.name in note and "\n" not in note for note in sequence.notes] == [True]
