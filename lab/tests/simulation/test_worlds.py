@@ -31,8 +31,8 @@ from segloc_lab.simulation.objects.plant import lying_tank
 from segloc_lab.simulation.objects.terrain import Terrain
 from segloc_lab.simulation.worlds.world import World
 
-from segloc.datasets.base import parse_select
 from segloc.datasets import open_sequence
+from segloc.datasets.base import parse_select
 from segloc.errors import ConfigError, DatasetError
 from segloc.system.processes import ProcessPool
 

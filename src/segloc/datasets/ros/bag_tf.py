@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import geometry
-from ...checks import MOST_METRES
+from ...system.checks import MOST_METRES
 from ...types import Float64, Pose
 from ..tracks import are_unit, quaternion_poses, rising
 from .bag_file import optional
