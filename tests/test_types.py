@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from segloc.local_cloud import Accumulator
 
 from segloc.errors import InvalidScan, SeglocError
-from segloc.types import Scan
+from segloc.types import LocalCloud, Scan, Segments
 
 floats = st.sampled_from([np.float16, np.float32, np.float64, np.longdouble])
 
@@ -60,6 +61,65 @@ def test_lists_and_empty_clouds() -> None:
     for empty in (np.empty((0, 3)), np.empty((0, 7), dtype=np.float16), np.full((2, 3), np.nan)):
         scan = Scan(empty, times=np.zeros(len(empty)))
         assert (len(scan), scan.points.shape, scan.dropped) == (0, (0, 3), len(empty))
+
+
+@pytest.mark.parametrize("metres", [2e8, 1e15, 3.4e38, -3.4e38, 1e300])
+def test_finite_coordinates_that_no_frame_has_are_dropped_with_their_times(metres: float) -> None:
+    points = np.random.default_rng(0).normal(0, 10, (500, 3))
+    points[7, 1] = metres
+    scan = Scan(points, times=np.arange(500.0))
+    assert (len(scan), scan.dropped, scan.missing_returns) == (499, 1, 0)
+    assert scan.times is not None
+    assert 7.0 not in scan.times
+    assert len(Accumulator().gather(scan).points)  # what is left suits native code
+
+
+def test_local_clouds_and_segments_refuse_coordinates_that_no_local_frame_has() -> None:
+    far = np.array([[0.0, 1e15, 0.0]], np.float32)
+    with pytest.raises(InvalidScan, match=r"^points: row 0 is beyond 100000 m"):
+        LocalCloud(far, np.eye(4))
+    with pytest.raises(InvalidScan, match=r"^points: row 0 is beyond 100000 m"):
+        Segments(far, np.array([0, 1]), np.zeros((1, 3)), np.zeros(1, np.float32))
+
+
+def sphere(count: int, metres: float) -> np.ndarray:
+    directions = np.random.default_rng(1).normal(size=(count, 3))
+    return metres * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        np.where(np.arange(1200).reshape(400, 3) % 2, -0.0, 0.0),
+        np.full((400, 3), 0.1),
+        sphere(1500, 120.0),
+        sphere(1500, 120.0).round(3),
+        np.concatenate([np.full((400, 3), 0.1), sphere(1500, 120.0)]),
+    ],
+    ids=["zeros", "one spot", "one range", "one range, written to 1 mm", "both"],
+)
+def test_points_for_missing_returns_are_dropped_with_their_times(missing: np.ndarray) -> None:
+    surface = np.random.default_rng(0).uniform(-30, 30, (2000, 3))
+    points = np.concatenate([surface, missing])
+    order = np.random.default_rng(2).permutation(len(points))
+    scan = Scan(points[order], times=order.astype(float))
+    assert (len(scan), scan.dropped, scan.missing_returns) == (2000, 0, len(missing))
+    assert scan.times is not None
+    assert scan.times.max() < 2000
+    assert scan.kept is not None
+    np.testing.assert_array_equal(order[scan.kept], scan.times)
+
+
+def test_exact_surfaces_are_no_missing_returns() -> None:
+    """What simulators without noise give: rings on level ground, walls, points seen twice."""
+    headings = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    rings = [r * np.c_[np.cos(headings), np.sin(headings), 0 * headings] for r in (4, 7, 15)]
+    ground = np.concatenate(rings) - [0, 0, 1.8]
+    y, z = np.meshgrid(np.linspace(-1, 1, 60), np.linspace(-1, 1, 60))
+    wall = np.c_[np.full(y.size, 5.0), y.ravel(), z.ravel()]
+    for points in (ground, wall, np.concatenate([wall, wall]), np.concatenate([ground, wall])):
+        scan = Scan(points)
+        assert (len(scan), scan.missing_returns, scan.kept) == (len(points), 0, None)
 
 
 @pytest.mark.parametrize(

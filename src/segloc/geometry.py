@@ -12,6 +12,9 @@ from pydantic import Field
 from .system.section import Section
 from .types import Pose
 
+FLAT_M = 0.005
+"""Standard deviation of points in one plane about it [m]."""
+
 
 def rigid(R: NDArray[np.floating[Any]], t: NDArray[np.floating[Any]]) -> Pose:
     """The (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
@@ -81,6 +84,13 @@ def orthonormal(T: Pose) -> Pose:
     U, _, Vt = np.linalg.svd(T[:3, :3])
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return rigid(R, T[:3, 3])
+
+
+def in_one_plane(cloud: NDArray[np.floating]) -> bool:
+    """Whether the points (N, 3) lie in one plane to ``FLAT_M``, as sweeps of a line scanner do."""
+    few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
+    spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] < FLAT_M * np.sqrt(len(few)))
 
 
 def arc_length(line: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,22 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import DatasetError, InvalidScan
+from .system import checks
 from .system.checks import Float32 as Float32
 from .system.checks import Float64 as Float64
 from .system.checks import Pose as Pose
-from .system.checks import (
-    checked_angle,
-    checked_count,
-    checked_direction,
-    checked_local_points,
-    checked_points,
-    checked_pose,
-    checked_rows,
-    checked_stamp,
-    checked_times,
-    edge_if_given,
-    pose_if_given,
-)
+from .system.returns import measured_points
 
 Int64 = NDArray[np.int64]
 AttitudeSource = Literal["given", "estimated", "assumed"]
@@ -55,7 +44,14 @@ class Scan:
     Attributes
     ----------
     points : (M, 3) float32, C-contiguous
-        The finite points; ``dropped`` others (NaN or infinite) were left out with their times.
+        The usable points. The others are left out with their times.
+    dropped : int
+        Points left out because a coordinate is NaN, infinite, or beyond ``MOST_METRES``.
+    missing_returns : int
+        Points left out because they stand for firings without a return: many on one spot, or many
+        at one range.
+    kept : (N,) bool or None
+        Which of the given points these are; None: all.
 
     Raises
     ------
@@ -64,8 +60,8 @@ class Scan:
     """
 
     __slots__ = (
-        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "gravity_error_deg", "points"),
-        *("stamp", "times"),
+        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "gravity_error_deg", "kept"),
+        *("missing_returns", "points", "stamp", "times"),
     )
 
     def __init__(
@@ -79,20 +75,21 @@ class Scan:
         gravity_error_deg: float = 0.0,
         T_base_sensor: ArrayLike | None = None,
     ) -> None:
-        xyz = checked_points(points)
-        stamps = checked_times(times, len(xyz))
-        finite = np.isfinite(xyz).all(axis=1)
-        self.dropped = int(len(xyz) - finite.sum())
-        if self.dropped:
-            xyz = xyz[finite]
-            stamps = None if stamps is None else stamps[finite]
+        xyz = checks.checked_points(points)
+        stamps = checks.checked_times(times, len(xyz))
+        self.kept, self.dropped, self.missing_returns = measured_points(xyz)
+        if self.kept is not None:
+            xyz = xyz[self.kept]
+            stamps = None if stamps is None else stamps[self.kept]
         self.points: Float32 = xyz
         self.times: Float64 | None = stamps
-        self.stamp = checked_stamp(stamp)
-        self.T_odom_sensor = pose_if_given(T_odom_sensor, "T_odom_sensor")
-        self.gravity: Float64 | None = None if gravity is None else checked_direction(gravity)
-        self.gravity_error_deg = checked_angle(gravity_error_deg, "gravity_error_deg")
-        self.T_base_sensor = pose_if_given(T_base_sensor, "T_base_sensor")
+        self.stamp = checks.checked_stamp(stamp)
+        self.T_odom_sensor = checks.pose_if_given(T_odom_sensor, "T_odom_sensor")
+        self.gravity: Float64 | None = (
+            None if gravity is None else checks.checked_direction(gravity)
+        )
+        self.gravity_error_deg = checks.checked_angle(gravity_error_deg, "gravity_error_deg")
+        self.T_base_sensor = checks.pose_if_given(T_base_sensor, "T_base_sensor")
 
     def __len__(self) -> int:
         return len(self.points)
@@ -175,11 +172,11 @@ class LocalCloud:
 
     def __post_init__(self) -> None:
         checked = {
-            "points": checked_local_points(self.points),
-            "T_local_sensor": checked_pose(self.T_local_sensor, "T_local_sensor"),
-            "num_scans": checked_count(self.num_scans, "num_scans"),
-            "stamp": checked_stamp(self.stamp),
-            "voxel_size": edge_if_given(self.voxel_size, "voxel_size"),
+            "points": checks.checked_local_points(self.points),
+            "T_local_sensor": checks.checked_pose(self.T_local_sensor, "T_local_sensor"),
+            "num_scans": checks.checked_count(self.num_scans, "num_scans"),
+            "stamp": checks.checked_stamp(self.stamp),
+            "voxel_size": checks.edge_if_given(self.voxel_size, "voxel_size"),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -203,7 +200,8 @@ class Segments:
     Raises
     ------
     InvalidScan
-        If shapes do not fit, or a value is not finite; names the field and the row.
+        If shapes do not fit, or a value is not finite or beyond ``MOST_LOCAL_METRES``; names the
+        field and the row.
     """
 
     points: Float32
@@ -212,16 +210,17 @@ class Segments:
     heights: Float32
 
     def __post_init__(self) -> None:
-        points = checked_rows(self.points, "points", (-1, 3), np.float32)
-        offsets = checked_rows(self.offsets, "offsets", (-1,), np.int64)
+        points = checks.checked_rows(self.points, "points", (-1, 3), np.float32)
+        offsets = checks.checked_rows(self.offsets, "offsets", (-1,), np.int64)
         count = len(offsets) - 1
         wrong = count < 0 or offsets[0] != 0 or offsets[-1] != len(points)
         if wrong or (np.diff(offsets) < 0).any():
             raise InvalidScan(f"offsets must rise from 0 to the number of points, {len(points)}")
-        centroids = checked_rows(self.centroids, "centroids", (count, 3), np.float64)
-        heights = checked_rows(self.heights, "heights", (count,), np.float32)
+        centroids = checks.checked_rows(self.centroids, "centroids", (count, 3), np.float64)
+        heights = checks.checked_rows(self.heights, "heights", (count,), np.float32)
         checked = {"points": points, "offsets": offsets, "centroids": centroids, "heights": heights}
         for name, rows in checked.items():
+            checks.check_finite(rows, name, checks.MOST_LOCAL_METRES)  # whole numbers pass
             object.__setattr__(self, name, rows)
 
     def __len__(self) -> int:

@@ -144,6 +144,48 @@ def test_right_recordings_have_nothing_wrong() -> None:
     assert first_fault(walk) is None
 
 
+class Narrow(Walk):
+    """A walk with a sensor that sees 120 degrees and turns by 110 degrees within two metres."""
+
+    def __init__(self) -> None:
+        super().__init__(in_view)
+        for k, T in enumerate(self.poses):
+            T[:] = geometry.yaw_transform(0.5 * k, (0.5 * k - 4.0, 1.0, 1.8))
+
+
+def in_view(points: Float64) -> Float64:
+    return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(60)]
+
+
+def test_scans_of_a_narrow_sensor_are_compared_where_they_share_their_view() -> None:
+    walk = Narrow()
+    assert pose_findings(walk) == []
+    for name in ("inverse", "wxyz", "camera", "millimetres"):
+        means, fault, _ = POSES[name]
+        (finding,) = pose_findings(Reposed(walk, means(walk.poses)))
+        assert finding.fault is fault, name
+
+
+def test_points_for_missing_returns_are_counted_and_are_no_problem(tmp_path: Path) -> None:
+    def with_missing(points: Float64) -> Float64:
+        return np.concatenate([points, np.full((len(points) // 4, 3), 0.1), [[0.0, 3.4e38, 0.0]]])
+
+    recording = open_sequence(raw_folder(tmp_path / "walk", with_missing))
+    found = examine(recording, sample=3)  # type: ignore[arg-type]
+    assert found.healthy
+    said = {finding.fault: str(finding) for finding in found.findings}
+    assert said[Fault.MISSING_RETURNS].startswith("20% of the points stand for missing returns")
+    assert "not finite or beyond 1e+08 m: they are left out" in said[Fault.UNUSABLE_POINTS]
+
+
+def raw_folder(folder: Path, written: Points) -> Path:
+    folder.mkdir()
+    walk = Walk()
+    for i in range(3):
+        np.save(folder / f"{i:04d}.npy", written(walk.scan(i).points.astype(np.float64)))
+    return folder
+
+
 def test_a_mounting_that_is_named_is_no_fault() -> None:
     mount = {"mount": {"rpy_deg": [180, 0, 0]}}
     config = LocalCloudConfig.model_validate(mount)
@@ -156,6 +198,8 @@ REAL: list[tuple[str, str | None]] = [
     ("vlp16_corridor/scans", "vlp16_corridor/poses.tum"),
     ("mid360_lab/0618/scans", "mid360_lab/0618/poses.tum"),
     ("mid360_lab/0622c/scans", "mid360_lab/0622c/poses_own_frame.tum"),
+    ("robosense_e1r_indoor/scans", "robosense_e1r_indoor/poses.tum"),
+    ("vlp16_narrow_corridor/scans", "vlp16_narrow_corridor/poses.tum"),
     ("hdl64_drive", None),
     ("hdl32e", None),
     ("vlp16", None),
@@ -170,6 +214,7 @@ def test_real_recordings_have_nothing_wrong(folder: str, poses: str | None) -> N
     recording = open_sequence(real(*folder.split("/")), file)
     found = examine(recording, sample=8)  # type: ignore[arg-type]
     assert found.healthy, [str(finding) for finding in found.findings]
+    assert found.inspection.missing_returns == 0
 
 
 @pytest.mark.data

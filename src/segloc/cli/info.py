@@ -29,6 +29,7 @@ def info(
 
 def show(recording: Examinable, examination: Examination) -> None:
     """Print a recording's facts as one table, and below what is wrong with it."""
+    from ..datasets.inspection import UNUSABLE
     from .console import number, table
     from .findings import show_findings
 
@@ -47,7 +48,8 @@ def show(recording: Examinable, examination: Examination) -> None:
         ("path", number(found.length_m, "m", 1)),
         ("roll and pitch", examination.attitude),
         ("points of a scan, median", f"{found.points} ({found.sampled} scans read)"),
-        ("points not finite", f"{100 * found.dropped:.2f} %"),
+        (f"points {UNUSABLE}", f"{100 * found.dropped:.2f} %"),
+        ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
         ("problems", str(wrong) if wrong else "none found"),
     ]
     table(recording.name, ("", ""), rows)

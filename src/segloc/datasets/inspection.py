@@ -10,11 +10,13 @@ import numpy as np
 
 from .. import geometry
 from ..errors import DatasetError
+from ..system.checks import MOST_METRES
 from ..types import Float64, Int64, Scan
 from .recorded import times_fit
 from .signature import Signature, signature
 from .tracks import LONGEST_GAP_S, Track
 
+UNUSABLE = f"not finite or beyond {MOST_METRES:.0e} m"
 _FASTEST_M_S = 60.0
 _ODD_SIZE = 3.0  # times more or fewer points than the median
 _SUBSTANTIAL = 0.05
@@ -59,7 +61,9 @@ class Inspection:
     points : int
         Median of their sizes.
     dropped : float
-        Share of points that are not finite, in [0, 1].
+        Share of points that are not finite or beyond ``MOST_METRES``, in [0, 1].
+    missing_returns : float
+        Share of points that stand for firings without a return, in [0, 1].
     rate_hz : float or None
         Median, where scans have stamps.
     duration_s : float or None
@@ -79,6 +83,7 @@ class Inspection:
     sampled: int
     points: int
     dropped: float
+    missing_returns: float
     rate_hz: float | None
     duration_s: float | None
     length_m: float | None
@@ -105,13 +110,16 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
     problems += _time_problems(recording) + _pose_problems(recording)
     sizes = [len(scan) for _, scan in scans]
     dropped = sum(scan.dropped for _, scan in scans)
+    missing = sum(scan.missing_returns for _, scan in scans)
+    given = max(1, sum(sizes) + dropped + missing)
     stamps, poses = recording.stamps, recording.poses
     steps = np.diff(stamps) if stamps is not None else np.empty(0)
     return Inspection(
         sensor=_sensor(scans),
         sampled=len(scans),
         points=int(np.median(sizes)) if sizes else 0,
-        dropped=dropped / max(1, dropped + sum(sizes)),
+        dropped=dropped / given,
+        missing_returns=missing / given,
         rate_hz=float(1 / np.median(steps)) if len(steps) else None,
         duration_s=float(stamps[-1] - stamps[0]) if stamps is not None and len(stamps) else None,
         length_m=None if poses is None else float(geometry.travelled(poses)[-1]),
@@ -138,7 +146,7 @@ def _scan_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> lis
         where = recording.where(i)
         if _broken(scan):
             whole = len(scan) + scan.dropped
-            problems.append(f"{where}: {scan.dropped} of {whole} points are not finite")
+            problems.append(f"{where}: {scan.dropped} of {whole} points are {UNUSABLE}")
         elif not _within(len(scan), median):
             problems.append(f"{where}: {len(scan)} points, where others have {median:.0f}")
         if scan.times is not None and len(scan) and not times_fit(scan):

@@ -12,11 +12,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from .. import geometry
 from ..errors import DatasetError, MissingDependency
 from ..io.trajectory import Trajectory, read_trajectory, write_tum
 from ..types import Float64, Int64, Scan
 from .recorded import times_fit
-from .signature import in_one_plane
 
 _FEWEST_POINTS = 50
 _LONGEST_STEP_M = 20.0
@@ -78,7 +78,7 @@ def lidar_odometry(
     guard = _Guard()
     for i in range(len(recording)):
         scan = recording.raw(i)
-        if i == 0 and len(scan) and in_one_plane(scan.points):
+        if i == 0 and len(scan) and geometry.in_one_plane(scan.points):
             raise DatasetError(f"{recording.where(i)}: odometry needs 3D, not one plane")
         if len(scan) < _FEWEST_POINTS:
             raise DatasetError(f"{recording.where(i)}: only {len(scan)} points: odometry is lost")

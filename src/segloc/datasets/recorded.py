@@ -224,7 +224,8 @@ def corrected(scan: Scan, motion: Motion | None, stamp: float | None) -> Scan:
     if motion is None or stamp is None or not times_fit(scan):
         return scan
     still = deskew(scan, motion, stamp)
-    still.times, still.dropped = None, scan.dropped  # all points are of one moment now
+    still.times = None  # all points are of one moment now
+    still.dropped, still.missing_returns = scan.dropped, scan.missing_returns
     return still
 
 

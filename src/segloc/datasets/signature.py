@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import geometry
 from ..types import Float64, Recording
 
 PUSH_BROOM = "a sweep of one plane"
-_FLAT_M = 0.005
 _BIN_DEG = 0.02
 _MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
 _OTHER_BEAMS = 1.5  # times as many
@@ -67,17 +67,10 @@ def signature(points: NDArray[np.floating]) -> Signature | None:
     if len(points) < 3:
         return None
     cloud = points.astype(np.float64)
-    if in_one_plane(cloud):
+    if geometry.in_one_plane(cloud):
         return Signature(1, 0.0, 0.0)
     count, low, high = beams(cloud)
     return Signature(max(count, 2), low, high)
-
-
-def in_one_plane(cloud: NDArray[np.floating]) -> bool:
-    """Whether the points (N, 3) lie in one plane, as those of a sensor that sweeps a line do."""
-    few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
-    spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
-    return bool(spread[-1] < _FLAT_M * np.sqrt(len(few)))
 
 
 def is_push_broom(recording: Recording) -> bool:

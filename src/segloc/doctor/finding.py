@@ -10,6 +10,8 @@ class Fault(str, Enum):
     """What may be wrong with a recording."""
 
     READING = "reading"
+    UNUSABLE_POINTS = "unusable points"
+    MISSING_RETURNS = "missing returns"
     MILLIMETRES = "millimetres"
     CENTIMETRES = "centimetres"
     FEET = "feet"

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import _native, geometry
-from ..datasets.signature import in_one_plane
 from ..errors import DatasetError
+from ..frontend.field_of_view import NARROW_DEG, field_of_view_deg
+from ..frontend.local_cloud import LocalCloudConfig
 from ..frontend.segmentation import SegmentationConfig, heights_above_ground
 from ..likelihood.registration import Aligner
-from ..types import Float32, Float64, Pose, Recording
+from ..types import Float32, Float64, Int64, Pose, Recording
 from .finding import Fault, Finding
 from .readings import MILLIMETRES, READINGS
 
@@ -28,6 +29,8 @@ _SPREAD, _TURNING = 6, 6  # pairs all along the path, and those that turn most
 _RANGE_M, _VOXEL_M, _NEAR_M = 35.0, 0.3, 0.4
 _SAMPLE, _FEWEST = 1500, 100
 _FEWEST_PAIRS = 3
+_SHARED_VIEW = 0.25
+"""Scans of a narrow sensor are compared if turned by at most this share of its field of view."""
 _ASIDE_M = ((4.0, 0.0), (-4.0, 0.0), (0.0, 4.0), (0.0, -4.0))
 _ALIGN_M = 1.5
 _BETTER, _CLEARLY = 0.08, 0.3  # more points agree, at least, and of those that do not as it is
@@ -66,9 +69,16 @@ class Fit:
         return (self.as_is - self.chance) / max(1.0 - self.chance, 1e-9)
 
 
-def pose_findings(recording: Recording) -> list[Finding]:
-    """What is wrong with the poses of a recording; nothing where they cannot be judged."""
-    fits = measured(recording)
+def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) -> list[Finding]:
+    """What is wrong with the poses of a recording; nothing where they cannot be judged.
+
+    Parameters
+    ----------
+    recording : Recording
+    config : LocalCloudConfig, optional
+        How the sensor is mounted.
+    """
+    fits = measured(recording, config)
     if len(fits) < _FEWEST_PAIRS:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
@@ -106,14 +116,16 @@ def _smear(fits: list[Fit]) -> list[Finding]:
     return [Finding(Fault.POSES_OFF, what, remedy)]
 
 
-def measured(recording: Recording) -> list[Fit]:
+def measured(recording: Recording, config: LocalCloudConfig | None = None) -> list[Fit]:
     """How well pairs of neighbouring clouds agree; pairs that cannot be compared are left out."""
     poses = recording.poses
     if poses is None or len(poses) < 2:
         return []
     meant = [poses, *(reading.means(poses) for reading in READINGS)]
     fits = []
-    for i, j in _pairs(poses, _unit(poses)):
+    view_deg = field_of_view_deg(recording, config or LocalCloudConfig())
+    most_deg = _SHARED_VIEW * view_deg if view_deg < NARROW_DEG else 180.0
+    for i, j in _pairs(poses, _unit(poses), most_deg):
         try:
             target, source = (
                 _standing(recording.scan(i).points),
@@ -121,7 +133,7 @@ def measured(recording: Recording) -> list[Fit]:
             )
         except DatasetError:
             continue
-        if min(len(target), len(source)) >= _FEWEST and not in_one_plane(target):
+        if min(len(target), len(source)) >= _FEWEST and not geometry.in_one_plane(target):
             fits.append(_fit(target, source, [geometry.inverse(T[i]) @ T[j] for T in meant]))
     return fits
 
@@ -158,23 +170,44 @@ def _unit(poses: Float64) -> float:
     return 1000.0 if float(np.median(steps)) > _METRES else 1.0
 
 
-def _pairs(poses: Float64, unit: float) -> list[tuple[int, int]]:
-    """Scans that lie a little apart: some all along the path, and some where it turns most."""
+def _pairs(poses: Float64, unit: float, most_deg: float) -> list[tuple[int, int]]:
+    """Scans that lie a little apart and share their view: some all along the trajectory, and some
+    where it turns most.
+
+    Two scans share their view if they are turned by at most ``most_deg`` against each other. Where
+    the sensor turns by more within ``_APART_M``, nearer scans are taken.
+    """
     path = geometry.travelled(poses) / unit
     ends = np.searchsorted(path, path + _APART_M)
     ends = np.minimum(ends, np.arange(len(path)) + _MOST_SCANS_APART)
     starts = np.flatnonzero(ends < len(path))
-    ends = ends[starts]
+    ends = _facing_alike(poses[:, :3, :3], starts, ends[starts], most_deg)
     apart = path[ends] - path[starts]
     near = (apart < _FARTHEST_M) & (apart > 0.1)
     starts, ends = starts[near], ends[near]
     if not len(starts):
         return []
     spread = np.linspace(0, len(starts) - 1, _SPREAD).round().astype(int)
-    relative = poses[starts, :3, :3].transpose(0, 2, 1) @ poses[ends, :3, :3]
-    turned = np.argsort(np.einsum("nii->n", relative), kind="stable")[:_TURNING]
+    turned = np.argsort(_alignment(poses[:, :3, :3], starts, ends), kind="stable")[:_TURNING]
     chosen = np.unique(np.concatenate([spread, turned]))
     return [(int(starts[k]), int(ends[k])) for k in chosen]
+
+
+def _alignment(rotations: Float64, starts: Int64, ends: Int64) -> Float64:
+    """The traces of relative rotations, (N,): 3 where headings are equal, less where they turn."""
+    relative = rotations[starts].transpose(0, 2, 1) @ rotations[ends]
+    return np.asarray(np.einsum("nii->n", relative), dtype=np.float64)
+
+
+def _facing_alike(rotations: Float64, starts: Int64, ends: Int64, most_deg: float) -> Int64:
+    """The ends, or for those turned by more than ``most_deg`` the last before them that are not."""
+    if most_deg >= 180.0:
+        return ends
+    least = 1.0 + 2.0 * np.cos(np.radians(most_deg))
+    ends = ends.copy()
+    while len(wide := np.flatnonzero(_alignment(rotations, starts, ends) < least)):
+        ends[wide] -= 1  # a scan is aligned with itself
+    return ends
 
 
 def _standing(points: Float32) -> Float32:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..datasets.inspection import Inspectable, Inspection, inspect
+from ..datasets.inspection import UNUSABLE, Inspectable, Inspection, inspect
 from ..errors import DatasetError
 from ..frontend.local_cloud import LocalCloudConfig
 from ..types import Recording, Scan
@@ -71,7 +71,8 @@ def examine(
     # Where frames are wrong, beams are not where a sensor would have them.
     lines = facts.problems if misframed else (*facts.problems, *facts.sensor_changes)
     notes = set(recording.notes)
-    found = [Finding(Fault.READING, line, wrong=line not in notes) for line in lines] + seen
+    found = [Finding(Fault.READING, line, wrong=line not in notes) for line in lines]
+    found += seen + _left_out(facts)
     if not posed and all(finding.fault is not Fault.FEW_BEAMS for finding in found):
         found.append(_NO_POSES)
     said = "not known"
@@ -81,12 +82,31 @@ def examine(
         # What is first to be mended is said alone: poses fit no scans that lie on their side, and
         # poses that are misread are tilted, too.
         sound = not any(finding.wrong for finding in seen)
-        posing = pose_findings(recording) if sound else []
+        posing = pose_findings(recording, config) if sound else []
         misread = any(finding.wrong for finding in posing)
         leaning = [one for one in stands.findings if one.fault is not Fault.POSES_TILTED]
         found += [*(leaning if misread else stands.findings), *posing]
     order = sorted(found, key=lambda finding: (not finding.wrong, finding.fault is Fault.READING))
     return Examination(facts, said, tuple(order))
+
+
+def _left_out(facts: Inspection) -> list[Finding]:
+    """Points that are left out of scans, where no problem of the recording counts them."""
+    found = []
+    counted = any(UNUSABLE in line for line in facts.problems)
+    if facts.dropped and not counted:
+        what = f"{_percent(facts.dropped)} of the points are {UNUSABLE}: they are left out"
+        found.append(Finding(Fault.UNUSABLE_POINTS, what, wrong=False))
+    if facts.missing_returns:
+        share = _percent(facts.missing_returns)
+        what = f"{share} of the points stand for missing returns, on one spot or at one range"
+        remedy = "they are left out; the driver can leave them out, too, or write NaN"
+        found.append(Finding(Fault.MISSING_RETURNS, what, remedy, wrong=False))
+    return found
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if share >= 0.01 else f"{100 * share:.1g}%"
 
 
 _NO_POSES = Finding(
@@ -112,7 +132,7 @@ def first_fault(
     posed = recording.poses is not None
     found = scan_findings(sampled(recording, sample), config, posed=posed)
     if not any(finding.wrong for finding in found):
-        found += pose_findings(recording)
+        found += pose_findings(recording, config)
     return next(iter(sorted(found, key=lambda finding: not finding.wrong)), None)
 
 

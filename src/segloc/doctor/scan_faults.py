@@ -8,7 +8,7 @@ from statistics import median
 import numpy as np
 
 from .. import geometry
-from ..datasets.signature import in_one_plane, signature
+from ..datasets.signature import signature
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
 from ..frontend.segmentation import Segmentation, Segmenter
 from ..types import Float32, Scan
@@ -47,7 +47,7 @@ def scan_findings(
     """
     config = config or LocalCloudConfig()
     whole = [scan for scan in scans if len(scan) >= _FEWEST_POINTS]
-    if not whole or in_one_plane(max((scan.points for scan in whole), key=len)):
+    if not whole or geometry.in_one_plane(max((scan.points for scan in whole), key=len)):
         return []
     for find in (_unit_or_frame, _axes):
         if fault := find([_mounted(scan, config) for scan in whole]):

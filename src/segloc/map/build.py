@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 from .. import geometry
 from ..descriptors import Descriptor, create
 from ..errors import DatasetError
+from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
-from ..frontend.segmentation import Segmentation, Segmenter
+from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
 from ..frontend.tilt import frame_lean, levelled
 from ..types import Descriptors, Float64, Pose, Recording, stamp_at
 from .compact import compacted
-from .config import BuildConfig
+from .config import BuildConfig, MappingConfig, ViewConfig
 from .segment_map import SegmentMap
 
 
@@ -29,6 +30,7 @@ def build_map(
     *,
     every_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
+    adapt: bool = True,
 ) -> SegmentMap:
     """Build a map from scans with poses.
 
@@ -44,6 +46,8 @@ def build_map(
         Distance between views; overrides the configuration.
     progress : callable, optional
         Called with (views done, views in all).
+    adapt : bool
+        Whether :func:`adapted_to_view` may change the configuration.
 
     Raises
     ------
@@ -53,6 +57,7 @@ def build_map(
     """
     sequence, frame = _framed(sequence, config)
     poses = _poses(sequence)
+    config = adapted_to_view(config, [sequence]) if adapt else config
     descriptor = create(config.method, config.threads, config.weights)
     prior_map = empty_map(descriptor, config, poses[0, :3, 3])
     for view in map_views(sequence, config, every_m=every_m, progress=progress):
@@ -65,6 +70,30 @@ def build_map(
     prior_map.metadata["sequence"] = sequence.name
     prior_map.metadata.update(frame)
     return compacted(prior_map, config.mapping.compact)
+
+
+NARROW_VIEWS = tuple(ViewConfig(length_m=length, every_m=2.0) for length in (40, 16, 4))
+NARROW_SEGMENTATION = SegmentationConfig(
+    accumulated=ClusterConfig(voxel_size=0.1, tolerance=0.2, min_points=30),
+    single=ClusterConfig(voxel_size=0.1, tolerance=0.3, min_points=10),
+)
+"""A narrow view holds few separate objects, and a turn of the sensor soon shows others. So segments
+are finer, and views are closer together."""
+
+
+def adapted_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> BuildConfig:
+    """Choose views and segmentation for sensors with a narrow field of view.
+
+    The configuration is changed only if all recordings are of narrow sensors (less than
+    ``NARROW_DEG``), and if ``mapping.views`` and ``segmentation`` have their default values. The
+    map keeps it, so queries are segmented alike.
+    """
+    mapping, segmentation = config.mapping, config.segmentation
+    default = mapping.views == MappingConfig().views and segmentation == SegmentationConfig()
+    if not default or not is_narrow(recordings, config.local_cloud):
+        return config
+    mapping = mapping.model_copy(update={"views": NARROW_VIEWS})
+    return config.model_copy(update={"mapping": mapping, "segmentation": NARROW_SEGMENTATION})
 
 
 def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:

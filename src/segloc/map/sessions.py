@@ -12,7 +12,7 @@ from ..errors import ConfigError
 from ..system.files import folder_in
 from ..system.processes import all_of
 from ..types import Recording
-from .build import build_map
+from .build import adapted_to_view, build_map
 from .compact import compacted
 from .config import BuildConfig
 from .segment_map import SegmentMap
@@ -75,6 +75,7 @@ def build_merged_map(
     if not recordings:
         raise ConfigError("there is no session to map")
     with folder_in(folder if executor else None, ".segloc-parts-") as parts:
+        config = adapted_to_view(config, recordings)
         own = config.model_copy(update={"threads": 1}) if executor else config
         files = [parts / f"{k}.segmap" if executor else None for k in range(len(recordings))]
         tasks = [
@@ -89,7 +90,9 @@ def build_merged_map(
 
 def _mapped(task: _Task, views: Progress | None = None) -> SegmentMap | Path:
     """The map of one recording, or the file that holds it, in whatever process."""
-    prior_map = build_map(task.recording, task.config, every_m=task.every_m, progress=views)
+    prior_map = build_map(
+        task.recording, task.config, every_m=task.every_m, progress=views, adapt=False
+    )
     if task.out is None:
         return prior_map
     prior_map.save(task.out)

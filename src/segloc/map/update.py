@@ -151,8 +151,8 @@ def _described(
 ) -> SegmentMap:
     """The map of the session alone; by default as ``prior_map`` was built, which it then says."""
     if config is not None:
-        return build_map(recording, config)
-    fresh = build_map(recording, stored_config(prior_map, BuildConfig))
+        return build_map(recording, config, adapt=False)
+    fresh = build_map(recording, stored_config(prior_map, BuildConfig), adapt=False)
     if kept := prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]:
         fresh.metadata["config"] = kept
     return fresh

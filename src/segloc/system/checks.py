@@ -15,8 +15,9 @@ Pose = NDArray[np.float64]
 """A (4, 4) float64 homogeneous transform. ``T_a_b`` takes points from frame b to frame a."""
 
 MOST_METRES = 1e8
-"""Positions farther from the origin of any frame are refused: UTM and ECEF coordinates are below
-1e7 m, and a float64 still tells 1e-8 m apart."""
+"""Largest coordinate in any frame [m]. UTM and ECEF coordinates are below 1e7 m, ranges written in
+millimetres by mistake below 1e7, and a float64 still tells 1e-8 m apart. Poses beyond it are
+refused; points of a scan are dropped and counted."""
 
 MOST_LOCAL_METRES = 1e5
 """A local cloud's points lie around the sensor: farther ones are in another frame or unit."""

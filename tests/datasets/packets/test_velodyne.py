@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("velodyne_decoder")
 
 from samples.datasets import START
+from samples.real import real
 from samples.velodyne import FIRING_US, LASERS_DEG, REACH_M, capture, packets
 
 from segloc.datasets import RecordedSequence, open_sequence
@@ -46,6 +47,29 @@ def test_turns_of_a_capture(order: str, unit: int, tmp_path: Path) -> None:
         scan = sequence.scan(i)
         assert len(scan) == 1800 * 16
         check(scan.points, scan.times)
+
+
+def test_a_vlp16_that_names_itself_another_sensor(tmp_path: Path) -> None:
+    early = capture(tmp_path / "early.pcap", packets(2.0, product=0x21))
+    for name in (None, "VLP16"):
+        scan = open_sequence(early, topic=name).scan(0)
+        assert len(scan) == 1800 * 16
+        check(scan.points, scan.times)
+    told = open_sequence(early, topic="HDL32E").scan(0)
+    low = np.degrees(np.arcsin(told.points[:, 2] / np.linalg.norm(told.points, axis=1))).min()
+    assert low < -30.0
+    with pytest.raises(DatasetError, match="no model 'VLP17'; known are HDL32E, VLP16"):
+        open_sequence(early, topic="VLP17")
+
+
+def test_a_real_capture_of_early_firmware() -> None:
+    path = real("formats_found/lidarview_vlp-16-test-90deg-1-50-frames.pcap")
+    points = open_sequence(path).scan(5).points.astype(np.float64)
+    reach = np.linalg.norm(points, axis=1)
+    far = points[reach > 5.0, 2] / reach[reach > 5.0]  # near ones show where lasers are mounted
+    off = np.abs(np.degrees(np.arcsin(far))[:, None] - np.array(LASERS_DEG)).min(axis=1)
+    assert len(far) > 100
+    assert off.max() < 0.3
 
 
 def test_a_capture_that_was_cut_off_or_is_none(tmp_path: Path) -> None:

@@ -57,10 +57,13 @@ def find(path: Path, topic: str | None) -> Found:
 def parse(data: bytes) -> Scan:
     """A cloud of an OS1-64, stored column by column."""
     scan = parse_pcd(data)
-    whole = len(scan) + scan.dropped
-    times = column_times(whole) if scan.times is None and not scan.dropped else scan.times
+    times = scan.times
+    if times is None:
+        times = column_times(len(scan) + scan.dropped + scan.missing_returns)
+        if times is not None and scan.kept is not None:
+            times = times[scan.kept]
     kept = returned(scan.points, times)
-    kept.dropped = scan.dropped
+    kept.dropped, kept.missing_returns = scan.dropped, scan.missing_returns
     return kept
 
 

@@ -25,6 +25,11 @@ INNER: tuple[str, ...] = ()
 PACKET = 1206  # bytes
 _POINTS_A_PACKET = 12 * 32
 _BLOCK = b"\xff\xee"
+_PRODUCTS = {"HDL32E": 0x21, "VLP16": 0x22, "PuckHiRes": 0x24, "VLP32C": 0x28}
+"""The byte that ends a packet, by sensor model."""
+_SLOWEST_HDL32E_US = 70.0
+"""Time per step of the azimuth [us]. A block of the HDL-32E holds one firing of 32 lasers, 46 us; a
+block of the VLP-16 holds two of 16 lasers, 111 us."""
 _FEWEST_PACKETS = 8  # of a turn; less is left from where the capture begins or ends
 
 
@@ -34,7 +39,13 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Find where the turns are; nothing is decoded yet."""
+    """Find where the turns are; nothing is decoded yet.
+
+    ``topic`` may name the sensor's model, one of HDL32E, VLP16, PuckHiRes and VLP32C, where packets
+    name a wrong one.
+    """
+    if topic is not None and topic not in _PRODUCTS:
+        raise DatasetError(f"{path}: no model {topic!r}; known are {', '.join(_PRODUCTS)}")
     stamps, places, azimuths = _packets(path)
     turns = turns_of(azimuths)
     if not len(turns):
@@ -45,11 +56,12 @@ def find(path: Path, topic: str | None) -> Found:
     return Found(
         name=path.stem,
         format=NAME,
-        source=TurnSource(path, stamps, places, turns),
+        source=TurnSource(path, stamps, places, turns, topic),
         indices=np.arange(len(turns)),
         stamps=stamps[turns[:, 0]],
         frame="velodyne",
         fields="x y z intensity ring time",
+        topic=topic,
     )
 
 
@@ -86,10 +98,20 @@ class TurnSource:
         Where it is in the file.
     turns : (T, 2) int64
         First packet of each turn and the one behind its last.
+    model : str, optional
+        The sensor's model; by default the one that the packets name.
     """
 
-    def __init__(self, path: Path, stamps: Float64, places: Int64, turns: Int64) -> None:
+    def __init__(
+        self,
+        path: Path,
+        stamps: Float64,
+        places: Int64,
+        turns: Int64,
+        model: str | None = None,
+    ) -> None:
         self._path, self._stamps, self._places, self._turns = path, stamps, places, turns
+        self._model = model
 
     def __len__(self) -> int:
         return len(self._turns)
@@ -108,7 +130,7 @@ class TurnSource:
                 for i in range(first, stop):
                     file.seek(int(self._places[i]))
                     packets.append((float(self._stamps[i]), file.read(PACKET)))
-            return decode(packets, self.where(k))
+            return decode(packets, self.where(k), self._model)
 
 
 def check_packets(count: int) -> None:
@@ -116,8 +138,17 @@ def check_packets(count: int) -> None:
     check_points(_POINTS_A_PACKET * count)
 
 
-def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
+def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None = None) -> Scan:
     """The points of stamped packets, with times after the first of them.
+
+    Parameters
+    ----------
+    packets : sequence of (float, bytes)
+    where : str
+        What errors name.
+    model : str, optional
+        The sensor's model. By default the one that the packets name, but for a VLP-16 that names
+        itself HDL-32E, as early firmware does.
 
     Raises
     ------
@@ -136,14 +167,26 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str) -> Scan:
         raise DatasetError(f"{where}: no packets")
     if any(len(data) != PACKET for _, data in packets):
         raise DatasetError(f"{where}: cut off: packets of other than {PACKET} bytes")
+    model = model or ("VLP16" if _is_early_vlp16([data for _, data in packets]) else None)
+    last = b"" if model is None else bytes([_PRODUCTS[model]])
     try:
         decoder = velodyne_decoder.ScanDecoder(
             velodyne_decoder.Config(timestamp_first_packet=True, cut_angle=None)
         )
         vector = velodyne_decoder.PacketVector()
         for stamp, data in packets:
-            vector.append(velodyne_decoder.VelodynePacket(stamp, data))
+            named = data[: PACKET - len(last)] + last
+            vector.append(velodyne_decoder.VelodynePacket(stamp, named))
         points: Any = np.asarray(decoder.decode(vector)[1])
     except (RuntimeError, ValueError, TypeError) as error:
         raise DatasetError(f"{where}: {one_line(error)}") from error
     return returned(points[:, :3], points[:, 4].astype(np.float64))
+
+
+def _is_early_vlp16(packets: Sequence[bytes]) -> bool:
+    """Whether packets that name an HDL-32E turn too slowly from block to block for one."""
+    if len(packets) < 2 or any(data[-1] != _PRODUCTS["HDL32E"] for data in packets):
+        return False
+    clock = np.array([int.from_bytes(data[1200:1204], "little") for data in packets], np.int64)
+    azimuths = {packets[0][at : at + 2] for at in range(2, 1200, 100)}  # two returns share one
+    return bool(np.median(np.diff(clock)) / len(azimuths) > _SLOWEST_HDL32E_US)

@@ -1,0 +1,119 @@
+"""Which points of a scan are measurements: others are not finite, absurdly far, or missing returns.
+
+Drivers write missing returns as points on one fixed spot, or at one fixed range. They are found by
+structure. Range noise spreads the points of any real surface over more than the tolerance used
+here, and simulated surfaces without noise at one exact range from the sensor are flat: the ring
+that a beam draws on level ground, or the foot of a perpendicular on a wall.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import MOST_METRES, Float32
+
+RANGE_TOLERANCE_M = 1e-3
+"""Half the width of "one range" [m]: the rounding of coordinates written with three decimals."""
+
+MIN_SHARE = 0.05
+"""Share of a scan that fixed points must reach to be taken for missing returns."""
+
+_MIN_POINTS = 200  # of a scan that is examined
+_SAMPLE = 2048  # points, by which fixed ranges are noticed
+_MAX_RANGES = 4  # fixed ranges that are examined in one scan
+_MIN_FLATNESS = 0.02  # of the points at one range, as a share of that range, about their plane
+
+
+def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int]:
+    """Find the points (N, 3) of a scan that are measurements.
+
+    Returns
+    -------
+    kept : (N,) bool or None
+        None: all points.
+    dropped : int
+        Points with a coordinate that is not finite or beyond ``MOST_METRES``.
+    missing : int
+        Points that stand for missing returns.
+    """
+    if not len(points):
+        return None, 0, 0
+    kept, dropped = None, 0
+    if not np.abs(points).max() <= MOST_METRES:  # NaN is not
+        kept = np.asarray((np.abs(points) <= MOST_METRES).all(axis=1))
+        points, dropped = points[kept], int(len(kept) - kept.sum())
+    if (missing := missing_returns(points)) is None:
+        return kept, dropped, 0
+    if kept is None:
+        kept = ~missing
+    else:
+        kept[kept] = ~missing
+    return kept, dropped, int(missing.sum())
+
+
+def missing_returns(points: Float32) -> NDArray[np.bool_] | None:
+    """Find the points (N, 3) that stand for missing returns.
+
+    Returns
+    -------
+    (N,) bool, or None where there are none
+        True for the points on one spot, and for those at one range in directions that no plane
+        explains, if they are ``MIN_SHARE`` of the scan or more.
+    """
+    if len(points) < _MIN_POINTS:
+        return None
+    step = (1 + len(points) // _SAMPLE) | 1  # odd: even steps meet few of a sensor's beams
+    ranges = _dense_ranges(np.sort(_ranges(points[::step])))
+    if not ranges:
+        return None
+    missing = np.zeros(len(points), dtype=np.bool_)
+    reach = _ranges(points)
+    for metres in ranges:
+        there = np.flatnonzero(np.abs(reach - metres) <= RANGE_TOLERANCE_M)
+        fixed = _fixed(points[there], metres, int(MIN_SHARE * len(points)))
+        missing[there[fixed]] = True
+    return missing if missing.any() else None
+
+
+def _ranges(points: Float32) -> NDArray[np.float64]:
+    cloud = points.astype(np.float64)
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", cloud, cloud)), dtype=np.float64)
+
+
+def _dense_ranges(ascending: NDArray[np.float64]) -> list[float]:
+    """Ranges about which ``MIN_SHARE`` of those given lie within the tolerance, in metres."""
+    count = max(2, int(MIN_SHARE * len(ascending)))
+    width = 2 * RANGE_TOLERANCE_M
+    dense = ascending[: 1 - count][ascending[count - 1 :] - ascending[: 1 - count] <= width]
+    found: list[float] = []
+    while len(dense) and len(found) < _MAX_RANGES:
+        first, stop = np.searchsorted(ascending, [dense[0], dense[0] + width])
+        found.append(float(ascending[first:stop].mean()))
+        dense = dense[dense > dense[0] + width]
+    return found
+
+
+def _fixed(points: Float32, metres: float, fewest: int) -> NDArray[np.bool_]:
+    """Which of the points at one range are no surface: all, those on one spot, or none."""
+    if len(points) < fewest:
+        return np.zeros(len(points), dtype=np.bool_)
+    x, y, z = points.T
+    few = points[:: 1 + len(points) // _SAMPLE] + np.float32(0)  # -0 becomes 0
+    _, first, counts = np.unique(few.view("V12"), return_index=True, return_counts=True)
+    spot = few[first[counts.argmax()]]
+    on_spot: NDArray[np.bool_] = (x == spot[0]) & (y == spot[1]) & (z == spot[2])
+    if on_spot.sum() < fewest:
+        on_spot[:] = False
+    rest = points[~on_spot].astype(np.float64)
+    if len(rest) >= fewest and _is_spread(rest, metres):
+        on_spot[:] = True
+    return on_spot
+
+
+def _is_spread(points: NDArray[np.float64], metres: float) -> bool:
+    """Whether points at one range lie on a sphere, and not on a plane that cuts it."""
+    middle = points.mean(axis=0)
+    values, _ = np.linalg.eigh(np.cov((points - middle).T))
+    thickness = float(np.sqrt(max(values[0], 0.0)))
+    return thickness > _MIN_FLATNESS * metres
