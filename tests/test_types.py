@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from segloc.local_cloud import Accumulator
 
 from segloc.errors import InvalidScan, SeglocError
+from segloc.frontend.local_cloud import Accumulator
 from segloc.types import LocalCloud, Scan, Segments
 
 floats = st.sampled_from([np.float16, np.float32, np.float64, np.longdouble])
