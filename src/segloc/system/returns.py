@@ -1,9 +1,9 @@
 """Which points of a scan are measurements: others are not finite, absurdly far, or missing returns.
 
-Drivers write missing returns as points on one fixed spot, or at one fixed range. They are found by
-structure. Range noise spreads the points of any real surface over more than the tolerance used
-here, and simulated surfaces without noise at one exact range from the sensor are flat: the ring
-that a beam draws on level ground, or the foot of a perpendicular on a wall.
+Drivers write missing returns as points on one fixed spot, or at one fixed range beyond all others.
+They are found by structure. Range noise spreads the points of any real surface over more than the
+tolerance used here. Simulated surfaces without noise at one exact range from the sensor are flat:
+the ring that a beam draws on level ground, or the foot of a perpendicular on a wall.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ MIN_SHARE = 0.05
 _MIN_POINTS = 200  # of a scan that is examined
 _SAMPLE = 2048  # points, by which fixed ranges are noticed
 _MAX_RANGES = 4  # fixed ranges that are examined in one scan
-_MIN_FLATNESS = 0.02  # of the points at one range, as a share of that range, about their plane
+_MAX_BEYOND = 0.01  # share of a scan that may lie beyond the range that stands for no return
+_MIN_THICKNESS = 0.02  # of points at that range about their plane, as a share of the range
 
 
 def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int]:
@@ -58,8 +59,8 @@ def missing_returns(points: Float32) -> NDArray[np.bool_] | None:
     Returns
     -------
     (N,) bool, or None where there are none
-        True for the points on one spot, and for those at one range in directions that no plane
-        explains, if they are ``MIN_SHARE`` of the scan or more.
+        True for the points on one spot, and for those at the largest range in directions that no
+        plane explains, if they are ``MIN_SHARE`` of the scan or more.
     """
     if len(points) < _MIN_POINTS:
         return None
@@ -71,7 +72,8 @@ def missing_returns(points: Float32) -> NDArray[np.bool_] | None:
     reach = _ranges(points)
     for metres in ranges:
         there = np.flatnonzero(np.abs(reach - metres) <= RANGE_TOLERANCE_M)
-        fixed = _fixed(points[there], metres, int(MIN_SHARE * len(points)))
+        farthest = np.mean(reach > metres + RANGE_TOLERANCE_M) <= _MAX_BEYOND
+        fixed = _fixed(points[there], metres, int(MIN_SHARE * len(points)), bool(farthest))
         missing[there[fixed]] = True
     return missing if missing.any() else None
 
@@ -94,8 +96,11 @@ def _dense_ranges(ascending: NDArray[np.float64]) -> list[float]:
     return found
 
 
-def _fixed(points: Float32, metres: float, fewest: int) -> NDArray[np.bool_]:
-    """Which of the points at one range are no surface: all, those on one spot, or none."""
+def _fixed(points: Float32, metres: float, fewest: int, farthest: bool) -> NDArray[np.bool_]:
+    """Which of the points at one range are no surface: all, those on one spot, or none.
+
+    All are, if next to nothing lies beyond them and they are no ring: they are ``farthest``.
+    """
     if len(points) < fewest:
         return np.zeros(len(points), dtype=np.bool_)
     x, y, z = points.T
@@ -106,7 +111,7 @@ def _fixed(points: Float32, metres: float, fewest: int) -> NDArray[np.bool_]:
     if on_spot.sum() < fewest:
         on_spot[:] = False
     rest = points[~on_spot].astype(np.float64)
-    if len(rest) >= fewest and _is_spread(rest, metres):
+    if farthest and len(rest) >= fewest and _is_spread(rest, metres):
         on_spot[:] = True
     return on_spot
 
@@ -116,4 +121,4 @@ def _is_spread(points: NDArray[np.float64], metres: float) -> bool:
     middle = points.mean(axis=0)
     values, _ = np.linalg.eigh(np.cov((points - middle).T))
     thickness = float(np.sqrt(max(values[0], 0.0)))
-    return thickness > _MIN_FLATNESS * metres
+    return thickness > _MIN_THICKNESS * metres
