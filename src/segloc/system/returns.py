@@ -110,8 +110,9 @@ def _fixed(points: Float32, metres: float, fewest: int, farthest: bool) -> NDArr
     on_spot: NDArray[np.bool_] = (x == spot[0]) & (y == spot[1]) & (z == spot[2])
     if on_spot.sum() < fewest:
         on_spot[:] = False
-    rest = points[~on_spot].astype(np.float64)
-    if farthest and len(rest) >= fewest and _is_spread(rest, metres):
+    rest = points[~on_spot] if farthest else points[:0]
+    few_left = rest[:: (1 + len(rest) // _SAMPLE) | 1].astype(np.float64)
+    if farthest and len(rest) >= fewest and _is_spread(few_left, metres):
         on_spot[:] = True
     return on_spot
 
