@@ -12,6 +12,8 @@ from .errors import ConfigError, InvalidScan
 from .geometry import travelled
 from .types import Float64, Scan
 
+_MAX_SCAN_S = 1.0  # point times farther from the stamp are on another clock
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -140,6 +142,24 @@ def deskew(scan: Scan, motion: Motion, start: float) -> Scan:
     points = np.einsum("nij,nj->ni", relative[which, :3, :3], scan.points)
     points += relative[which, :3, 3]
     return Scan(points, times=scan.times, stamp=scan.stamp, T_odom_sensor=scan.T_odom_sensor)
+
+
+def at_stamp(scan: Scan, motion: Motion | None, stamp: float | None) -> Scan:
+    """De-skew a scan to its stamp [s]; unchanged without a motion or usable times."""
+    if motion is None or stamp is None or not times_fit(scan):
+        return scan
+    still = deskew(scan, motion, stamp)
+    still.times = None  # all points are of one moment now
+    still.dropped, still.missing_returns = scan.dropped, scan.missing_returns
+    return still
+
+
+def times_fit(scan: Scan) -> bool:
+    """Whether points have times that can be seconds after the scan's stamp."""
+    times = scan.times
+    if times is None or not len(times):
+        return False
+    return bool(np.isfinite(times).all() and np.abs(times).max() <= _MAX_SCAN_S)
 
 
 def odometry_covariance(

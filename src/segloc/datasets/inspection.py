@@ -10,9 +10,9 @@ import numpy as np
 
 from .. import geometry
 from ..errors import DatasetError
+from ..motion import times_fit
 from ..system.checks import MOST_METRES
 from ..types import Float64, Int64, Scan
-from .recorded import times_fit
 from .signature import Signature, signature
 from .tracks import LONGEST_GAP_S, Track
 

@@ -15,8 +15,8 @@ import numpy as np
 from .. import geometry
 from ..errors import DatasetError, MissingDependency
 from ..io.trajectory import Trajectory, read_trajectory, write_tum
+from ..motion import times_fit
 from ..types import Float64, Int64, Scan
-from .recorded import times_fit
 
 _FEWEST_POINTS = 50
 _LONGEST_STEP_M = 20.0

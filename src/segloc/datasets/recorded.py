@@ -12,14 +12,12 @@ import numpy as np
 from ..errors import DatasetError
 from ..io.fields import faults_of
 from ..io.scans import read_file
-from ..motion import Motion, deskew
+from ..motion import Motion, at_stamp
 from ..types import Float64, Int64, Pose, Scan, stamp_at
 from .base import Selection
 from .clocks import TimeUnit
 from .gravity import GravitySource
 from .tracks import Track
-
-_LONGEST_SCAN_S = 1.0  # point times that stray farther from the scan's stamp are on another clock
 
 
 class Source(Protocol):
@@ -172,7 +170,7 @@ class RecordedSequence:
         """
         scan = self.raw(i)
         stamp = stamp_at(self, i)
-        scan = corrected(scan, self.motion, stamp)
+        scan = at_stamp(scan, self.motion, stamp)
         scan.stamp = stamp
         scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
         scan.T_base_sensor = self.T_base_sensor
@@ -214,24 +212,3 @@ class RecordedSequence:
             stamps=None if self.stamps is None else self.stamps[mask],
             poses=None if self.poses is None else self.poses[mask],
         )
-
-
-def corrected(scan: Scan, motion: Motion | None, stamp: float | None) -> Scan:
-    """The scan as it would be if all points had been measured at its stamp.
-
-    As it is where its points have no times, or times on another clock.
-    """
-    if motion is None or stamp is None or not times_fit(scan):
-        return scan
-    still = deskew(scan, motion, stamp)
-    still.times = None  # all points are of one moment now
-    still.dropped, still.missing_returns = scan.dropped, scan.missing_returns
-    return still
-
-
-def times_fit(scan: Scan) -> bool:
-    """Whether points have times that can be seconds after the scan's stamp."""
-    times = scan.times
-    if times is None or not len(times):
-        return False
-    return bool(np.isfinite(times).all() and np.abs(times).max() <= _LONGEST_SCAN_S)

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..datasets.recorded import corrected
 from ..errors import SeglocError
 from ..localizer import Localizer
-from ..motion import Motion
+from ..motion import Motion, at_stamp
 from ..prior import Prior
 from ..system.checks import checked_pose
 from ..tracker import Heard, Question, Tracker
@@ -225,7 +224,7 @@ class LiveCore:
 
     @staticmethod
     def _still(scan: Scan, motion: Motion, stamp: float) -> Scan:
-        still = corrected(scan, motion, stamp)
+        still = at_stamp(scan, motion, stamp)
         if still is scan:
             still = Scan(scan.points)
         still.stamp = stamp

@@ -10,9 +10,8 @@ from enum import Enum
 import numpy as np
 
 from .. import geometry
-from ..datasets.recorded import times_fit
 from ..errors import InvalidScan
-from ..motion import Motion
+from ..motion import Motion, times_fit
 from ..system.checks import checked_stamp
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
