@@ -21,7 +21,7 @@ from segloc.errors import ConfigError, SeglocError
 from segloc.frontend.segmentation import SegmentationConfig
 from segloc.loops import AlignConfig, Alignment, align_sessions
 from segloc.loops.summary import loops_jsonl
-from segloc.map.sessions import build_merged_map
+from segloc.map.build import build_merged_map
 from segloc.system.processes import all_of, as_finished
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})

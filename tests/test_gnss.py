@@ -20,8 +20,8 @@ from segloc.export import export
 from segloc.export.formats import Options
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.georeference import KEY, Georeference
-from segloc.map.parts import along
 from segloc.map.same_place import check_same_place
+from segloc.map.segment_map import along
 from segloc.tiles import TiledMap, cut_tiles
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})

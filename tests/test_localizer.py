@@ -29,7 +29,7 @@ from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.likelihood import Evidence, QueryCloud, Score, Verdict
 from segloc.localization import Localization, Reason
-from segloc.pipeline.search import Search
+from segloc.pipeline import Search
 from segloc.proposals.landmarks.config import StemConfig
 from segloc.proposals.occupancy import OccupancyConfig
 from segloc.proposals.proposer import Proposals, Query

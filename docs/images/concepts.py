@@ -25,7 +25,7 @@ from segloc import Config, Localizer, build_map, geometry
 from segloc.frontend.segmentation import Segmentation
 from segloc.inspect.pictures import BLUE, DARK, GREEN, GREY, RED
 from segloc.likelihood import RefinedScore
-from segloc.pipeline.search import Query as Described
+from segloc.pipeline import Query as Described
 from segloc.types import Candidate, Matches
 
 Floats = NDArray[np.float64]

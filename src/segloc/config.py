@@ -20,7 +20,7 @@ from .proposals.landmarks.config import StemConfig
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
 from .proposals.pose import PoseConfig
-from .system.yamlfile import read_yaml
+from .system.section import read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -15,8 +15,7 @@ from .frontend.segmentation import Segmenter
 from .likelihood import QueryCloud, Verdict, Verifier
 from .localization import Localization
 from .map.segment_map import SegmentMap
-from .pipeline.answer import answer
-from .pipeline.search import Search
+from .pipeline import Search, answer
 from .prior import Near, Prior, allowed, within
 from .proposals.landmarks import StemProposer
 from .proposals.matching import Matcher

@@ -17,7 +17,7 @@ from .frontend.rolling_cloud import RollingCloud
 from .likelihood import RefinedScore
 from .localization import Reason
 from .localizer import Localizer
-from .pipeline.search import Search
+from .pipeline import Search
 from .prior import Prior
 from .proposals.proposer import Query
 from .system.checks import checked_pose

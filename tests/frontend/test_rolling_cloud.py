@@ -13,7 +13,7 @@ from samples.lattice import gathered
 from segloc import ConfigError, InvalidScan, LocalCloud, RollingCloud, Scan, geometry
 from segloc.datasets import open_sequence
 from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig
-from segloc.frontend.scan_window import RecordedWindows
+from segloc.frontend.rolling_cloud import RecordedWindows
 from segloc.frontend.segmentation import Segmenter
 from segloc.types import Float64, Pose
 

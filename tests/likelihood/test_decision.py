@@ -20,8 +20,7 @@ from segloc.likelihood import Evidence, VerificationConfig, shipped_confidence
 from segloc.likelihood.candidates import CandidateScores
 from segloc.likelihood.confidence import load_confidence
 from segloc.likelihood.decision import CAUTIOUSLY, CONFINED_ROOT, Demand, decide, demand
-from segloc.likelihood.evidence import RankedCandidate, RefinedScore
-from segloc.likelihood.verdict import Verdict
+from segloc.likelihood.evidence import RankedCandidate, RefinedScore, Verdict
 from segloc.localization import Reason
 from segloc.types import Candidate
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from segloc import geometry
 from segloc._native import PointIndex
 from segloc.likelihood import VerificationConfig
-from segloc.likelihood.intrusion import intruding_share, viewpoints
+from segloc.likelihood.observation import intruding_share, viewpoints
 from segloc.types import Float32, Float64
 
 REACH, BIN_DEG, RADIUS, MARGIN, HALF_WIDTH = 15.0, 3.0, 0.5, 0.7, 0.2

@@ -13,7 +13,7 @@ from segloc.frontend.segmentation import Segmentation, Segmenter
 from segloc.geometry import Separation
 from segloc.likelihood import Verifier
 from segloc.likelihood.nearby import NearbyConfig, NearbySearch
-from segloc.likelihood.walls import close_surface, flush_share, ground_share
+from segloc.likelihood.observation import close_surface, flush_share, ground_share
 from segloc.localization import Reason
 from segloc.types import Candidate, Float32, LocalCloud, Pose
 

@@ -16,7 +16,7 @@ from segloc._native import PointIndex, VisibilityCheck
 from segloc.frontend.segmentation import Segmentation
 from segloc.geometry import Separation
 from segloc.likelihood import VerificationConfig, Verifier
-from segloc.likelihood.overlap_check import MapCloud
+from segloc.likelihood.observation import MapCloud
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig

@@ -19,7 +19,7 @@ from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, SegmentMap, _native, build_map
-from segloc.map import columns, lattice
+from segloc.map import coding
 from segloc.map import file as mapfile
 from segloc.map.coding import MOST_GROWTH
 from segloc.map.compact import CompactConfig, compacted
@@ -46,18 +46,18 @@ numbers = hnp.arrays(
 
 @given(numbers)
 def test_columns_come_back(codes: np.ndarray) -> None:
-    width = columns.width_of(codes)
-    found = columns.unpacked(columns.packed(codes, width), *codes.shape, width)
+    width = coding.width_of(codes)
+    found = coding.unpacked(coding.packed(codes, width), *codes.shape, width)
     assert np.array_equal(found.astype(np.int64), codes)
 
 
 @given(hnp.arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6, width=32)), st.integers(2, 12))
 def test_rounding_twice_is_rounding_once(values: np.ndarray, bits: int) -> None:
-    exponents = lattice.spread_exponents(values, 1 << bits)
-    once = lattice.rounded(values, exponents)
-    twice = lattice.rounded(once, lattice.spread_exponents(once, 1 << bits))
+    exponents = coding.spread_exponents(values, 1 << bits)
+    once = coding.rounded(values, exponents)
+    twice = coding.rounded(once, coding.spread_exponents(once, 1 << bits))
     assert np.array_equal(once, twice)
-    step = np.ldexp(1.0, lattice.exponents_of(once))
+    step = np.ldexp(1.0, coding.exponents_of(once))
     assert np.array_equal(np.round(once / step) * step, once)
     assert (np.abs(once - values) <= np.ldexp(1.0, exponents) / 2).all()
 
@@ -77,7 +77,7 @@ def test_an_octree_gives_back_the_voxels(cells: set[Any], levels: int, bits: int
     packed_parts = np.packbits(each.reshape(-1), bitorder="little")
     low = np.array([-9, 2**40, 0])
     found = _native.octree_points(codes, levels, len(wanted), packed_parts, bits, low, ORIGIN, 0.3)
-    expected = lattice.lattice_points(wanted + low, parts, ORIGIN, 0.3, bits)
+    expected = coding.lattice_points(wanted + low, parts, ORIGIN, 0.3, bits)
     assert np.array_equal(found, expected)
     for broken, count in [(codes[:-1], len(wanted)), (codes, len(wanted) + 1)]:
         parts_of = np.zeros((3 * count * bits + 7) // 8, np.uint8)
@@ -257,8 +257,8 @@ def test_a_bomb_inflates_to_no_more_than_it_may(
     """A sound header over zeros that inflate to a thousand times their size."""
     bomb = zlib.compress(bytes(1 << 26), 9)
     assert len(bomb) < (1 << 26) // MOST_GROWTH
-    with pytest.raises(columns.CodingError, match="does not inflate to 1000 bytes"):
-        columns.inflated(bomb, 1000)
+    with pytest.raises(coding.CodingError, match="does not inflate to 1000 bytes"):
+        coding.inflated(bomb, 1000)
 
     def swollen(header: dict[str, Any]) -> None:
         _recipe("vectors", shape=[(1 << 26) // 7, 7])(header)

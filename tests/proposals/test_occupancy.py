@@ -13,9 +13,7 @@ from segloc_lab.evaluation.negative_maps import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
 from segloc.datasets import open_sequence
-from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer
-from segloc.proposals.occupancy.storeys import storeys
-from segloc.proposals.occupancy.view import free_cells
+from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, free_cells, storeys
 from segloc.types import Pose
 
 CELL, LEVELS, YAWS, RANGE_M = 0.5, 4, 24, 15.0

@@ -20,13 +20,13 @@ from samples.plaza import Plaza, PlazaSequence
 from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, build_map, geometry
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.map.compact import CompactConfig, compacted
-from segloc.map.parts import along
+from segloc.map.segment_map import along
 from segloc.map.update import update_map
 from segloc.map.voxel_cloud import VoxelCloud
 from segloc.tiles import TiledMap, cut_tiles, merge_into_tiles, tiled_map, update_tiles
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
-from segloc.tiles.recent import Recent
+from segloc.tiles.search import Recent
 from segloc.tiles.store import Folder, Remote, within
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})

@@ -35,7 +35,7 @@ from segloc_lab.training.shards import Session, finish, load_dataset, write_shar
 from segloc_lab.training.train import train  # noqa: E402
 
 from segloc.datasets.base import Selection  # noqa: E402
-from segloc.descriptors.pair_head import PairHead as NumpyHead  # noqa: E402
+from segloc.descriptors.pointset import PairHead as NumpyHead  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 
 torch.set_num_threads(1)

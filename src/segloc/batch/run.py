@@ -12,7 +12,7 @@ from .. import geometry
 from ..config import Config
 from ..errors import ConfigError
 from ..frontend.local_cloud import Accumulator, window
-from ..frontend.scan_window import RecordedWindows
+from ..frontend.rolling_cloud import RecordedWindows
 from ..localization import Localization
 from ..prior import Prior
 from ..system.stage_times import Clock, StageTimes

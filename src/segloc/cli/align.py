@@ -148,7 +148,7 @@ def _write_maps(
     config: Config,
     executor: Executor | None,
 ) -> None:
-    from ..map.sessions import build_merged_map
+    from ..map.build import build_merged_map
     from .console import progress
     from .saving import writing
 

@@ -106,8 +106,8 @@ def _build(
     cluster: str | None,
     where: Georeference | None,
 ) -> None:
+    from ..map.build import build_merged_map
     from ..map.georeference import KEY
-    from ..map.sessions import build_merged_map
     from ..system.processes import executing
     from .console import note, progress
     from .map_info import show

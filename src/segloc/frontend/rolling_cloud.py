@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import _native, geometry
 from ..errors import ConfigError, InvalidScan
 from ..system.checks import checked_pose, pose_if_given
+from ..system.stage_times import StageTimes
 from ..types import Float64, LocalCloud, Pose, Scan
-from .local_cloud import LocalCloudConfig
-from .scan_window import ScanWindow
+from .local_cloud import Accumulator, LocalCloudConfig, odometry_pose
 
 VOXEL_SIZE = 0.2
 """Edge of the lattice, metres: that of the voxel grid in which accumulated clouds are segmented."""
@@ -176,3 +179,190 @@ class RollingCloud:
         if outside.any():
             for _ in range(len(back) - int(outside.argmax())):
                 self._window.drop(0)
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A scan of the window. Its points are the native window's."""
+
+    number: int
+    T_odom_sensor: Pose
+    stamp: float | None
+
+
+class ScanWindow:
+    """Posed scans on one lattice, from which the local cloud around each of them is made.
+
+    The lattice is fixed in the odometry's frame. Each scan is thinned once, to voxels of half the
+    edge. What is summed up is in whole numbers, so that a cloud depends on nothing but the scans
+    that are held and their poses: not on their order, nor on scans that have left.
+
+    Parameters
+    ----------
+    config : LocalCloudConfig
+    voxel_size : float
+        Edge of the lattice, metres.
+    length_m : float
+        Farthest that scans of one window lie apart, metres.
+
+    Raises
+    ------
+    ConfigError
+        If the voxels are too small for the reach of the window.
+    """
+
+    def __init__(self, config: LocalCloudConfig, voxel_size: float, length_m: float) -> None:
+        self.config, self.voxel_size = config, voxel_size
+        self._reach = math.sqrt(2.0) * config.radius_m + length_m  # farther points are in no cloud
+        self._accumulator = Accumulator(config)
+        self._voxels = self._fresh()
+        self._held: list[_Held] = []
+        self._newest: Scan | None = None
+
+    def _fresh(self) -> _native.VoxelWindow:
+        try:
+            return _native.VoxelWindow(self.voxel_size, self._reach)
+        except ValueError as error:
+            raise ConfigError(f"voxels of {self.voxel_size:g} m in a window: {error}") from error
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of the scans that are held, first to last."""
+        return tuple(held.number for held in self._held)
+
+    @property
+    def poses(self) -> Float64:
+        """T_odom_sensor of the scans that are held, (N, 4, 4)."""
+        return np.array([held.T_odom_sensor for held in self._held]).reshape(-1, 4, 4)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of points and voxels."""
+        return self._voxels.nbytes
+
+    def push(self, number: int, scan: Scan, T_odom_sensor: Pose) -> None:
+        """Add a scan behind the others.
+
+        Raises
+        ------
+        InvalidScan
+            If its pose is too far from the others, or from the origin, for the lattice.
+        """
+        try:
+            self._voxels.push(scan.points, T_odom_sensor)
+        except ValueError as error:
+            raise InvalidScan(f"a scan cannot be added: {error}") from error
+        self._held.append(_Held(number, T_odom_sensor, scan.stamp))
+        self._newest = scan
+
+    def drop(self, position: int) -> None:
+        """Take the scan at a position away, 0 for the first."""
+        self._voxels.drop(position)
+        del self._held[position]
+
+    def clear(self) -> None:
+        """Take all scans away."""
+        self._voxels, self._held, self._newest = self._fresh(), [], None
+
+    def move(self, poses: Mapping[int, Pose]) -> None:
+        """Put scans, by their numbers, to other poses; all or, where one is wrong, none.
+
+        Raises
+        ------
+        InvalidScan
+            If poses are too far from each other, or from the origin, for the lattice.
+        """
+        moved = [
+            replace(held, T_odom_sensor=poses.get(held.number, held.T_odom_sensor))
+            for held in self._held
+        ]
+        if not moved:
+            return
+        try:
+            self._voxels.move(np.stack([held.T_odom_sensor for held in moved]))
+        except ValueError as error:
+            raise InvalidScan(f"poses cannot be corrected: {error}") from error
+        self._held = moved
+
+    def cloud(self, reference: int = -1) -> LocalCloud:
+        """The local cloud around the scan at a position; a scan alone is that scan, not thinned.
+
+        Raises
+        ------
+        InvalidScan
+            If no scan is held, or none at this position.
+        """
+        if not -len(self._held) <= reference < len(self._held):
+            raise InvalidScan(f"no scan at position {reference} of {len(self._held)} in the window")
+        anchor = self._held[reference]
+        if len(self._held) == 1 and self._newest is not None:
+            alone = copy.copy(self._newest)
+            alone.T_odom_sensor = anchor.T_odom_sensor
+            return self._accumulator.gather(alone)
+        T_local_odom = geometry.inverse(geometry.levelled(anchor.T_odom_sensor))
+        points = self._voxels.cloud(T_local_odom, self.config.radius_m)
+        T_local_sensor = T_local_odom @ anchor.T_odom_sensor
+        return LocalCloud(
+            points, T_local_sensor, len(self._held), anchor.stamp, voxel_size=self.voxel_size
+        )
+
+
+class RecordedWindows:
+    """Local clouds of windows along a recording, each scan of which is read and thinned once.
+
+    Parameters
+    ----------
+    read : callable
+        The scan at a position of the recording, with its pose.
+    config : LocalCloudConfig
+    voxel_size : float
+        Edge of the lattice, metres.
+    length_m : float
+        The longest window.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[int], Scan],
+        config: LocalCloudConfig,
+        voxel_size: float,
+        length_m: float,
+    ) -> None:
+        self._read = read
+        self._window = ScanWindow(config, voxel_size, length_m)
+
+    def cloud(self, scans: range, index: int, times: StageTimes | None = None) -> LocalCloud:
+        """The local cloud of some consecutive scans around one of them.
+
+        Parameters
+        ----------
+        scans : range
+            Positions. Work is saved where a window begins and ends no earlier than the last one.
+        index : int
+            Position of the reference scan, one of them.
+        times : StageTimes, optional
+            Given the time of "gathering", without that of reading.
+
+        Raises
+        ------
+        InvalidScan
+            If a scan has no pose.
+        """
+        window, held = self._window, self._window.numbers
+        if held and not (held[0] <= scans.start <= held[-1] < scans.stop):
+            window.clear()
+            held = ()
+        fresh = [self._posed(i) for i in scans if not held or i > held[-1]]
+        with (times or StageTimes())("gathering"):
+            while len(window) and window.numbers[0] < scans.start:
+                window.drop(0)
+            for i, (scan, T) in zip(scans[len(window) :], fresh, strict=True):
+                window.push(i, scan, T)
+            return window.cloud(index - scans.start)
+
+    def _posed(self, i: int) -> tuple[Scan, Pose]:
+        scan = self._read(i)
+        return scan, odometry_pose(scan)

@@ -13,8 +13,7 @@ from ..likelihood import ConfidenceModel, Evidence
 from ..likelihood.confidence import FEATURES
 from ..localization import Localization
 from ..localizer import Localizer
-from ..pipeline.answer import answer
-from ..pipeline.search import Search
+from ..pipeline import Search, answer
 from ..prior import Prior
 from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes

@@ -6,6 +6,6 @@ from .config import VerificationConfig as VerificationConfig
 from .evidence import Evidence as Evidence
 from .evidence import RefinedScore as RefinedScore
 from .evidence import Score as Score
-from .overlap_check import QueryCloud as QueryCloud
-from .verdict import Verdict as Verdict
+from .evidence import Verdict as Verdict
+from .observation import QueryCloud as QueryCloud
 from .verifier import Verifier as Verifier

@@ -9,7 +9,7 @@ from ..geometry import Separation
 from ..types import Candidate, Pose
 from .config import VerificationConfig
 from .evidence import CoarseScore, Evidence, RankedCandidate, RefinedScore, Score
-from .overlap_check import MapCloud, QueryCloud
+from .observation import MapCloud, QueryCloud
 
 Inliers = Callable[[Pose], int]
 """How many distinct query segments agree with a pose T_map_local."""

@@ -15,8 +15,8 @@ from .evidence import (
     RankedCandidate,
     RefinedScore,
     Score,
+    Verdict,
 )
-from .verdict import Verdict
 
 RIVAL_STANDING = 0.5
 """A rival counts if, with nothing but chance elsewhere, it were at least half as likely as the best

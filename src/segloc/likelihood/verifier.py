@@ -21,10 +21,10 @@ from .evidence import (
     RankedCandidate,
     RefinedScore,
     Score,
+    Verdict,
     inlier_evidence,
 )
-from .overlap_check import MapCloud, QueryCloud
-from .verdict import Verdict
+from .observation import MapCloud, QueryCloud
 
 HOPELESS = 0.02
 """A candidate less likely than this is not refined. Set by hand, far below the threshold."""

@@ -16,10 +16,9 @@ import numpy as np
 from ..config import Config
 from ..descriptors import create
 from ..map.compact import CompactConfig, best_views
-from ..map.parts import concatenated
-from ..map.segment_map import SegmentMap
+from ..map.segment_map import SegmentMap, concatenated
 from ..map.voxel_cloud import VoxelCloud
-from ..pipeline.coarse_vote import ThinVote
+from ..proposals.coarse_vote import CoarseVoter
 from ..proposals.matching import Matcher
 from ..types import Int64
 from .config import AlignConfig
@@ -83,7 +82,14 @@ class PartsVote:
         whole = laid_out(parts, settings.part_m)
         pruner = create(config.method, config.threads, config.weights).pruner
         matcher = Matcher(whole, config.matching, pruner=pruner, threads=config.threads)
-        self._vote = ThinVote(whole, matcher, config)
+        self._vote = CoarseVoter(
+            whole,
+            matcher,
+            config.pose,
+            config.local_cloud.radius_m,
+            threads=config.threads,
+            seed=config.seed,
+        )
 
     def of(self, submap: Submap) -> dict[int, int]:
         """For each part of the block that a pose is in, how many segments agree with the best."""

@@ -1,11 +1,14 @@
 """The arrays of a map as few bytes, and back to the last bit.
 
-Only what lies on lattices (:mod:`.lattice`) can be packed. A recipe says how an array was packed,
-and of what shape it is: it is checked before anything is allocated for it.
+Three layers: numbers on lattices whose steps are powers of two (what lies on one lies on all finer
+ones; points of a cloud lie at the centres of its voxels, or of equal parts of them); columns of
+whole numbers, deflated as differences of rows, one plane a byte; recipes, which name how an array
+was packed and its shape, checked before anything is allocated. Rounding again changes nothing.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 from math import prod
 from typing import Annotated, Any, Literal
@@ -16,10 +19,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from .. import _native
 from ..system.section import Section
-from ..types import Float32, Float64
-from .columns import CodingError, deflated, inflated, packed, unpacked, width_of
+from ..types import Float32, Float64, Int64
 from .contents import MAX_VOXELS
-from .lattice import cells_and_parts, exponents_of, lattice_points
 
 Array = NDArray[Any]
 Bytes = NDArray[np.uint8]
@@ -32,6 +33,9 @@ _MOST_CODE = 1 << 52  # float64 tells whole numbers apart up to here
 _MOST_CELL = 1 << 50
 _Length = Annotated[int, Field(ge=0, le=1 << 40)]
 _Width = Literal[1, 2, 4, 8]
+WIDTHS = (1, 2, 4, 8)
+"""Bytes that a number may take."""
+_MANTISSA = 53  # bits of a float64
 
 
 class LatticeRecipe(Section):
@@ -251,3 +255,128 @@ def _as_bits(parts: Bytes, bits: int) -> bytes:
 
 def _as_rows(array: Array) -> Array:
     return array.reshape(len(array), prod(array.shape[1:]))
+
+
+class CodingError(Exception):
+    """What was packed does not unpack to what it should; one line."""
+
+
+def width_of(codes: Int64) -> int:
+    """The bytes that numbers need that are not negative."""
+    most = int(codes.max(initial=0))
+    return next(width for width in WIDTHS if most < 1 << (8 * width - (width == 8)))
+
+
+def packed(codes: Int64, width: int) -> bytes:
+    """(P, C) numbers of so many bytes."""
+    numbers = codes.astype(_unsigned(width))
+    steps = np.diff(numbers, axis=0, prepend=numbers.dtype.type(0)).view(_signed(width))
+    bits = 8 * width - 1
+    zigzag = ((steps << 1) ^ (steps >> bits)).view(_unsigned(width))  # small ones, whatever sign
+    planes = zigzag.reshape(-1, 1).view(np.uint8).T
+    return deflated(planes.tobytes())
+
+
+def unpacked(data: bytes, rows: int, columns: int, width: int) -> NDArray[Any]:
+    """The (rows, columns) unsigned numbers of :func:`packed`.
+
+    Raises
+    ------
+    CodingError
+        If the data do not unpack to so many.
+    """
+    planes = np.frombuffer(inflated(data, rows * columns * width), np.uint8)
+    zigzag = planes.reshape(width, -1).T.copy().view(_unsigned(width)).reshape(rows, columns)
+    one = zigzag.dtype.type(1)
+    steps = (zigzag >> one) ^ (np.zeros_like(one) - (zigzag & one))
+    return np.cumsum(steps, axis=0, dtype=zigzag.dtype)
+
+
+def deflated(data: bytes) -> bytes:
+    """The shorter of two ways to deflate bytes."""
+    ways = []
+    for strategy in (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FILTERED):
+        packer = zlib.compressobj(9, strategy=strategy)
+        ways.append(packer.compress(data) + packer.flush())
+    return min(ways, key=len)
+
+
+def inflated(data: bytes, size: int) -> bytes:
+    """So many bytes, inflated; never more, whatever the data claim.
+
+    Raises
+    ------
+    CodingError
+    """
+    unpacker = zlib.decompressobj()
+    try:
+        found = unpacker.decompress(data, size + 1)
+    except zlib.error as error:
+        raise CodingError("it cannot be inflated") from error
+    if len(found) != size or not unpacker.eof or unpacker.unused_data:
+        raise CodingError(f"it does not inflate to {size} bytes")
+    return found
+
+
+def _unsigned(width: int) -> np.dtype[Any]:
+    return np.dtype(f"<u{width}")
+
+
+def _signed(width: int) -> np.dtype[Any]:
+    return np.dtype(f"<i{width}")
+
+
+def exponents_of(columns: NDArray[Any]) -> Int64:
+    """For each column of (P, C) numbers the coarsest lattice that holds them all: 2 to this power.
+
+    That of a column of zeros is 2 to the power 0.
+    """
+    mantissas, powers = np.frexp(columns.astype(np.float64))
+    whole = np.ldexp(mantissas, _MANTISSA).astype(np.int64)
+    lowest = np.frexp((whole & -whole).astype(np.float64))[1] - 1  # the lowest bit that is set
+    natural = powers.astype(np.int64) - _MANTISSA + lowest
+    natural = np.where(whole == 0, np.iinfo(np.int64).max, natural)
+    exponents: Int64 = natural.min(axis=0, initial=np.iinfo(np.int64).max)
+    exponents[exponents == np.iinfo(np.int64).max] = 0
+    return exponents
+
+
+def spread_exponents(columns: NDArray[Any], levels: int) -> Int64:
+    """For each column of (P, C) numbers a lattice with about so many steps across its spread.
+
+    The spread is six standard deviations. A column that lies on a lattice half as coarse already
+    keeps it, so that rounding by these exponents twice is rounding once.
+    """
+    spread = 6.0 * columns.astype(np.float64).std(axis=0) if len(columns) else np.zeros(1)
+    with np.errstate(divide="ignore"):
+        wanted = np.floor(np.log2(spread / levels))
+    exponents = np.where(np.isfinite(wanted), wanted, -64).astype(np.int64)
+    natural = exponents_of(columns)
+    return np.where(natural >= exponents - 1, natural, exponents)
+
+
+def rounded(columns: NDArray[Any], exponents: Int64) -> Float64:
+    """(P, C) numbers, each the nearest of the lattice of its column."""
+    steps = np.ldexp(1.0, exponents)
+    nearest: Float64 = np.round(columns.astype(np.float64) / steps) * steps + 0.0  # none is -0.0
+    return nearest
+
+
+def cells_and_parts(
+    points: Float32, origin: Float64, voxel: float, bits: int
+) -> tuple[Float64, Float64]:
+    """The voxel of each of (N, 3) points, and the part of it: each axis has 2 to the power bits."""
+    scaled = (points.astype(np.float64) + origin) / voxel
+    cells = np.floor(scaled)
+    return cells, np.floor((scaled - cells) * 2**bits)
+
+
+def lattice_points(
+    cells: NDArray[Any], parts: NDArray[Any], origin: Float64, voxel: float, bits: int
+) -> Float32:
+    """The (N, 3) centres of parts of voxels, relative to ``origin``."""
+    points = np.empty(cells.shape, np.float32)
+    for axis in range(3):  # one at a time: a third of the memory
+        inner = (parts[:, axis] + 0.5) / 2**bits
+        points[:, axis] = (cells[:, axis] + inner) * voxel - origin[axis]
+    return points

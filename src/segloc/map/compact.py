@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..system.section import Section
 from ..types import Float32, Float64, Int64
-from .lattice import cells_and_parts, lattice_points, rounded, spread_exponents
+from .coding import cells_and_parts, lattice_points, rounded, spread_exponents
 from .segment_map import SegmentMap
 from .voxel_cloud import VoxelCloud
 

@@ -14,8 +14,7 @@ from ..errors import ConfigError
 from ..frontend.local_cloud import LocalCloudConfig
 from ..frontend.mounting import MountConfig
 from ..frontend.segmentation import SegmentationConfig
-from ..system.section import Section
-from ..system.yamlfile import parse_yaml
+from ..system.section import Section, parse_yaml
 from .compact import CompactConfig
 from .merge import TEXT_SEPARATOR
 from .segment_map import SegmentMap

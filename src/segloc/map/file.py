@@ -22,10 +22,16 @@ from numpy.typing import NDArray
 from ..errors import MapFormatError, SeglocError
 from ..system.files import replacing
 from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
-from .coding import Recipes, fault_of_growth, packed_arrays, recipes_of, text_of, unpacked_array
-from .columns import CodingError
-from .contents import Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
-from .schema import SCHEMA, shapes_fault
+from .coding import (
+    CodingError,
+    Recipes,
+    fault_of_growth,
+    packed_arrays,
+    recipes_of,
+    text_of,
+    unpacked_array,
+)
+from .contents import MAX_DIM, Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
 
 FORMAT_VERSION = 2
 """Raised whenever an older reader would misread a newer file."""
@@ -39,6 +45,20 @@ REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
 _DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "U8": "|u1"}
 _DTYPE_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 _VERSION, _CHECKSUM, _CODING = "segmap_version", "checksum", "coding"
+# Name -> dtype and shape. A letter stands for a length that must agree wherever it occurs.
+SCHEMA: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "origin": ("F64", (3,)),
+    "centroids": ("F64", ("P", 3)),
+    "stamps": ("F64", ("P",)),
+    "trajectory": ("F64", ("V", 4, 4)),
+    "vectors": ("F32", ("P", "D")),
+    "quality": ("F32", ("P",)),
+    "cloud": ("F32", ("N", 3)),
+    "sizes": ("I32", ("P",)),
+    "session": ("I32", ("P",)),
+    "missed": ("I32", ("P",)),
+}
+OPTIONAL = frozenset({"quality", "missed"})
 
 
 @dataclass(frozen=True)
@@ -258,3 +278,28 @@ def _header_digest(texts: Mapping[str, str], shapes: Mapping[str, tuple[str, lis
 
 def _digest(array: Array) -> str:
     return hashlib.blake2b(np.ascontiguousarray(array).data, digest_size=16).hexdigest()
+
+
+def shapes_fault(shapes: Mapping[str, tuple[str, list[int]]]) -> str | None:
+    """What is wrong with the tensors of a file, by their dtypes and shapes; None if nothing is."""
+    missing = SCHEMA.keys() - OPTIONAL - shapes.keys()
+    unknown = shapes.keys() - SCHEMA.keys()
+    if missing or unknown:
+        fault = "lacks" if missing else "has unknown"
+        return f"{fault} {', '.join(sorted(missing or unknown))}"
+    lengths: dict[str, int] = {}
+    for name, (dtype, shape) in shapes.items():
+        wanted_dtype, wanted = SCHEMA[name]
+        resolved = [lengths.get(d, d) if isinstance(d, str) else d for d in wanted]
+        fits = len(shape) == len(wanted) and all(
+            isinstance(w, str) or w == s for w, s in zip(resolved, shape, strict=True)
+        )
+        if dtype != wanted_dtype or not fits:
+            text = ", ".join(str(d) for d in resolved)
+            return f"{name} is {dtype} {tuple(shape)}, not {wanted_dtype} ({text})"
+        for d, size in zip(wanted, shape, strict=True):
+            if isinstance(d, str):
+                lengths[d] = size
+    if not 0 < lengths["D"] <= MAX_DIM:
+        return f"vectors have {lengths['D']} numbers, not 1 to {MAX_DIM}"
+    return None

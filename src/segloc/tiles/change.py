@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from ..config import Config, map_config
 from ..errors import DatasetError, MapMismatch
 from ..map.compact import compacted
-from ..map.parts import along, concatenated, with_sessions
 from ..map.same_place import check_same_place
-from ..map.segment_map import SegmentMap
+from ..map.segment_map import SegmentMap, along, concatenated, with_sessions
 from ..map.update import UpdateConfig, UpdateCounts, update_map
 from ..types import Float64, Recording
 from .cut import COARSE, in_square, part_of, publish, thin_of, written

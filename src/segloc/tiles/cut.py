@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
-from ..map.parts import along, concatenated
-from ..map.segment_map import SegmentMap
+from ..map.segment_map import SegmentMap, along, concatenated
 from ..system.processes import all_of
 from ..types import Float64
 from .index import (

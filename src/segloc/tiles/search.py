@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Protocol
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from threading import Lock
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -13,16 +15,14 @@ from ..likelihood.evidence import DECISIVE_INLIERS
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
-from ..pipeline.answer import answer
-from ..pipeline.coarse_vote import ThinVote
-from ..pipeline.search import Search
+from ..pipeline import Search, answer
 from ..prior import Prior, within
+from ..proposals.coarse_vote import CoarseVoter
 from ..proposals.matching import Matcher
 from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
 from ..types import Candidate, Matches
 from .index import Tile, TileIndex
-from .recent import Recent
 
 STRONG = 0.5
 """Tiles are searched first in which a pose has such a share of the votes of the best."""
@@ -31,6 +31,7 @@ FEW, MORE = 4, 10
 than the second. Set by hand."""
 PAIR = 2
 """So many segments agree on a pose anywhere: the two that it is computed from."""
+Value = TypeVar("Value")
 
 
 class Tiles(Protocol):
@@ -61,8 +62,16 @@ class TileSearch:
 
     def __init__(self, tiles: Tiles, coarse: Localizer) -> None:
         self._tiles, self._coarse = tiles, coarse
-        self._vote = ThinVote(coarse.prior_map, coarse.matcher, coarse.config)
-        self._settings = coarse.config.to_yaml()
+        config = coarse.config
+        self._vote = CoarseVoter(
+            coarse.prior_map,
+            coarse.matcher,
+            config.pose,
+            config.local_cloud.radius_m,
+            threads=config.threads,
+            seed=config.seed,
+        )
+        self._settings = config.to_yaml()
 
     def locate(
         self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
@@ -212,3 +221,50 @@ def _nowhere(
     verdict = Verdict(reason, f"{reason} (of the segments {most} agree on a place, as by chance)")
     counts = Search(len(matches), matches, found, verdict).counts(query)
     return answer(query.cloud, verdict, counts, times.with_total(), near)
+
+
+class Recent:
+    """Keeps what was made: what was not asked for longest goes first. For any number of threads.
+
+    Parameters
+    ----------
+    most_bytes : int
+        So much is kept, and what was asked for last.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @property
+    def bytes(self) -> int:
+        """Of all that is kept."""
+        with self._lock:
+            return sum(size for _, size in self._kept.values())
+
+    def get(
+        self,
+        key: Hashable,
+        kind: type[Value],
+        make: Callable[[], Value],
+        size: Callable[[Value], int],
+    ) -> Value:
+        """What is kept under a key, or else what is made then, of a kind and of so many bytes."""
+        place = (kind, key)
+        with self._lock:
+            if place in self._kept:
+                self._kept.move_to_end(place)
+                found: Value = self._kept[place][0]
+                return found
+        made = make()
+        with self._lock:
+            self._kept[place] = made, size(made)
+            self._kept.move_to_end(place)
+            excess = sum(size for _, size in self._kept.values()) - self._most_bytes
+            while excess > 0 and len(self._kept) > 1:
+                excess -= self._kept.popitem(last=False)[1][1]
+        return made

@@ -11,12 +11,10 @@ from typing import Any
 
 from ..errors import MapFormatError, MapMismatch
 from ..localizer import Localizer
-from ..map.parts import along, concatenated
-from ..map.segment_map import SegmentMap
+from ..map.segment_map import SegmentMap, along, concatenated
 from .cut import chosen_rows
 from .index import INDEX, Tile, TileFile, TileIndex
-from .recent import Recent
-from .search import TileSearch
+from .search import Recent, TileSearch
 from .store import Folder, Reader, store_of
 
 CACHE_BYTES = 1 << 30

@@ -14,8 +14,7 @@ from segloc_lab.evaluation.negative_maps import mirrored
 from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.localization import Reason
 from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, Landmarks, Stems, find_stems
-from segloc.proposals.landmarks.stem_clusters import Upright
-from segloc.proposals.landmarks.stem_fit import fitted
+from segloc.proposals.landmarks.stems import Upright, fitted
 from segloc.types import Float64, Int64, Pose
 
 HERE = stems.pose(40, 42, 1.0)

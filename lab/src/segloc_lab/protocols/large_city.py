@@ -35,7 +35,7 @@ import numpy as np
 
 from segloc import SegmentMap
 from segloc.map.compact import CompactConfig, compacted
-from segloc.map.parts import concatenated, with_sessions
+from segloc.map.segment_map import concatenated, with_sessions
 from segloc.system.files import replacing
 from segloc.system.processes import all_of, executing, single_threaded_pool
 from segloc.tiles import cut_tiles

@@ -23,7 +23,7 @@ from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
 from segloc.datasets import NO_POSES, open_sequence
-from segloc.pipeline.answer import answer
+from segloc.pipeline import answer
 from segloc.types import Float64, Int64, Pose, Recording
 
 from .. import kitti00

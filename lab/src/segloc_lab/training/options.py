@@ -8,7 +8,7 @@ from typing import Any
 
 from segloc.config import validated
 from segloc.errors import MissingDependency
-from segloc.system.yamlfile import read_yaml
+from segloc.system.section import read_yaml
 
 from .config import TrainConfig
 

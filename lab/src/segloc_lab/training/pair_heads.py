@@ -40,7 +40,7 @@ class PairHead(nn.Module):
         return x.squeeze(-1)
 
     def tensors(self) -> dict[str, Tensor]:
-        """As :class:`segloc.descriptors.pair_head.PairHead` reads them."""
+        """As :class:`segloc.descriptors.pointset.PairHead` reads them."""
         found: dict[str, Tensor] = {}
         for number, layer in enumerate(self.layers):
             assert isinstance(layer, nn.Linear)

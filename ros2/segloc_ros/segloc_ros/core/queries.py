@@ -11,7 +11,7 @@ from segloc import Prior, SeglocError, geometry
 from segloc.likelihood import Verdict
 from segloc.live import LiveCore
 from segloc.live.core import Asked
-from segloc.pipeline.search import Search
+from segloc.pipeline import Search
 from segloc.proposals.proposer import Query
 from segloc.tracking.views import View
 from segloc.types import Float64

@@ -12,7 +12,7 @@ from ... import geometry
 from ...types import Candidate, Float64, Int64, Pose
 from .config import LandmarkConfig
 from .landmark_map import LandmarkMap
-from .neighbours import nearest
+from .landmarks import nearest
 
 _COARSE = 2.0
 """Times the tolerance: within it lie the landmarks of a pose that is not refined yet."""

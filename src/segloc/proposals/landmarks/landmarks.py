@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ... import geometry
 from ...errors import InvalidScan
 from ...system.checks import MOST_LOCAL_METRES, check_finite, checked_rows, checked_stamp
-from ...types import Float64, Pose
+from ...types import Float64, Int64, Pose
 
 MOST_DIAMETER_M = 100.0
 
@@ -106,3 +107,27 @@ def levelling(axes: Float64) -> Pose:
 
 _LEAST_UP = 0.2
 """Of the length of the median, and of its vertical part: 78 degrees off level."""
+
+
+def nearest(
+    tree: cKDTree, points: Float64, count: int = 1, within: float = np.inf
+) -> tuple[Float64, Int64]:
+    """Distances of points to their nearest ones in a tree, and which those are.
+
+    Parameters
+    ----------
+    tree : cKDTree
+        Of D-dimensional points.
+    points : (..., D) float64
+    count : int
+        How many for each.
+    within : float
+        Farther ones are at infinity.
+
+    Returns
+    -------
+    (..., count) float64, (..., count) int64
+        Without the last axis where ``count`` is 1.
+    """
+    distances, which = tree.query(points, count, distance_upper_bound=within)
+    return np.asarray(distances, np.float64), np.asarray(which, np.int64)

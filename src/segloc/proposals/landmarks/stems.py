@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ... import _native, geometry
 from ...frontend.local_cloud import Accumulator, LocalCloudConfig, Scans
@@ -12,12 +15,31 @@ from ...frontend.segmentation import SegmentationConfig, heights_above_ground
 from ...types import Float32, Float64, Int64, LocalCloud
 from .config import StemConfig
 from .landmarks import Landmarks
-from .stem_clusters import upright
-from .stem_fit import fitted
 
 _VOXEL_M = 0.1
-_MODEL_M = 0.05
-"""By which a stem is no cylinder."""
+_MODEL_STD_M = 0.05  # of a stem from a cylinder
+
+# Clusters.
+_SLICE_GAP = 10.0
+"""Gap between slices, in tolerances: all slices are clustered in one call, each by itself."""
+_MAX_POINTS = 100_000
+_MAX_SLICE_STEP = 2
+"""An empty slice, between two beams or behind a twig, does not end a stem."""
+_MAX_WIDTH_RATIO = 2.0
+"""Width of a stem to that of its slices: it leans, forks and has boughs."""
+
+# Fits.
+_STEPS = 3
+"""Steps of reweighting, which suppresses twigs and undergrowth on a stem."""
+_MAX_SLOPE = 0.2
+"""Run over rise of an axis: trees lean less."""
+_UPRIGHT_M2 = 0.2
+"""Weight of the prior that an axis is upright: that of a point this far along it, squared."""
+_NOISE_M = 0.04
+"""Noise of ranges and bark, a floor of residuals."""
+_MAX_RADIUS_M, _MIN_DIAMETER_M = 0.6, 0.05
+_MIDDLE = (0.05, 0.95)
+"""Quantiles across the line of sight: beyond lie twigs, and beams that saw an edge."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +97,7 @@ class StemFinder:
         things = upright(points, heights, tolerance, self._config)
         fits = fitted(things, seen_from_origin)
         axes = np.column_stack([fits.leans, np.ones(len(things))])
-        std = np.hypot(_MODEL_M, fits.deviations / np.sqrt(np.maximum(things.counts, 1)))
+        std = np.hypot(_MODEL_STD_M, fits.deviations / np.sqrt(np.maximum(things.counts, 1)))
         return Stems(fits.feet, axes, fits.diameters, position_std=std, counts=things.counts)
 
 
@@ -112,3 +134,226 @@ def find_stems(
         position_std=found.position_std,
         counts=found.counts,
     )
+
+
+@dataclass(frozen=True)
+class Upright:
+    """The points of K upright things, one thing after another.
+
+    Attributes
+    ----------
+    points : (M, 3) float64
+    heights : (M,) float64
+        Over ground, metres.
+    counts : (K,) int64
+        Points of each.
+    """
+
+    points: Float64
+    heights: Float64
+    counts: Int64
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    @property
+    def starts(self) -> Int64:
+        """Where the points of each begin, (K,) int64."""
+        return np.cumsum(self.counts) - self.counts
+
+
+def upright(points: Float32, heights: Float32, tolerance: float, config: StemConfig) -> Upright:
+    """The things of a cloud that go on upwards, and stand alone at several heights.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        In a frame whose z axis points up.
+    heights : (N,) float32
+        Over ground, metres.
+    tolerance : float
+        Points of a slice closer than this belong together, metres.
+    config : StemConfig
+    """
+    band = (heights > config.lowest_m) & (heights < config.highest_m)
+    points, heights = points[band], heights[band]
+    slices = ((heights - config.lowest_m) / config.slice_m).astype(np.int64)
+    members, counts = _clusters(points, slices, tolerance)
+    slim = np.flatnonzero(_widths(points[members], counts) < config.widest_m)
+    kept = np.isin(np.repeat(np.arange(len(counts)), counts), slim)
+    members, counts = members[kept], counts[slim]
+    chains = _chains(points[members].astype(np.float64), slices[members], counts, config.link_m)
+    which = np.repeat(chains, counts)
+    order = np.argsort(which, kind="stable")
+    members, which = members[order], which[order]
+    return _long_ones(points[members], heights[members], np.bincount(which), config)
+
+
+def _clusters(points: Float32, slices: Int64, tolerance: float) -> tuple[Int64, Int64]:
+    """Rows of the points of each cluster of each slice, and how many each has."""
+    lifted = points.copy()
+    lifted[:, 2] = slices * (_SLICE_GAP * tolerance)
+    members, offsets = _native.euclidean_clusters(lifted, tolerance, 1, _MAX_POINTS)
+    return members.astype(np.int64), np.diff(offsets)
+
+
+def _widths(points: Float32, counts: Int64) -> Float64:
+    """The horizontal diagonal of each cluster, metres."""
+    if not len(counts):
+        return np.empty(0)
+    starts = np.cumsum(counts) - counts
+    xy = points[:, :2].astype(np.float64)
+    span = np.maximum.reduceat(xy, starts) - np.minimum.reduceat(xy, starts)
+    widths: Float64 = np.hypot(span[:, 0], span[:, 1])
+    return widths
+
+
+def _chains(points: Float64, slices: Int64, counts: Int64, link: float) -> Int64:
+    """Which chain of clusters, one above another, each cluster belongs to."""
+    if not len(counts):
+        return np.empty(0, np.int64)
+    starts = np.cumsum(counts) - counts
+    centres = np.add.reduceat(points[:, :2], starts) / counts[:, None]
+    pairs = cKDTree(centres).query_pairs(link, output_type="ndarray")
+    up = np.abs(slices[starts][pairs[:, 0]] - slices[starts][pairs[:, 1]])
+    a, b = pairs[(up >= 1) & (up <= _MAX_SLICE_STEP)].T
+    graph = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(counts), len(counts)))
+    chains: Int64 = connected_components(graph, directed=False)[1].astype(np.int64)
+    return chains
+
+
+def _long_ones(points: Float32, heights: Float32, counts: Int64, config: StemConfig) -> Upright:
+    """Those of enough points and length, and of no great width as a whole."""
+    starts = np.cumsum(counts) - counts
+    if not len(counts):
+        return Upright(np.empty((0, 3)), np.empty(0), counts)
+    length = np.maximum.reduceat(heights, starts) - np.minimum.reduceat(heights, starts)
+    good = (counts >= config.fewest_points) & (length >= config.least_length_m)
+    good &= _widths(points, counts) < _MAX_WIDTH_RATIO * config.widest_m
+    kept = np.repeat(good, counts)
+    return Upright(points[kept].astype(np.float64), heights[kept].astype(np.float64), counts[good])
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Axes and circles of K things.
+
+    Attributes
+    ----------
+    feet : (K, 3) float64
+        Where each axis meets the ground.
+    leans : (K, 2) float64
+        Run over rise of each axis along x and y.
+    diameters : (K,) float64
+        Metres.
+    deviations : (K,) float64
+        Of the points from the circle, root mean square after reweighting, metres.
+    """
+
+    feet: Float64
+    leans: Float64
+    diameters: Float64
+    deviations: Float64
+
+
+class _Sums:
+    """Sums over the points of each of K things."""
+
+    def __init__(self, things: Upright) -> None:
+        self.which = np.repeat(np.arange(len(things)), things.counts)
+        self._count = len(things)
+
+    def __call__(self, values: Float64) -> Float64:
+        sums: Float64 = np.bincount(self.which, values, self._count).astype(np.float64)
+        return sums
+
+
+def fitted(things: Upright, seen_from_origin: bool) -> Fits:
+    """The axis and the circle that fit each thing best.
+
+    Parameters
+    ----------
+    things : Upright
+    seen_from_origin : bool
+        Whether all points were seen from (0, 0), so that only one side of each thing is there:
+        then its width across the line of sight is its diameter. Else a circle is fitted.
+    """
+    sums = _Sums(things)
+    x, y, z = things.points.T
+    middle = sums(z) / np.maximum(things.counts, 1)
+    up = z - middle[sums.which]
+    weight = np.ones(len(z))
+    for _ in range(_STEPS):
+        leans, level = _axes(sums, weight, x, y, up)
+        circle = _one_sided if seen_from_origin else _all_around
+        centre, radius = circle(sums, weight, level, things)
+        off = np.hypot(*(level - centre[sums.which]).T) - radius[sums.which]
+        total = np.maximum(sums(weight), 1e-9)
+        deviation = np.sqrt(sums(weight * off**2) / total)
+        scale = np.maximum(deviation, _NOISE_M)[sums.which]
+        weight = 1.0 / (1.0 + (off / (1.5 * scale)) ** 2)
+    ground = middle - sums(things.heights) / np.maximum(things.counts, 1)
+    feet = np.column_stack([centre + leans * (ground - middle)[:, None], ground])
+    return Fits(feet, leans, np.maximum(2 * radius, _MIN_DIAMETER_M), deviation)
+
+
+def _axes(
+    sums: _Sums, weight: Float64, x: Float64, y: Float64, up: Float64
+) -> tuple[Float64, Float64]:
+    """Leans, and the points moved along them to the middle height of each thing, (M, 2)."""
+    total = np.maximum(sums(weight), 1e-9)
+    mean = sums(weight * up) / total
+    rise = weight * (up - mean[sums.which])
+    spread = sums(rise * up) + total * _UPRIGHT_M2
+    leans = np.stack([sums(rise * x) / spread, sums(rise * y) / spread], axis=1)
+    leans = np.clip(leans, -_MAX_SLOPE, _MAX_SLOPE)
+    return leans, np.stack([x, y], axis=1) - up[:, None] * leans[sums.which]
+
+
+def _all_around(
+    sums: _Sums, weight: Float64, level: Float64, things: Upright
+) -> tuple[Float64, Float64]:
+    """Centres and radii of circles with the least squares of (r^2 - radius^2): I. Kasa, "A circle
+    fitting procedure and its error analysis", IEEE Trans. Instrum. Meas. 25, 1976.
+
+    Points all on one side, or in a heap, say little of the centre: where the circle is far larger
+    than the points reach, their mean is taken.
+    """
+    total = np.maximum(sums(weight), 1e-9)
+    mean = np.stack([sums(weight * c) / total for c in level.T], axis=1)
+    u, v = (level - mean[sums.which]).T
+    square = u * u + v * v
+    products = [sums(weight * a * b) / total for a, b in ((u, u), (u, v), (v, v))]
+    uu, uv, vv = products[0] + 1e-3, products[1], products[2] + 1e-3
+    right = [sums(weight * a * square) / (2 * total) for a in (u, v)]
+    det = uu * vv - uv * uv
+    shift = np.stack([vv * right[0] - uv * right[1], uu * right[1] - uv * right[0]], axis=1)
+    shift /= det[:, None]
+    spread = np.sqrt(sums(weight * square) / total)
+    radius = np.sqrt((shift**2).sum(axis=1) + spread**2)
+    vague = (radius > _MAX_RADIUS_M) | (radius > 2 * spread + 0.05)
+    shift[vague], radius[vague] = 0.0, spread[vague]
+    return mean + shift, radius
+
+
+def _one_sided(
+    sums: _Sums, weight: Float64, level: Float64, things: Upright
+) -> tuple[Float64, Float64]:
+    """Centres and radii of things seen from (0, 0): their width is seen, and their near side."""
+    total = np.maximum(sums(weight), 1e-9)
+    mean = np.stack([sums(weight * c) / total for c in level.T], axis=1)
+    ahead = mean / np.maximum(np.hypot(*mean.T), 1e-9)[:, None]
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    off = level - mean[sums.which]
+    across = (off * aside[sums.which]).sum(axis=1)
+    order = np.lexsort((across, sums.which))
+    low, high = (
+        across[order][things.starts + (share * (things.counts - 1) + 0.5).astype(np.int64)]
+        for share in _MIDDLE
+    )
+    radius = np.minimum(np.maximum((high - low) / 2, _MIN_DIAMETER_M / 2), _MAX_RADIUS_M)
+    centre = (low + high) / 2
+    sideways = np.minimum(np.abs(across - centre[sums.which]) / radius[sums.which], 1.0)
+    depth = (off * ahead[sums.which]).sum(axis=1) + radius[sums.which] * np.sqrt(1 - sideways**2)
+    behind = sums(weight * depth) / total
+    return mean + centre[:, None] * aside + behind[:, None] * ahead, radius

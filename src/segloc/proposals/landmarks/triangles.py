@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ...types import Float64, Int64, Matches
 from .config import Effort, LandmarkConfig
-from .neighbours import nearest
+from .landmarks import nearest
 
 DIMENSION = 8
 _SPREAD = 8.0

@@ -155,7 +155,7 @@ def pair_scores(found: Described, pruner: Pruner | None = None, threads: int = 1
 
     Minus the distance of the descriptors; where there is a pruner, the probability that it gives
     the pair: that of the forest of SegMatch and NSM, or of FC4 for ``-fq``
-    (:class:`~segloc.descriptors.pair_head.PairHead`).
+    (:class:`~segloc.descriptors.pointset.PairHead`).
     """
     if pruner is None:
         return -_distances(found)

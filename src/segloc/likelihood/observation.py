@@ -1,10 +1,19 @@
-"""How much of a query cloud lies on the map at a pose, and the pose at which it fits best."""
+"""What is measured when a query cloud is compared with the map at a pose.
+
+Overlap: the share of the query that lies on the map. Visibility: how much of the map in view the
+query sees. A map point violates free space where the sensor measured something well behind it, in
+its direction and in all directions about it (G. Kim, A. Kim, "Remove, then Revert: Static Point
+Cloud Map Construction using Multiresolution Range Images", IROS 2020). Intrusion is the reverse: a
+query that occupies space through which the mapping sensor looked. Rooms that are alike differ by
+decimetres, which the share of wall points on the map's surfaces tells apart; hedges and rows of
+trees may fit elsewhere, but not on ground that rises and falls otherwise.
+"""
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,26 +22,38 @@ from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .details import ComparedMap, MeasuredDetails
 from .evidence import SQUARE_M, CoarseScore, RankedCandidate, RefinedScore
-from .free_space_check import QueryView, judged
 from .nearby import NearbySearch, Surroundings
 from .registration import Aligner, Registered, Target, thinned
-from .walls import close_surface
 
 _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
-"""Map points that are judged while candidates are ranked; the overlap counts as so many of them."""
+"""Map points compared while candidates are ranked, and the overlap's weight in such points."""
 _RANKED_FIRST = 4
-"""So many of the candidates are put in their exact order."""
+"""Number of candidates in their exact order."""
 _STILL_M, _MOST_AGAIN = 1.0, 2
-"""An alignment that moved farther may not have ended where it would: it is begun anew from there,
-at most so often."""
+"""Shift beyond which an alignment is repeated from where it ended, and how often at most."""
 _STOREY_SAMPLE = 200
-"""Points of the query that other storeys are looked for with."""
+"""Points of a query in the search for other storeys."""
 _CLOSE_VOXEL_M = 0.3
-"""A query's walls are thinned to this, as maps are."""
+"""Voxel size of a query's close surface: that of maps."""
 
 _HERE = np.eye(4)
+_HEIGHT_PERCENTILES, _MAX_HEIGHTS = (1.0, 99.0), 4000
+"""Percentiles that bound the heights of a query, and of how many points at most."""
+_STOREY_MARGIN_M = 1.0
+"""Map points within this above or below these heights are on the query's storey."""
+_VIEWPOINT_RADIUS_M, _VIEWPOINT_SPACING_M, _MAX_VIEWPOINTS = 12.0, 3.0, 8
+"""Radius and spacing of viewpoints on the path, and their number at most, nearest first."""
+_MAX_VIEWPOINT_HEIGHT_M = 1.5
+"""Height difference beyond which a viewpoint is on another storey."""
+_POINT_HALF_WIDTH_M = 0.2
+"""Half width of a point of the map's cloud: near the path its walls would have holes."""
+_MAX_WALL_NORMAL_Z, _MIN_GROUND_NORMAL_Z = 0.3, 0.9
+_MIN_SURFACE_POINTS, _MAX_SURFACE_POINTS = 30, 2000
+"""Points of walls or of the ground: with fewer, nothing is measured; no more are compared."""
+_GROUND_TOLERANCE_M = 0.2
+_CLOSE_M, _SUPPORT_M = 1.0, 0.75
+"""Radii of close surfaces: to the nearest point, and to the points of its plane."""
 
 
 class QueryCloud:
@@ -165,13 +186,13 @@ class MapCloud:
     def _seen(self, ranked: RankedCandidate, query: QueryCloud) -> float:
         """What ranks candidates of the clouds alone, of which many overlap where little stands."""
         config, T = self._config, self._relative(ranked.T_map_local)
-        confirmed, all_judged = self._judged(query, T, config.coarse_radius, _RANKING_SAMPLE)
+        confirmed, all_judged = self._visible(query, T, config.coarse_radius, _RANKING_SAMPLE)
         return (confirmed + _RANKING_PRIOR * ranked.overlap) / (all_judged + _RANKING_PRIOR)
 
     def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
         """A candidate where it stands, with the share of the map that is roughly seen there."""
         config, T = self._config, self._relative(ranked.T_map_local)
-        seen = self._judged(query, T, config.coarse_radius, config.coarse_visibility_sample)
+        seen = self._visible(query, T, config.coarse_radius, config.coarse_visibility_sample)
         return CoarseScore(ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse)
 
     def off_path(self, T_map_local: Pose) -> float | None:
@@ -220,14 +241,14 @@ class MapCloud:
         else:
             T, covariance = found.T_target_source, found.covariance
             overlap, rmse = found.overlap, found.rmse
-        seen = self._judged(query, T, config.seen_radius, config.visibility_sample)
+        seen = self._visible(query, T, config.seen_radius, config.visibility_sample)
         details = MeasuredDetails(self._compared, query, T, config)
         return RefinedScore(self._absolute(T), inliers, overlap, *seen, rmse, covariance, details)
 
-    def _judged(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
+    def _visible(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
         range_m = self._config.visibility_range
         index, storeyed = self._target.index, self.storeyed
-        return judged(index, query.view, T, radius, range_m, sample, storeyed)
+        return visible_counts(index, query.view, T, radius, range_m, sample, storeyed)
 
     def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
         """The better of two alignments, which goes on until it holds still."""
@@ -276,3 +297,243 @@ def _squares(points: Float32, range_m: float) -> int:
     x, y = (np.floor(near[:, axis] / SQUARE_M).astype(np.int64) for axis in (0, 1))
     half = int(np.ceil(range_m / SQUARE_M))
     return int(np.count_nonzero(np.bincount(2 * half * (y + half) + x + half)))
+
+
+@dataclass(frozen=True)
+class ComparedMap:
+    """What a query is compared with.
+
+    Attributes
+    ----------
+    target : Target
+        The map's cloud.
+    close : Surface
+        Of the same, of :func:`close_surface`.
+    path : (M, 3) float64
+        Where the sensor was when the map was made, in the frame of the cloud.
+    """
+
+    target: Target
+    close: _native.Surface
+    path: Float64
+
+
+class MeasuredDetails:
+    """How walls, ground and free space fit at a pose, each measured on first use: most never are.
+
+    Parameters
+    ----------
+    compared : ComparedMap
+    query : QueryCloud
+    T : (4, 4) float64
+        Takes the query to the frame of the map's cloud.
+    config : VerificationConfig
+    """
+
+    def __init__(
+        self, compared: ComparedMap, query: QueryCloud, T: Pose, config: VerificationConfig
+    ) -> None:
+        self._map, self._query, self._T, self._config = compared, query, T, config
+        self._ground: tuple[float | None] | None = None
+        self._flush: tuple[float | None] | None = None
+        self._intruding: float | None = None
+
+    @property
+    def ground(self) -> float | None:
+        """The share of the ground that lies on the map's."""
+        if self._ground is None:
+            surface = self._map.target.surface
+            self._ground = (ground_share(surface, self._query.surface, self._T),)
+        return self._ground[0]
+
+    @property
+    def flush(self) -> float | None:
+        """The share of wall points that are flush with the map's surfaces, of those near them."""
+        if self._flush is None:
+            source, offset = self._query.close_surface, self._config.flush_offset
+            self._flush = (flush_share(self._map.close, source, self._T, offset),)
+        return self._flush[0]
+
+    @property
+    def intruding(self) -> float:
+        """The share of what stands that stands in free space of the map."""
+        if self._intruding is None:
+            index, sample = self._map.target.index, self._query.sample
+            self._intruding = intruding_share(index, sample, self._T, self._map.path, self._config)
+        return self._intruding
+
+
+class QueryView:
+    """What a sensor saw, as a range image about the local frame's origin.
+
+    Attributes
+    ----------
+    low, high : float
+        Nearly all that it saw is between these heights, metres.
+    """
+
+    def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
+        radius = max(config.seen_radius, config.coarse_radius)
+        self._margin = config.visibility_margin
+        self.low, self.high = _heights(scene)
+        self._image = _native.VisibilityCheck(
+            scene.structure, scene.ground, config.visibility_range, config.visibility_bin, radius
+        )
+
+    def count(self, points: Float32, T_local_map: Pose, radius: float) -> tuple[int, int]:
+        """Count the (N, 3) map points that are seen, and those that violate free space."""
+        seen, violations = self._image.count(points, T_local_map, radius, self._margin)
+        return seen, violations
+
+
+def visible_counts(
+    index: _native.PointIndex,
+    view: QueryView,
+    T: Pose,
+    radius: float,
+    range_m: float,
+    sample: int,
+    storeyed: bool,
+) -> tuple[int, int]:
+    """Count the map points that the query sees, too, and those that were compared.
+
+    Parameters
+    ----------
+    index : PointIndex
+        Of the map's cloud.
+    view : QueryView
+    T : (4, 4) float64
+        From the local frame to that of the cloud.
+    radius : float
+        A map point with a query point within this is seen [m].
+    range_m : float
+        Map points within this are compared [m].
+    sample : int
+        Number of them at most.
+    storeyed : bool
+        Whether the map has several storeys. Points of other storeys than the query's cannot be
+        seen, and are left out of the sample.
+    """
+    x, y = float(T[0, 3]), float(T[1, 3])
+    low, high = (
+        (view.low - _STOREY_MARGIN_M, view.high + _STOREY_MARGIN_M)
+        if storeyed
+        else (-np.inf, np.inf)
+    )
+    points = index.sample(x, y, range_m, sample, low + T[2, 3], high + T[2, 3])
+    T_local_map = np.ascontiguousarray(geometry.inverse(T))
+    seen, violations = view.count(points, T_local_map, radius)
+    return seen, seen + violations
+
+
+def _heights(scene: Segmentation) -> tuple[float, float]:
+    z = np.concatenate([scene.structure[:, 2], scene.ground[:, 2]])
+    if not len(z):
+        return -np.inf, np.inf
+    low, high = np.percentile(z[:: -(-len(z) // _MAX_HEIGHTS)], _HEIGHT_PERCENTILES)
+    return float(low), float(high)
+
+
+def viewpoints(path: Float64, at: Float64) -> Float64:
+    """Positions of a path, (M, 3), from which free space about a position is known, (V, 3)."""
+    off = path - at
+    near = (np.hypot(off[:, 0], off[:, 1]) < _VIEWPOINT_RADIUS_M) & (
+        np.abs(off[:, 2]) < _MAX_VIEWPOINT_HEIGHT_M
+    )
+    chosen: list[Float64] = []
+    for p in path[near][np.argsort(np.hypot(*off[near, :2].T), kind="stable")]:
+        if len(chosen) == _MAX_VIEWPOINTS:
+            break
+        if all(np.linalg.norm(p - other) > _VIEWPOINT_SPACING_M for other in chosen):
+            chosen.append(p)
+    return np.array(chosen).reshape(-1, 3)
+
+
+def intruding_share(
+    index: _native.PointIndex, sample: Float32, T: Pose, path: Float64, config: VerificationConfig
+) -> float:
+    """Compute the share of a query's structure that occupies free space of the map.
+
+    Parameters
+    ----------
+    index : PointIndex
+        Of the map's cloud.
+    sample : (N, 3) float32
+        What stands, about the sensor.
+    T : (4, 4) float64
+        Takes it to the frame of the map's cloud.
+    path : (M, 3) float64
+        Where the sensor was when the map was made, in the same frame.
+    config : VerificationConfig
+
+    Returns
+    -------
+    float
+        A share, in [0, 1].
+    """
+    used, intruding = index.intrusion(
+        sample,
+        T,
+        viewpoints(path, T[:3, 3]),
+        config.visibility_range,
+        config.visibility_bin,
+        config.coarse_radius,
+        config.visibility_margin,
+        _POINT_HALF_WIDTH_M,
+    )
+    return intruding / used if used else 0.0
+
+
+def close_surface(points: Float32) -> _native.Surface:
+    """A cloud, (N, 3), as densely as a map has it: its planes are known to centimetres."""
+    return _native.Surface(np.ascontiguousarray(points), _CLOSE_M, _SUPPORT_M)
+
+
+def flush_share(
+    target: _native.Surface, source: _native.Surface, T: Pose, offset: float
+) -> float | None:
+    """Compute the share of a query's wall points on a surface of the map, of those near one.
+
+    What has no map point near it may be higher than the map reaches, and counts for the overlap.
+
+    Parameters
+    ----------
+    target, source : Surface
+        Of :func:`close_surface`, of the map and of the query.
+    T : (4, 4) float64
+        Takes the source to the target.
+    offset : float
+        Distance from the map's plane below which a point is on it [m].
+
+    Returns
+    -------
+    float or None
+        A share, in [0, 1]; None where there are too few.
+    """
+    offsets, normals = target.offsets(source, T, _MAX_SURFACE_POINTS)
+    wall = (np.abs(normals[:, 2]) < _MAX_WALL_NORMAL_Z) & normals.any(axis=1) & np.isfinite(offsets)
+    return float((offsets[wall] < offset).mean()) if wall.sum() >= _MIN_SURFACE_POINTS else None
+
+
+def ground_share(target: _native.Surface, source: _native.Surface, T: Pose) -> float | None:
+    """Compute the share of a query's ground on that of the map, of what is near a surface.
+
+    Parameters
+    ----------
+    target, source : Surface
+        Of the map and of the query.
+    T : (4, 4) float64
+        Takes the source to the target.
+
+    Returns
+    -------
+    float or None
+        A share, in [0, 1]; None where there is too little.
+    """
+    offsets, normals = target.offsets(source, T, _MAX_SURFACE_POINTS)
+    level = (np.abs(normals[:, 2]) > _MIN_GROUND_NORMAL_Z) & np.isfinite(offsets)
+    return (
+        float((offsets[level] < _GROUND_TOLERANCE_M).mean())
+        if level.sum() >= _MIN_SURFACE_POINTS
+        else None
+    )

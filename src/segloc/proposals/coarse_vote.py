@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..config import Config
 from ..frontend.segmentation import Segmentation
 from ..map.segment_map import SegmentMap
 from ..prior import Prior, within
-from ..proposals.matching import Matcher
-from ..proposals.pose import PoseEstimator
 from ..types import Candidate, Descriptors, Int64, Matches
+from .matching import Matcher
+from .pose import PoseConfig, PoseEstimator
 
 CANDIDATES = 32
-"""Poses that a vote proposes."""
+"""Poses that a vote proposes at most."""
 GROWTH, PROBES = 0.3, 16
-"""Of matching: a vote need not find all that agrees. Set by queries in half a million segments."""
-NEAR = 8
-"""Neighbours of a segment near a prior: there are few that look alike by chance."""
+"""Effort of matching: a vote needs only part of the matches. Set on half a million segments."""
+PRIOR_NEIGHBOURS = 8
+"""Neighbours of a segment near a prior, where few look alike by chance."""
 
 
-class ThinVote:
-    """Says where in a thin map a query may be; what it shows must be looked at elsewhere.
+class CoarseVoter:
+    """Proposes poses of a query in a thin map, to be verified in maps with a cloud.
 
     Parameters
     ----------
@@ -29,16 +28,28 @@ class ThinVote:
         A few views of each object; without a cloud.
     matcher : Matcher
         In this map.
-    config : Config
+    config : PoseConfig
+    reach_m : float
+        Radius of a local cloud [m].
+    threads, seed : int
     """
 
-    def __init__(self, thin: SegmentMap, matcher: Matcher, config: Config) -> None:
+    def __init__(
+        self,
+        thin: SegmentMap,
+        matcher: Matcher,
+        config: PoseConfig,
+        reach_m: float,
+        *,
+        threads: int,
+        seed: int,
+    ) -> None:
         self._centroids, self._matcher = thin.centroids, matcher.once(GROWTH, PROBES)
-        self._reach_m = config.local_cloud.radius_m
+        self._reach_m = reach_m
         self._by_x = np.argsort(self._centroids[:, 0], kind="stable").astype(np.int32)
         self._x, self._y = self._centroids[self._by_x, :2].T.copy()
-        pose = config.pose.model_copy(update={"max_candidates": CANDIDATES})
-        self._estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
+        pose = config.model_copy(update={"max_candidates": CANDIDATES})
+        self._estimator = PoseEstimator(pose, threads=threads, seed=seed)
 
     def candidates(
         self, scene: Segmentation, descriptors: Descriptors, near: Prior | None = None
@@ -47,11 +58,11 @@ class ThinVote:
         return self.poses(scene, self.matches(descriptors, near), near)
 
     def matches(self, descriptors: Descriptors, near: Prior | None = None) -> Matches:
-        """What of the thin map a query's segments look like."""
+        """Matches of a query's segments in the thin map, or in its part near a prior."""
         if near is None:
             return self._matcher.prune(descriptors, self._matcher.match(descriptors))
         matcher = self._matcher.among(self._rows(near))
-        return matcher.prune(descriptors, matcher.match(descriptors, NEAR))
+        return matcher.prune(descriptors, matcher.match(descriptors, PRIOR_NEIGHBOURS))
 
     def poses(
         self, scene: Segmentation, matches: Matches, near: Prior | None = None
@@ -61,7 +72,7 @@ class ThinVote:
         return within(near, self._estimator.estimate(centroids, self._centroids, matches))
 
     def _rows(self, near: Prior) -> Int64:
-        """What may be in view near a prior; only what lies in a square about it is looked at."""
+        """Rows of the thin map that may be in view near a prior, found in a square about it."""
         far = near.radius_m + self._reach_m
         x, y = np.asarray(near.position)[:2]
         first, last = np.searchsorted(self._x, [x - far, x + far])
