@@ -11,7 +11,7 @@ from ..geometry import Separation
 from ..localization import Reason
 from ..types import Candidate, Float32, Float64
 from .candidates import Allowed, CandidateScores, Inliers
-from .confidence import ConfidenceModel, shipped_confidence
+from .confidence import shipped_confidence
 from .config import VerificationConfig
 from .decision import decide, equal_rival, too_few_inliers
 from .evidence import (
@@ -53,8 +53,6 @@ class Verifier:
     config : VerificationConfig, optional
     separation : Separation, optional
         Poses closer than this are one.
-    model : ConfidenceModel, optional
-        The shipped one by default.
     threads : int
         0: all cores. No verdict depends on it.
     storeyed : bool
@@ -70,13 +68,12 @@ class Verifier:
         config: VerificationConfig | None = None,
         *,
         separation: Separation | None = None,
-        model: ConfidenceModel | None = None,
         threads: int = 0,
         storeyed: bool = False,
         path: Float64 | None = None,
     ) -> None:
         self.config = config or VerificationConfig()
-        self.model = model or shipped_confidence()
+        self.model = shipped_confidence()
         self._separation = separation or Separation()
         path = np.empty((0, 3)) if path is None else path
         self._map = MapCloud(cloud, origin, self.config, self._separation, threads, storeyed, path)

@@ -81,21 +81,13 @@ def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     return _with(prior_map, segments, _rounded_cloud(prior_map, config.cloud_bits), path)
 
 
-def with_cloud_voxel(prior_map: SegmentMap, voxel: float) -> SegmentMap:
-    """The same map with its cloud on another grid, of voxels of that edge in metres."""
-    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
-    moved = cloud.moved_to(prior_map.origin, voxel)
-    return _with(prior_map, prior_map.columns(), moved.points, prior_map.trajectory, voxel)
-
-
 def _with(
     prior_map: SegmentMap,
     segments: dict[str, NDArray[Any]],
     points: Float32,
     path: Float64,
-    voxel: float | None = None,
 ) -> SegmentMap:
-    cloud = VoxelCloud(points, prior_map.origin, voxel or prior_map.cloud_voxel)
+    cloud = VoxelCloud(points, prior_map.origin, prior_map.cloud_voxel)
     named = prior_map.descriptor, prior_map.fingerprint
     return SegmentMap(*named, segments, cloud, path, prior_map.metadata)
 

@@ -51,11 +51,9 @@ class CoarseVoter:
         pose = config.model_copy(update={"max_candidates": CANDIDATES})
         self._estimator = PoseEstimator(pose, threads=threads, seed=seed)
 
-    def candidates(
-        self, scene: Segmentation, descriptors: Descriptors, near: Prior | None = None
-    ) -> list[Candidate]:
-        """Poses T_map_local of a query, best first; near a prior, if there is one."""
-        return self.poses(scene, self.matches(descriptors, near), near)
+    def candidates(self, scene: Segmentation, descriptors: Descriptors) -> list[Candidate]:
+        """Poses T_map_local of a query, best first."""
+        return self.poses(scene, self.matches(descriptors))
 
     def matches(self, descriptors: Descriptors, near: Prior | None = None) -> Matches:
         """Matches of a query's segments in the thin map, or in its part near a prior."""

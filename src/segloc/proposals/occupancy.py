@@ -460,10 +460,10 @@ def believed(
 
 
 def nearest_of(
-    places: NDArray[Any], asked: NDArray[Any], count: int = 1, within: float = np.inf
+    places: NDArray[Any], asked: NDArray[Any], within: float = np.inf
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Distances to the nearest of (N, 2) places, and which they are; infinite, and N, beyond."""
-    distance, index = cKDTree(places).query(asked, k=count, distance_upper_bound=within)
+    """Distances to the nearest of (N, 2) places, and their rows; infinite, and N, beyond."""
+    distance, index = cKDTree(places).query(asked, distance_upper_bound=within)
     return np.asarray(distance), np.asarray(index)
 
 

@@ -42,7 +42,7 @@ def _number(value: float, name: str, unit: str) -> float:
         raise InvalidScan(f"{name} must be a number of {unit}, not {value!r:.60}") from error
 
 
-def checked_points(points: ArrayLike, name: str = "points") -> Float32:
+def checked_points(points: ArrayLike) -> Float32:
     """The x, y, z of ``points`` as (N, 3) float32, C-contiguous; values may be infinite or NaN.
 
     Raises
@@ -50,13 +50,13 @@ def checked_points(points: ArrayLike, name: str = "points") -> Float32:
     InvalidScan
         If the shape or dtype is wrong.
     """
-    array = as_array(points, name)
+    array = as_array(points, "points")
     if array.ndim != 2 or array.shape[1] < 3:
-        raise InvalidScan(f"{name} must have shape (N, 3) or wider, not {array.shape}")
+        raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
     if array.shape[0] == 3 and array.shape[1] > _WIDEST_ROW:
-        raise InvalidScan(f"{name} must have shape (N, 3), not {array.shape}: transpose them")
+        raise InvalidScan(f"points must have shape (N, 3), not {array.shape}: transpose them")
     if not np.issubdtype(array.dtype, np.floating):
-        raise InvalidScan(f"{name} must be floating point, not {array.dtype}")
+        raise InvalidScan(f"points must be floating point, not {array.dtype}")
     with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf
         return np.ascontiguousarray(array[:, :3], dtype=np.float32)
 

@@ -19,8 +19,9 @@ import numpy as np
 from segloc import Config, Localizer, SegmentMap
 from segloc.batch.run import query_clouds
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
-from segloc.map.compact import CompactConfig, compacted, with_cloud_voxel
+from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
+from segloc.map.voxel_cloud import VoxelCloud
 from segloc.proposals.proposer import Query
 from segloc.types import Float64
 
@@ -56,8 +57,12 @@ WAYS: dict[str, MappingConfig] = {
 
 
 def made(whole: SegmentMap, mapping: MappingConfig) -> SegmentMap:
-    """A map as it would have been built so."""
-    return compacted(with_cloud_voxel(whole, mapping.cloud_voxel), mapping.compact)
+    """Rebuild a map from the whole one with other settings."""
+    cloud = VoxelCloud(whole.cloud, whole.origin, whole.cloud_voxel)
+    cloud = cloud.moved_to(whole.origin, mapping.cloud_voxel)
+    named = whole.descriptor, whole.fingerprint
+    moved = SegmentMap(*named, whole.columns(), cloud, whole.trajectory, whole.metadata)
+    return compacted(moved, mapping.compact)
 
 
 def kilometres(prior_map: SegmentMap) -> float:
