@@ -17,9 +17,9 @@ from segloc.datasets import Recording, open_sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.loops.align import spread
 from segloc.loops.consistency import supported
 from segloc.loops.loops import Chain, Loop
-from segloc.loops.spread import spread
 from segloc.loops.submaps import Session
 from segloc.types import Float64
 

@@ -114,8 +114,7 @@ def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
 def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
     from ..errors import MissingDependency
     from ..io import Trajectory, write_tum
-    from ..loops.picture import picture
-    from ..loops.summary import loops_csv, loops_jsonl, summary
+    from ..loops.summary import loops_csv, loops_jsonl, picture, summary
     from ..system.files import replacing, write_text
     from .console import note
 

@@ -22,8 +22,7 @@ from ..system.checks import checked_pose
 from ..types import Float64, LocalCloud, Pose, Scan
 from .config import AlignConfig
 from .consistency import supported
-from .loops import Chain, Loop, registered
-from .submap_registration import SubmapRegistration
+from .loops import Chain, Loop, SubmapRegistration, registered
 from .submaps import Submap, lean_submap
 
 

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from .. import geometry
+from .. import _native, geometry
 from ..config import Config
+from ..likelihood.registration import Aligner, Target
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..proposals.proposer import Query
-from ..types import Float64, Int64, LocalCloud, Pose
+from ..types import Float32, Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
-from .submap_registration import SubmapRegistration, Submaps
-from .submaps import Session
+from .submaps import Session, Submap
 
 Progress = Callable[[int, int], None]
+_LEAST_POINTS = 100
+_SAMPLE = 2000
+_PREPARED = 64
 
 
 @dataclass(frozen=True)
@@ -187,3 +193,146 @@ def edges_of(loops: list[Loop]) -> Edges:
         np.array([loop.T_target_source for loop in loops], np.float64).reshape(-1, 4, 4),
         np.array([loop.covariance for loop in loops], np.float64).reshape(-1, 6, 6),
     )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How one submap lies on another.
+
+    Attributes
+    ----------
+    T_target_source : (4, 4) float64
+    covariance : (6, 6) float64
+        Of rotation and translation, frame of the source.
+    shared : float
+        Share of the source's structure that meets the target's, and the other way round: the
+        larger of the two, since submaps reach differently far.
+    shift_m : float
+        How far registration moved the source.
+    """
+
+    T_target_source: Pose
+    covariance: Float64
+    shared: float
+    shift_m: float
+
+
+class Submaps(Protocol):
+    """By their numbers."""
+
+    def __getitem__(self, number: int, /) -> Submap: ...
+
+
+class SubmapRegistration:
+    """Generalised ICP between submaps (A. Segal, D. Haehnel, S. Thrun, RSS 2009)."""
+
+    def __init__(self, submaps: Submaps, config: AlignConfig, threads: int = 0) -> None:
+        self._submaps, self._config = submaps, config
+        self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
+        self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)
+
+    def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
+        """Align two submaps, by number, from a first guess; None where ICP cannot."""
+        there, back = self._prepared(target), self._prepared(source)
+        if min(len(there.surface), len(back.surface)) < _LEAST_POINTS:
+            return None
+        radius = self._config.near_m
+        found = self._aligner.register(there.target, back, T_target_source, radius)
+        if found is None:
+            return None
+        T, shared = found.T_target_source, 0.0
+        if min(there.count, back.count) >= _LEAST_POINTS:
+            other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
+            shared = max(found.overlap, other)
+        # No loop is believed to be more exact than this.
+        least = np.repeat([np.radians(self._config.loop_deg), self._config.loop_m], 3) ** 2
+        return Fit(T, found.covariance + np.diag(least), shared, found.shift_m)
+
+    def _prepare(self, k: int) -> _Prepared:
+        submap = self._submaps[k]
+        index = _native.PointIndex(submap.structure, self._config.near_m)
+        step = max(1, len(submap.structure) // _SAMPLE)
+        sample = np.ascontiguousarray(submap.structure[::step])
+        target = Target(self._aligner.surface(submap.surface), index)
+        return _Prepared(target, sample, len(submap.structure))
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A submap as target and as source."""
+
+    target: Target
+    sample: Float32
+    count: int
+
+    @property
+    def surface(self) -> _native.Surface:
+        return self.target.surface
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two submaps that lie close, and a first guess of T_target_source."""
+
+    target: int
+    source: int
+    guess: Pose
+
+
+def neighbours(
+    chain: Chain,
+    poses: Float64,
+    component: Int64,
+    settings: AlignConfig,
+) -> list[Pair]:
+    """Each submap with the nearest one of other passes within reach, and where it lies there.
+
+    Parameters
+    ----------
+    chain : Chain
+    poses : (N, 4, 4) float64
+        Of the submaps, optimised once.
+    component : (N,) int64
+        Submaps of different components have nothing to do with each other.
+    """
+    return [
+        Pair(target, source, geometry.inverse(poses[target]) @ poses[source])
+        for target, source in _pairs(chain, poses, component, settings)
+    ]
+
+
+def tied(
+    pairs: Sequence[Pair], submaps: Submaps, settings: AlignConfig, threads: int
+) -> list[Loop]:
+    """The loops of those pairs that can be aligned."""
+    register = SubmapRegistration(submaps, settings, threads)
+    loops = (registered(p.target, p.source, p.guess, "dense", register, settings) for p in pairs)
+    return [loop for loop in loops if loop is not None]
+
+
+def _pairs(
+    chain: Chain, poses: Float64, component: Int64, settings: AlignConfig
+) -> list[tuple[int, int]]:
+    """For each submap the nearest of each other pass: a stretch of travel of one session.
+
+    Of so many passes at most: their number grows with the sessions.
+    """
+    positions = poses[:, :3, 3]
+    a, b = cKDTree(positions).query_pairs(settings.dense_m, output_type="ndarray").T
+    own = chain.session[a] == chain.session[b]
+    apart = np.abs(chain.travelled[a] - chain.travelled[b]) > settings.min_travel_m
+    keep = (component[a] == component[b]) & (apart | ~own)
+    a, b = a[keep], b[keep]
+    order = np.argsort(np.linalg.norm(positions[a] - positions[b], axis=1), kind="stable")
+    stretch = (chain.travelled // max(settings.min_travel_m, 1.0)).astype(np.int64)
+    seen: set[tuple[int, int, int]] = set()
+    pairs: set[tuple[int, int]] = set()
+    passes = np.zeros(len(chain), np.int64)
+    for i, j in zip(a[order].tolist(), b[order].tolist(), strict=True):
+        for source, target in ((i, j), (j, i)):
+            key = (source, int(chain.session[target]), int(stretch[target]))
+            if key not in seen and passes[source] < settings.dense_passes:
+                seen.add(key)
+                passes[source] += 1
+                pairs.add((min(i, j), max(i, j)))
+    return sorted(pairs)
