@@ -12,8 +12,7 @@ from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc.batch.gnss import LONGEST_GAP_S, gnss_priors
-from segloc.batch.run import localize_sequence
+from segloc.batch.run import LONGEST_GAP_S, gnss_priors, localize_sequence
 from segloc.datasets.fixes import Fixes, read_fixes
 from segloc.errors import ConfigError, DatasetError, MapFormatError, MapMismatch, MissingDependency
 from segloc.export import export

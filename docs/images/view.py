@@ -15,12 +15,11 @@ from PIL import Image
 from samples.browser import Page, browser
 
 from segloc import Config, Localizer, build_map, sample
-from segloc.cli.answers import sentence
+from segloc.cli.localize import sentence
 from segloc.cli.sample import TUESDAY_STEP
 from segloc.frontend.local_cloud import Accumulator
 from segloc.inspect import trace, viewer
-from segloc.inspect.results import Shown
-from segloc.inspect.seen import seen
+from segloc.inspect.results import Shown, seen
 from segloc.map.segment_map import SegmentMap
 
 QUERY = 18

@@ -14,9 +14,8 @@ from samples.executors import dask
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localization, Localizer, Prior, SeglocError, build_map
-from segloc.batch import parts
-from segloc.batch.parts import localize_parts
-from segloc.batch.run import localize_sequence
+from segloc.batch import run
+from segloc.batch.run import localize_parts, localize_sequence
 from segloc.system.processes import cluster, executing, single_threaded_pool
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
@@ -55,7 +54,7 @@ def same(found: list[Localization], expected: list[Localization]) -> bool:
 def test_any_executor_gives_the_same(
     place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parts, "QUERIES", 5)
+    monkeypatch.setattr(run, "QUERIES", 5)
     said: list[tuple[int, int]] = []
     assert any(each.localized for each in expected)
     with ThreadPoolExecutor(2) as threads, single_threaded_pool(2) as processes:
@@ -115,7 +114,7 @@ def test_who_does_it() -> None:
 def test_a_cluster_that_loses_a_worker_gives_the_same(
     place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parts, "QUERIES", 2)
+    monkeypatch.setattr(run, "QUERIES", 2)
     with dask() as (executor, kill):
         found = localize_parts(str(place), GEO, drive, np.arange(COUNT), executor, kill)
     assert same(found, expected)

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from segloc.batch.error_picture import draw_errors, travelled
-from segloc.batch.picture import draw
+from segloc.batch.picture import draw, draw_errors, travelled
 from segloc.batch.run import query_positions
 from segloc.batch.score import Evaluation, Tolerance, distances_to_path, pose_errors
 from segloc.errors import SeglocError

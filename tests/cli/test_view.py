@@ -20,9 +20,8 @@ from segloc.datasets import open_sequence
 from segloc.errors import SeglocError
 from segloc.inspect.following import SO_FAR, draw_moments, follows, newest_points, read_moments
 from segloc.inspect.pictures import GREEN, rgb
-from segloc.inspect.results import read_results
+from segloc.inspect.results import packed, read_results, unpacked
 from segloc.inspect.scene import FIXED, OF_QUERY, MapScene
-from segloc.inspect.seen import packed, unpacked
 from segloc.tracking.views import Status
 
 
@@ -225,7 +224,7 @@ def test_the_server_shows_a_panel_with_the_reason(
 
 @pytest.mark.slow
 def test_the_robot_of_live_is_followed_while_it_drives(site: Site, tmp_path: Path) -> None:
-    from segloc.cli.live_so_far import SoFar
+    from segloc.cli.live import SoFar
     from segloc.live import State
 
     walk, out = open_sequence(site.run, site.run / "poses.tum"), tmp_path / "live"

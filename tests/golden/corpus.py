@@ -201,8 +201,18 @@ for _name in PLACES:
 
 FALLBACKS = ("occupancy", "stems")
 METHODS = (
-    *("dsm", "dsm-fq", "dsm-nq", "esm", "esm-fq", "esm-nq", "geo", "nsm", "segmap"),
-    *("segmatch-eigen", "segmatch-eigen-ethz", "segmatch-esf"),
+    "dsm",
+    "dsm-fq",
+    "dsm-nq",
+    "esm",
+    "esm-fq",
+    "esm-nq",
+    "geo",
+    "nsm",
+    "segmap",
+    "segmatch-eigen",
+    "segmatch-eigen-ethz",
+    "segmatch-esf",
 )
 for _name in METHODS:
     group(f"method-{_name}")(partial(in_place, "town", _name))

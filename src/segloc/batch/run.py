@@ -1,21 +1,31 @@
-"""Localizing a whole recording, query by query."""
+"""Localize a whole recording: query by query, or in parts by an executor; priors from GNSS."""
 
 from __future__ import annotations
 
 import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
 from .. import geometry
 from ..config import Config
-from ..errors import ConfigError
+from ..datasets.fixes import Fixes
+from ..errors import ConfigError, DatasetError
 from ..frontend.local_cloud import Accumulator, window
 from ..frontend.rolling_cloud import RecordedWindows
 from ..localization import Localization
+from ..localizer import Localizer
+from ..map.georeference import Georeference
+from ..map.segment_map import SegmentMap
 from ..prior import Prior
+from ..system.processes import as_finished
 from ..system.stage_times import Clock, StageTimes
+from ..tiles import TiledMap, holds_tiles
 from ..types import Float64, Int64, LocalCloud, Recording
 
 if TYPE_CHECKING:
@@ -24,6 +34,14 @@ if TYPE_CHECKING:
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One for all queries, or one for each, or none."""
+QUERIES = 16
+"""Of a part: enough that windows of neighbouring queries share their work."""
+LONGEST_GAP_S = 2.0
+"""A query farther from a fix in time has no prior."""
+UNSAID_M, SIGMAS = 10.0, 3.0
+"""The error of a receiver that says none, and how many standard deviations are allowed for."""
+MOST_M = 500.0
+"""A fix that is worse says nothing."""
 
 
 class Locates(Protocol):
@@ -131,3 +149,130 @@ def query_clouds(
             scans = window(poses, position, length, centred=False, max_gap_m=gap)
             cloud = windows.cloud(scans, position, times)
         yield cloud, times
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where queries are localized, in few bytes: each process opens it once a run.
+
+    Attributes
+    ----------
+    where : str
+        A map file, or the folder or URL of tiles.
+    config : Config
+    run : str
+        Another one for every run: maps may be replaced in between.
+    """
+
+    where: str
+    config: Config
+    run: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some queries of a recording: a task that can be done again, and gives the same."""
+
+    place: Place
+    recording: Recording
+    positions: Int64
+    near: tuple[Prior | None, ...]
+
+
+@lru_cache(maxsize=2)
+def _opened(place: Place) -> Localizer:
+    tiled = holds_tiles(place.where)
+    prior_map = TiledMap(place.where) if tiled else SegmentMap.load(place.where)
+    return Localizer(prior_map, place.config)
+
+
+def _localized(part: Part) -> list[Localization]:
+    localizer = _opened(part.place)
+    return localize_sequence(localizer, part.recording, part.positions, near=part.near)
+
+
+def localize_parts(
+    where: str,
+    config: Config,
+    recording: Recording,
+    positions: Int64,
+    executor: Executor,
+    progress: Callable[[int, int], None] | None = None,
+    near: Priors = None,
+) -> list[Localization]:
+    """Localize the scans at some positions of a recording, whoever does it.
+
+    Poses, confidences and reasons are those of :func:`segloc.batch.run.localize_sequence`, to the
+    last bit; each process uses one thread.
+
+    Parameters
+    ----------
+    where : str
+        A map file, or the folder or URL of tiles, that every process can open.
+    config : Config
+    recording : Recording
+        Can be pickled; its files are read where the tasks are done.
+    positions : (Q,) int64
+    executor : Executor
+        Of processes, threads, or a cluster.
+
+    Raises
+    ------
+    SeglocError
+        What localizing raises; and if a process was ended and its tasks are not done again.
+    """
+    place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
+    chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
+    priors, parts, done = each_prior(near, len(positions)), [], 0
+    for chunk in chunks:
+        own = tuple(priors[done : done + len(chunk)])
+        parts.append(Part(place, recording, chunk, own))
+        done += len(chunk)
+    found: dict[int, list[Localization]] = {}
+    for number, results in as_finished(_localized, parts, executor):
+        found[number] = results
+        if progress:
+            progress(sum(map(len, found.values())), len(positions))
+    return [result for number in sorted(found) for result in found[number]]
+
+
+def gnss_priors(
+    fixes: Fixes, georeference: Georeference, stamps: Float64 | None, least_m: float
+) -> list[Prior | None]:
+    """A prior for each query that has a fix near it in time.
+
+    All of them are for a first look: what is not found there is searched for everywhere, since
+    fixes between houses may be far off, and say that they are not.
+
+    Parameters
+    ----------
+    fixes : Fixes
+    georeference : Georeference
+        Of the map.
+    stamps : (N,) float64 or None
+        Of the queries, seconds.
+    least_m : float
+        Radius of a prior whose fix is exact: the antenna, the scan and the map have errors, too.
+
+    Raises
+    ------
+    DatasetError
+        If the queries have no times.
+    ConfigError, MissingDependency
+        As :meth:`segloc.map.georeference.Georeference.in_map`.
+    """
+    if stamps is None:
+        raise DatasetError(f"{fixes.source}: fixes are by time, and the scans have no times")
+    xy = georeference.in_map(fixes.degrees)[:, :2]
+    error_m = np.where(np.isfinite(fixes.error_m), fixes.error_m, UNSAID_M)
+    after = np.searchsorted(fixes.stamps, stamps).clip(1, max(len(fixes) - 1, 1)) % len(fixes)
+    before = np.maximum(after - 1, 0)
+    sooner = stamps - fixes.stamps[before] <= fixes.stamps[after] - stamps
+    nearest = np.where(sooner, before, after)
+    priors: list[Prior | None] = []
+    for stamp, k in zip(stamps, nearest, strict=True):
+        radius_m = least_m + SIGMAS * float(error_m[k])
+        late = abs(fixes.stamps[k] - stamp) > LONGEST_GAP_S
+        useless = late or radius_m > MOST_M or not np.isfinite(xy[k]).all()
+        priors.append(None if useless else Prior(xy[k], radius_m, anywhere=True))
+    return priors

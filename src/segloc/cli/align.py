@@ -149,7 +149,7 @@ def _write_maps(
 ) -> None:
     from ..map.build import build_merged_map
     from .console import progress
-    from .saving import writing
+    from .results import writing
 
     for c, members in enumerate(alignment.components):
         with progress("Building the map") as update:

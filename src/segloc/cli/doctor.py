@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import typer
 
-from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
+from .options import ConfigFile, Poses, Recording, Sample, Select, Topic, load_config
+
+if TYPE_CHECKING:
+    from ..doctor import Examinable, Examination
 
 
 def doctor(
@@ -19,7 +25,6 @@ def doctor(
 
     Units, axes and tilt are seen in the scans; poses are judged by how neighbouring clouds fit.
     """
-    from .findings import examined, show_findings, show_pose_files
 
     recording, found = examined(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
@@ -30,3 +35,47 @@ def doctor(
     if wrong:
         raise typer.Exit(1)
     print("nothing wrong is found")
+
+
+def examined(
+    sequence: Path,
+    poses: Path | None,
+    select: str | None,
+    topic: str | None,
+    sample: int,
+    config: Path | None,
+) -> tuple[Examinable, Examination]:
+    """A recording as a verb names it, opened and examined."""
+    from typing import cast
+
+    from ..datasets import open_sequence
+    from ..doctor import Examinable, examine
+    from .console import busy
+    from .recording import place_of_sensor
+
+    local_cloud = load_config(config, None, 1).local_cloud
+    T = place_of_sensor(local_cloud.mount)
+    opened = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
+    recording = cast(Examinable, opened)
+    with busy("Looking at the scans"):
+        return recording, examine(recording, local_cloud, sample)
+
+
+def show_findings(found: Examination) -> None:
+    """Print each finding in a line: what is wrong, then what is worth knowing."""
+    for finding in found.findings:
+        print(f"{'wrong' if finding.wrong else 'note'}: {finding}")
+
+
+def show_pose_files(sequence: Path, recording: Examinable) -> None:
+    """Where a recording has no poses, print which files may be theirs."""
+    if recording.poses is None:
+        for name in pose_files(sequence.resolve()):
+            print(f"note: {name} beside the scans may be their poses: --poses {name}")
+
+
+def pose_files(sequence: Path) -> list[str]:
+    """Files that ``--poses`` finds by their names alone and that may be a recording's poses."""
+    inside = sorted(sequence.glob("*.tum")) if sequence.is_dir() else []
+    beside = [sequence.parent / f"{sequence.name}{end}" for end in (".tum", ".odometry.tum")]
+    return [path.name for path in (*inside, *beside) if path.is_file()]

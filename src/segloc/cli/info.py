@@ -19,7 +19,7 @@ def info(
     config: ConfigFile = None,
 ) -> None:
     """Show what a recording is and what is wrong with it."""
-    from .findings import examined, show_pose_files
+    from .doctor import examined, show_pose_files
 
     recording, found = examined(sequence, poses, select, topic, sample, config)
     show(recording, found)
@@ -31,7 +31,7 @@ def show(recording: Examinable, examination: Examination) -> None:
     """Print a recording's facts as one table, and below what is wrong with it."""
     from ..datasets.inspection import UNUSABLE
     from .console import number, table
-    from .findings import show_findings
+    from .doctor import show_findings
 
     found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)
     first, last = int(recording.indices[0]), int(recording.indices[-1])

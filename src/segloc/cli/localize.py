@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .. import geometry
 from .options import (
     Anywhere,
     Cluster,
@@ -35,13 +38,17 @@ from .options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from concurrent.futures import Executor
 
     from ..batch.run import Priors
     from ..batch.score import Evaluation, Tolerance
+    from ..frontend.local_cloud import LocalCloudConfig
     from ..localization import Localization
     from ..localizer import Localizer
-    from ..types import Float64, Int64
+    from ..map.segment_map import SegmentMap
+    from ..prior import Prior
+    from ..types import Float64, Int64, Pose
     from ..types import Recording as Scans
     from .console import Update
 
@@ -59,6 +66,8 @@ Debug = Annotated[
     bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="All of it on stdout, for programs.")]
+MOST_ROWS = 20
+_MOST = 0.5
 
 
 def localize(
@@ -95,7 +104,6 @@ def localize(
     from ..batch.score import Tolerance
     from ..system.processes import executing
     from .console import busy, progress
-    from .gnss import gnss_priors
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
 
     check_every(every)
@@ -144,8 +152,7 @@ class _Asked:
 
     def by(self, executor: Executor | None, update: Update) -> list[Localization]:
         """The answers, made here or by others."""
-        from ..batch.parts import localize_parts
-        from ..batch.run import localize_sequence
+        from ..batch.run import localize_parts, localize_sequence
 
         recording, positions, near = self.recording, self.positions, self.near
         if executor is None:
@@ -173,8 +180,7 @@ def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[
     from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
     from ..inspect import trace
-    from ..inspect.results import DEBUG
-    from ..inspect.seen import packed, seen
+    from ..inspect.results import DEBUG, packed, seen
 
     localizer, recording = asked.localizer, asked.recording
     if localizer.tiles is not None:
@@ -201,7 +207,6 @@ def _tell(
 ) -> None:
     """Write and show the answers, and a hint where there is one."""
     from .console import busy, note
-    from .hints import hint
     from .results import write_results
 
     recording, localizer, written = asked.recording, asked.localizer, list[str]()
@@ -220,7 +225,6 @@ def _tell(
 
 def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:
     """Each answer, and of several a summary."""
-    from .answers import show_answers
     from .results import print_json
 
     if json:
@@ -281,3 +285,115 @@ def _grouped(reasons: dict[str, int]) -> list[tuple[str, int]]:
         name = reason.split(" (")[0]
         counts[name] = counts.get(name, 0) + count
     return sorted(counts.items(), key=lambda item: -item[1])
+
+
+def pose_text(T: Pose) -> str:
+    """Position and heading, with units."""
+    x, y, z = (float(v) for v in T[:3, 3])
+    yaw = math.degrees(geometry.heading(T))
+    return f"x {x:.2f}, y {y:.2f}, z {z:.2f} m, yaw {yaw:.1f} deg"
+
+
+def sentence(result: Localization) -> str:
+    """The answer to one query in one line."""
+    measured = f"{result.inliers} segments agree, {result.overlap:.0%} of the cloud lies on the map"
+    if result.localized:
+        pose = pose_text(result.T_map_sensor)
+        return f"localized at {pose}; confidence {result.confidence:.2f} ({measured})"
+    return f"not localized: {result.message}; confidence {result.confidence:.2f}"
+
+
+def show_answers(evaluation: Evaluation, title: str) -> None:
+    """Print the answer to one query as a line, those to many as a table, the worst first."""
+    from .console import table
+
+    if len(evaluation) == 1:
+        print(sentence(evaluation.results[0]))
+        return
+    order = worst_first(evaluation)
+    rows = [_row(evaluation, i) for i in order[:MOST_ROWS]]
+    table(title, ("query", "confidence", "pose, or why there is none"), rows, texts=(0, 2))
+    if len(order) > MOST_ROWS:
+        print(f"and {len(order) - MOST_ROWS} better ones; --out DIR or --json has all")
+
+
+def worst_first(evaluation: Evaluation) -> Sequence[int]:
+    """Positions of the queries: false ones, those not localized, then those localized; of each the
+    least sure first, but the surest first of what is false. Those as sure, to the digits that are
+    shown, come in their order."""
+    results, false = evaluation.results, evaluation.false
+
+    def rank(i: int) -> tuple[int, float, int]:
+        confidence = round(results[i].confidence, 2)
+        if false[i]:
+            return 0, -confidence, i
+        return (2 if results[i].localized else 1), confidence, i
+
+    return sorted(range(len(results)), key=rank)
+
+
+def _row(evaluation: Evaluation, i: int) -> tuple[str, str, str]:
+    result = evaluation.results[i]
+    said = result.message if not result.localized else pose_text(result.T_map_sensor)
+    if evaluation.false[i]:
+        said = f"FALSE, {evaluation.translation_error[i]:.1f} m off: {said}"
+    return str(int(evaluation.indices[i])), f"{result.confidence:.2f}", said
+
+
+def gnss_priors(
+    prior_map: SegmentMap,
+    recording: Scans,
+    positions: Int64,
+    path: Path,
+    near: Prior | None,
+    radius: float,
+) -> list[Prior | None]:
+    """The priors of a bag's queries; how many have one is said.
+
+    Raises
+    ------
+    ConfigError
+        If the map does not say where on the globe it lies, or there is a prior already.
+    """
+    from ..batch.run import gnss_priors
+    from ..datasets.fixes import read_fixes
+    from ..errors import ConfigError
+    from ..map.georeference import Georeference
+    from .console import note
+
+    georeference = Georeference.of(prior_map.metadata)
+    if near is not None:
+        raise ConfigError("--gnss and --near exclude each other")
+    if georeference is None:
+        raise ConfigError(
+            "--gnss needs a map that says where it lies: build it with --epsg and --origin"
+        )
+    fixes = read_fixes(path)
+    stamps = None if recording.stamps is None else recording.stamps[positions]
+    priors = gnss_priors(fixes, georeference, stamps, radius)
+    count = sum(prior is not None for prior in priors)
+    note(f"{fixes.source}: fixes for {count} of {len(priors)} queries; others are searched for")
+    return priors
+
+
+def hint(recording: Scans, results: Sequence[Localization], config: LocalCloudConfig) -> str | None:
+    """One line where most queries fail; None where most do not, or nothing is to be said."""
+    from ..doctor import first_fault
+    from ..errors import SeglocError
+
+    found = sum(result.localized for result in results)
+    if found > _MOST * len(results):
+        return None
+    failed = f"{len(results) - found} of {len(results)} queries are not localized"
+    try:
+        finding = first_fault(recording, config)
+    except SeglocError:
+        finding = None
+    if finding is not None:
+        return f"{failed}, and this may be why: {finding}"
+    if found:
+        return None
+    return (
+        f"{failed}, and nothing wrong is found with the scans: were they taken within the map? "
+        "`segloc explain SCAN --map MAP` shows what is missing"
+    )

@@ -111,7 +111,7 @@ def _build(
     from ..system.processes import executing
     from .console import note, progress
     from .map_info import show
-    from .saving import writing
+    from .results import writing
 
     with progress("Building the map") as update, executing(workers, cluster) as executor:
         several = executor is not None or len(recordings) > 1

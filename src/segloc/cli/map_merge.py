@@ -33,7 +33,7 @@ def merge(
     from ..tiles import holds_tiles
     from .console import busy
     from .map_info import show
-    from .saving import writing
+    from .results import writing
 
     if len(maps) < 2:
         raise ConfigError("merging needs two maps or more")

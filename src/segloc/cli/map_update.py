@@ -112,7 +112,7 @@ class _Asked:
         from ..map.segment_map import SegmentMap
         from ..map.update import update_map
         from .console import progress
-        from .saving import writing
+        from .results import writing
 
         with writing(out):
             prior = SegmentMap.load(prior_map)

@@ -1,9 +1,10 @@
-"""The files that localizing leaves behind: all of them, or none."""
+"""Write the files of a verb: result folders, complete or not at all, and maps under a lock."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,6 @@ from ..errors import MissingDependency, SeglocError
 from ..io import Trajectory, write_tum
 from ..map.georeference import KEY, Georeference
 from .console import note, number
-from .saving import write_together
 
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
@@ -58,8 +58,7 @@ def write_results(
 
 
 def _pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict[str, bytes]:
-    from ..batch.error_picture import draw_errors
-    from ..batch.picture import draw
+    from ..batch.picture import draw, draw_errors
 
     drawn = {"trajectory.png": draw(prior_map, evaluation, title)}
     if evaluation.truths is not None and evaluation.correct.any():
@@ -113,3 +112,34 @@ def _trajectory(evaluation: Evaluation) -> tuple[Trajectory, str]:
     order = np.argsort(stamps)
     remark = "" if timed is not None else "no times: the first column holds the scans' numbers"
     return Trajectory(stamps[order], evaluation.positions_found()[order]), remark
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Keep other verbs from writing ``out`` meanwhile; who comes second waits, and says so."""
+    from ..system.files import checked_target
+    from ..system.locks import exclusive
+    from .console import note
+
+    checked_target(out)
+    with exclusive(out, lambda: note(f"{out}: waiting for another process that writes it")):
+        yield
+
+
+def write_together(out: Path, files: dict[str, bytes]) -> None:
+    """Write files of a folder, and of folders in it: all of them, or none."""
+    from ..system.files import replacing
+
+    folders = sorted({(out / name).parent for name in files} | {out})
+    made = [folder for folder in folders if not folder.exists()]
+    for folder in made:
+        folder.mkdir(parents=True)
+    try:
+        with ExitStack() as stack:  # nothing is renamed before everything is written
+            for name, data in files.items():
+                stack.enter_context(replacing(out / name)).write(data)
+    except BaseException:
+        for folder in reversed(made):
+            with suppress(OSError):
+                folder.rmdir()
+        raise

@@ -1,4 +1,4 @@
-"""All verbs, or the one that is asked for: the others are then not even imported."""
+"""All verbs, or the requested one alone; the others are not imported."""
 
 from __future__ import annotations
 
@@ -8,13 +8,26 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from ..errors import SeglocError
-from .groups import HELP_NAMES, Listed, group
 
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+_WHOLE = 10_000
 ORDER = (
-    *("demo", "sample", "doctor", "info", "odometry", "map", "localize", "explain", "view"),
-    *("live", "align", "export", "config"),
+    "demo",
+    "sample",
+    "doctor",
+    "info",
+    "odometry",
+    "map",
+    "localize",
+    "explain",
+    "view",
+    "live",
+    "align",
+    "export",
+    "config",
 )
 """Verbs in the order in which they are met; those of other distributions follow."""
 
@@ -24,6 +37,31 @@ LABORATORY = ("evaluate", "simulate", "train", "bench")
 MAPS = ("build", "info", "merge", "update", "tile")
 VERSION = "--version"
 """Needs no verb."""
+
+
+class Listed(TyperGroup):
+    """Lists its verbs each with its whole first sentence."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        verbs = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        rows = [(name, verb.get_short_help_str(_WHOLE)) for name, verb in verbs if verb]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def group(text: str, cls: type[Listed] = Listed, **settings: Any) -> typer.Typer:
+    """A group of verbs; without any it shows its help.
+
+    Help is plain text: the frames of ``rich`` take longer to import than all else together.
+    """
+    return typer.Typer(
+        help=text,
+        cls=cls,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        context_settings=HELP_NAMES,
+        **settings,
+    )
 
 
 class InOrder(Listed):

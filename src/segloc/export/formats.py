@@ -1,20 +1,32 @@
-"""Which formats there are, and of what each can be made."""
+"""Export formats: which sources each accepts, and how it is written."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import ConfigError
-from ..system.files import checked_target
-from .clouds import write_autoware, write_laz, write_pcd, write_ply
-from .graphs import write_g2o, write_loops
+import numpy as np
+
+from ..errors import ConfigError, DatasetError, InvalidScan, SeglocError
+from ..io.g2o import PoseEdges, format_g2o
+from ..io.las import format_laz
+from ..io.pcd import format_pcd
+from ..io.ply import format_ply
+from ..map.segment_map import SegmentMap
+from ..motion import odometry_covariance
+from ..system.checks import checked_pose
+from ..system.files import checked_target, replacing, write_text
+from ..types import Float32, Float64, Int64
 from .sources import AlignedSource, FoundSource, MapSource, opened
 from .tracks import Place, write_geojson, write_tum_files
 
 _ANY = (MapSource, FoundSource, AlignedSource)
+FLOAT32_M = 16_384.0
+"""Farther from the origin, float32 coordinates are in steps of more than a millimetre."""
+AUTOWARE_FOLDER, AUTOWARE_METADATA = "pointcloud_map.pcd", "pointcloud_map_metadata.yaml"
 
 
 @dataclass(frozen=True)
@@ -126,3 +138,123 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
     if not form.folder and not (to == "tum" and isinstance(source, AlignedSource)):
         checked_target(target)
     return form.write(source, target, options or Options())
+
+
+def write_pcd(prior_map: SegmentMap, out: Path) -> list[str]:
+    """Binary PCD, x y z as float32."""
+    return _written(prior_map, out, format_pcd)
+
+
+def write_ply(prior_map: SegmentMap, out: Path) -> list[str]:
+    """Binary PLY, x y z as float."""
+    return _written(prior_map, out, format_ply)
+
+
+def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
+    """LAZ in steps of a millimetre, wherever the map lies."""
+    data = format_laz(_points(prior_map), offset=np.round(prior_map.origin))
+    with replacing(out) as stream:
+        stream.write(data)
+    return []
+
+
+def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]:
+    """A folder as Autoware's map loader takes it: square tiles along x and y, and their list.
+
+    Each tile is named by its lower corner, which is a multiple of ``tile_m``.
+    """
+    points, notes = _near_origin(prior_map)
+    folder = out / AUTOWARE_FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    if leftover := next(folder.iterdir(), None):
+        raise SeglocError(f"{folder}: holds {leftover.name} already: name a new folder")
+    corners = np.floor(points[:, :2].astype(np.float64) / tile_m).astype(np.int64)
+    order = np.lexsort((corners[:, 0], corners[:, 1]))
+    starts = np.flatnonzero(np.diff(corners[order], axis=0, prepend=np.nan).any(axis=1))
+    lines = [f"x_resolution: {tile_m:g}\n", f"y_resolution: {tile_m:g}\n"]
+    for rows in np.split(order, starts[1:]):
+        x, y = (float(v) * tile_m for v in corners[rows[0]])
+        name = f"{x:g}_{y:g}.pcd"
+        with replacing(folder / name, sweep=False) as stream:
+            stream.write(format_pcd(points[rows]))
+        lines.append(f"{name}: [{x:g}, {y:g}]\n")
+    write_text(out / AUTOWARE_METADATA, "".join(lines))
+    return notes
+
+
+def _written(prior_map: SegmentMap, out: Path, form: Callable[[Float32], bytes]) -> list[str]:
+    points, notes = _near_origin(prior_map)
+    with replacing(out) as stream:
+        stream.write(form(points))
+    return notes
+
+
+def _points(prior_map: SegmentMap) -> Float64:
+    if not len(prior_map.cloud):
+        raise SeglocError("the map has no cloud: there is nothing to write")
+    return prior_map.cloud.astype(np.float64) + prior_map.origin
+
+
+def _near_origin(prior_map: SegmentMap) -> tuple[Float32, list[str]]:
+    """The points as float32, less the map's origin where they lie too far off for that."""
+    points = _points(prior_map)
+    if np.abs(points).max() <= FLOAT32_M:
+        return points.astype(np.float32), []
+    origin = np.round(prior_map.origin)
+    x, y, z = (f"{value:.0f}" for value in origin)
+    said = f"coordinates are less ({x}, {y}, {z}): as they are, float32 would not tell them apart"
+    return (points - origin).astype(np.float32), [said]
+
+
+def write_loops(source: AlignedSource, out: Path) -> list[str]:
+    """The accepted loops, one JSON object a line."""
+    lines = [json.dumps(loop, allow_nan=False) + "\n" for loop in _accepted(source)]
+    write_text(out, "".join(lines))
+    return []
+
+
+def write_g2o(source: AlignedSource, out: Path) -> list[str]:
+    """All scans as vertices, odometry and accepted loops as edges.
+
+    Vertices are numbered through all sessions; the first of each component is fixed.
+    """
+    sessions = range(len(source.names))
+    tracks = [source.session(k) for k in sessions]
+    first = np.concatenate([[0], np.cumsum([len(track) for track in tracks])]).astype(np.int64)
+    edges = [_odometry(source, k, int(first[k])) for k in sessions]
+    edges.append(_loops(source, [track.stamps for track in tracks], first))
+    fixed = [int(first[members[0]]) for members in source.components]
+    poses = np.concatenate([track.poses for track in tracks])
+    write_text(out, format_g2o(poses, edges, fixed))
+    return []
+
+
+def _accepted(source: AlignedSource) -> list[dict[str, Any]]:
+    return [loop for loop in source.loops() if loop.get("accepted") is True]
+
+
+def _odometry(source: AlignedSource, session: int, first: int) -> PoseEdges:
+    """From each scan to the next."""
+    poses = source.odometry(session).poses
+    numbers = np.arange(first, first + len(poses) - 1, dtype=np.int64)
+    T = np.linalg.inv(poses[:-1]) @ poses[1:]
+    length = np.linalg.norm(T[:, :3, 3], axis=1)
+    return PoseEdges(numbers, numbers + 1, T, odometry_covariance(length, *source.noise))
+
+
+def _loops(source: AlignedSource, numbers: list[Float64], first: Int64) -> PoseEdges:
+    found = _accepted(source)
+    ends = {"target": np.empty(len(found), np.int64), "source": np.empty(len(found), np.int64)}
+    T, covariance = np.empty((len(found), 4, 4)), np.empty((len(found), 6, 6))
+    for n, loop in enumerate(found):
+        try:
+            for end, rows in ends.items():
+                k, scan = int(loop[f"{end}_session"]), float(loop[f"{end}_scan"])
+                rows[n] = first[k] + np.flatnonzero(numbers[k] == scan)[0]
+            T[n] = checked_pose(loop["T_target_source"], "T_target_source")
+            covariance[n] = loop["covariance"]
+        except (KeyError, IndexError, TypeError, ValueError, InvalidScan) as error:
+            raise DatasetError(
+                f"{source.path}/loops.jsonl: accepted loop {n + 1} is not of these sessions"
+            ) from error
+    return PoseEdges(ends["target"], ends["source"], T, covariance)

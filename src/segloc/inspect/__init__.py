@@ -2,6 +2,6 @@
 
 from .trace import Part as Part
 from .trace import Trace as Trace
+from .trace import steps as steps
 from .trace import trace as trace
-from .words import steps as steps
-from .words import verdict as verdict
+from .trace import verdict as verdict

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from .. import geometry
 from ..map.segment_map import SegmentMap
-from .drawing import pictures
-from .trace import Trace
-from .words import steps, verdict
+from ..types import Float64, Pose
+from .pictures import DARK, GREEN, GREY, ORANGE, RED, blank, dots, hue, plan, png, scale
+from .trace import Trace, steps, verdict
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222b38; max-width: 1260px; margin: 2em auto;
@@ -23,6 +31,8 @@ td.number { text-align: right; font-variant-numeric: tabular-nums }
 figure { margin: 0 } img { width: 100%; box-sizing: border-box; border: 1px solid #dde2ea }
 figcaption { font-size: .85em; color: #59637a }
 """
+_RADIUS_M = 50.0
+_SIZE_IN, _DPI = 6.0, 100
 
 
 def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
@@ -61,3 +71,97 @@ def _table(rows: Sequence[tuple[str, str]], kind: str = "name") -> str:
         for first, second in rows
     )
     return f"<table>{''.join(cells)}</table>"
+
+
+def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
+    """A caption and a PNG image for each stage that there is something to be seen of.
+
+    Raises
+    ------
+    MissingDependency
+        If matplotlib is not installed.
+    """
+    drawn: list[tuple[str, Callable[[Axes], None]]] = [
+        ("Ground, in grey, and what stands on it", lambda axes: _ground(axes, trace)),
+        ("Segments, each in a colour of its own", lambda axes: _segments(axes, trace)),
+    ]
+    if trace.T_map_local is not None:
+        T = trace.T_map_local
+        drawn += [
+            (
+                "Matches: from each segment, where the best pose puts it, to the map's; those that "
+                "agree are green",
+                lambda axes: _matches(axes, trace, T, prior_map),
+            ),
+            (
+                "The best pose: the cloud on the map; a red cross is the runner-up",
+                lambda axes: _placed(axes, trace, T, prior_map),
+            ),
+            (
+                "Overlap: what lies on the map is green, what does not is red",
+                lambda axes: _overlap(axes, trace, T, prior_map),
+            ),
+        ]
+    return [(caption, _drawn(draw)) for caption, draw in drawn]
+
+
+def _drawn(draw: Callable[[Axes], None]) -> bytes:
+    figure = blank((_SIZE_IN, _SIZE_IN), _DPI)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    draw(axes)
+    return png(figure)
+
+
+def _around(axes: Axes, middle: Float64) -> None:
+    plan(axes, middle[:2] - _RADIUS_M, middle[:2] + _RADIUS_M)
+    axes.plot(*middle[:2], marker="+", ms=14, mew=2, color=DARK, zorder=9)
+    scale(axes)
+
+
+def _ground(axes: Axes, trace: Trace) -> None:
+    dots(axes, trace.ground, s=6, color=GREY)
+    dots(axes, trace.structure, s=1.2, color=ORANGE)
+    _around(axes, np.zeros(2))
+
+
+def _segments(axes: Axes, trace: Trace) -> None:
+    hues = np.repeat([hue(k) for k in range(len(trace.segments))], trace.segments.sizes)
+    dots(axes, trace.structure, s=0.6, color=GREY)
+    dots(axes, trace.segments.points, s=1.6, c=hues, cmap="hsv")
+    _around(axes, np.zeros(2))
+
+
+def _map_below(axes: Axes, middle: Float64, prior_map: SegmentMap) -> None:
+    points = prior_map.cloud[:, :2] + prior_map.origin[:2]
+    near = np.abs(points - middle[:2]).max(axis=1) < 1.1 * _RADIUS_M
+    dots(axes, points[near], s=0.5, color=GREY)
+    _around(axes, middle)
+
+
+def _matches(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
+    middle = T[:3, 3]
+    _map_below(axes, middle, prior_map)
+    here = geometry.transform(T, trace.segments.centroids)[trace.pairs[:, 0]]
+    there = prior_map.centroids[trace.pairs[:, 1]]
+    for fits, color, alpha, width in ((False, RED, 0.25, 0.6), (True, GREEN, 1.0, 1.6)):
+        chosen = trace.inliers == fits
+        lines = np.full((3 * int(chosen.sum()), 2), np.nan)
+        lines[0::3], lines[1::3] = here[chosen][:, :2], there[chosen][:, :2]
+        axes.plot(*lines.T, color=color, alpha=alpha, lw=width)
+        dots(axes, here[chosen], s=16 if fits else 8, color=color, zorder=5)
+
+
+def _placed(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
+    _map_below(axes, T[:3, 3], prior_map)
+    placed = geometry.transform(T, trace.structure)
+    dots(axes, placed, s=0.8, color=ORANGE)
+    other = trace.result.runner_up
+    if other is not None:
+        axes.plot(*other.T_map_sensor[:2, 3], marker="x", ms=9, color=RED)
+
+
+def _overlap(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
+    _map_below(axes, T[:3, 3], prior_map)
+    placed = geometry.transform(T, trace.structure)
+    for lies, color in ((True, GREEN), (False, RED)):
+        dots(axes, placed[trace.on_map == lies], s=1.0, color=color)

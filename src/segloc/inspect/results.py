@@ -1,21 +1,42 @@
-"""A folder of results, as ``segloc localize --out`` leaves it, for a viewer."""
+"""Queries of a results folder, with their stages if `segloc localize --debug` kept them."""
 
 from __future__ import annotations
 
+import io
 import json
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SeglocError
-from ..types import Pose
-from .seen import Seen, unpacked
+from ..types import Float32, Int64, Pose
+from .trace import Trace, steps, verdict
 
 Outcome = Literal["found", "refused", "false"]
 DEBUG = "debug"
 """The folder in it of what ``--debug`` keeps, one file a query."""
+_VOXEL_M = 0.3
+_STEP_M = 0.01  # positions are kept as whole numbers of it
+_MOST_BYTES = 64_000_000
+_SIGNS = ("+", "-")
+_DAMAGE = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    OverflowError,
+    OSError,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    BadZipFile,
+    zlib.error,
+)
 
 
 @dataclass(frozen=True)
@@ -76,3 +97,160 @@ def _shown(folder: Path, file: Path, number: int, line: str) -> Shown:
         T,
         unpacked(kept.read_bytes(), str(kept)) if kept.is_file() else None,
     )
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One query, as it is drawn.
+
+    Attributes
+    ----------
+    name : str
+    verdict : str
+        In one sentence.
+    lines : tuple of str
+        A line a stage, then one for each part of the confidence.
+    localized : bool
+    T_map_local : (4, 4) float64 or None
+        The best pose, believed or not.
+    T_map_other : (4, 4) float64 or None
+        The runner-up's, of the sensor.
+    points : (N, 3) float32
+        What stands in the cloud, thinned, local frame.
+    on_map : (N,) bool
+        Which of it lies on the map at the best pose.
+    segment_points : (M, 3) float32
+    segment_of : (M,) int64
+        Whose point each is.
+    centroids : (K, 3) float32
+        Of the segments that have a match, local frame.
+    matched : (K,) int64
+        Rows of the map's segments that they are matched with.
+    inliers : (K,) bool
+    """
+
+    name: str
+    verdict: str
+    lines: tuple[str, ...]
+    localized: bool
+    T_map_local: Pose | None
+    T_map_other: Pose | None
+    points: Float32
+    on_map: NDArray[np.bool_]
+    segment_points: Float32
+    segment_of: Int64
+    centroids: Float32
+    matched: Int64
+    inliers: NDArray[np.bool_]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The lines of the stages."""
+        return tuple(line for line in self.lines if line[:1] not in _SIGNS)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The lines of the confidence: log-odds, and what they are of."""
+        return tuple(line for line in self.lines if line[:1] in _SIGNS)
+
+
+def seen(trace: Trace) -> Seen:
+    """What there is to see of a trace."""
+    parts = [f"{part.log_odds:+.1f} {part.words}" for part in trace.parts]
+    parts = [f"{trace.constant:+.1f} to begin with", *parts] if parts else []
+    other = trace.result.runner_up
+    keep = _first_of_each_voxel(trace.structure)
+    segments = trace.segments
+    owner = np.repeat(np.arange(len(segments)), segments.sizes)
+    few = _first_of_each_voxel(segments.points)
+    return Seen(
+        name=trace.name,
+        verdict=verdict(trace),
+        lines=(*(f"{name}: {said}" for name, said in steps(trace)), *parts),
+        localized=trace.result.localized,
+        T_map_local=trace.T_map_local,
+        T_map_other=None if other is None else other.T_map_sensor,
+        points=trace.structure[keep],
+        on_map=trace.on_map[keep],
+        segment_points=segments.points[few],
+        segment_of=owner[few],
+        centroids=segments.centroids[trace.pairs[:, 0]].astype(np.float32),
+        matched=trace.pairs[:, 1],
+        inliers=trace.inliers,
+    )
+
+
+def _first_of_each_voxel(points: Float32) -> Int64:
+    cells = np.floor(points / _VOXEL_M).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return np.sort(first)
+
+
+_POINTS = ("points", "segment_points", "centroids")
+
+
+def packed(query: Seen) -> bytes:
+    """A small file of it; the same for the same query."""
+    said = {
+        "name": query.name,
+        "verdict": query.verdict,
+        "lines": query.lines,
+        "localized": query.localized,
+        "T_map_local": None if query.T_map_local is None else query.T_map_local.tolist(),
+        "T_map_other": None if query.T_map_other is None else query.T_map_other.tolist(),
+    }
+    arrays = {
+        name: np.round(getattr(query, name) / _STEP_M).clip(-32767, 32767).astype(np.int16)
+        for name in _POINTS
+    }
+    arrays |= {"on_map": np.packbits(query.on_map), "inliers": np.packbits(query.inliers)}
+    arrays |= {name: getattr(query, name).astype(np.int32) for name in ("segment_of", "matched")}
+    text = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    file = io.BytesIO()
+    np.savez_compressed(file, said=text, **arrays)
+    return file.getvalue()
+
+
+def unpacked(data: bytes, where: str) -> Seen:
+    """What :func:`packed` made a file of.
+
+    Raises
+    ------
+    SeglocError
+        If it is damaged; names ``where``.
+    """
+    try:
+        with ZipFile(io.BytesIO(data)) as listed:
+            if sum(each.file_size for each in listed.infolist()) > _MOST_BYTES:
+                raise ValueError("too large")
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        said = json.loads(arrays["said"].tobytes())
+        points = {name: arrays[name].reshape(-1, 3) * np.float32(_STEP_M) for name in _POINTS}
+        query = Seen(
+            name=str(said["name"]),
+            verdict=str(said["verdict"]),
+            lines=tuple(map(str, said["lines"])),
+            localized=bool(said["localized"]),
+            T_map_local=_pose(said["T_map_local"]),
+            T_map_other=_pose(said["T_map_other"]),
+            on_map=_bits(arrays["on_map"], len(points["points"])),
+            inliers=_bits(arrays["inliers"], len(points["centroids"])),
+            segment_of=arrays["segment_of"].astype(np.int64),
+            matched=arrays["matched"].astype(np.int64),
+            **points,
+        )
+    except _DAMAGE as error:
+        raise SeglocError(f"{where}: damaged ({' '.join(str(error).split())[:80]})") from error
+    lengths = (len(query.segment_of), len(query.matched))
+    if lengths != (len(query.segment_points), len(query.centroids)):
+        raise SeglocError(f"{where}: damaged (arrays of different lengths)")
+    return query
+
+
+def _pose(rows: object) -> Pose | None:
+    return None if rows is None else np.array(rows, dtype=np.float64).reshape(4, 4)
+
+
+def _bits(packed_bits: NDArray[np.uint8], count: int) -> NDArray[np.bool_]:
+    return np.unpackbits(packed_bits, count=count).astype(bool)

@@ -13,8 +13,7 @@ from .. import geometry
 from ..map.segment_map import SegmentMap
 from ..types import Float32, Float64
 from .pictures import BLUE, GREEN, ORANGE, PATH, RED, hue, rgb
-from .results import Outcome, Shown
-from .seen import Seen
+from .results import Outcome, Seen, Shown
 
 Colors = NDArray[np.uint8]
 

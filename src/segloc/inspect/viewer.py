@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
+from html import escape
 from io import StringIO
 from pathlib import Path
+from string import Template
 from threading import Thread
 from typing import Any
 
@@ -15,15 +19,132 @@ import numpy as np
 from ..errors import MissingDependency, SeglocError
 from ..map.segment_map import SegmentMap
 from ..types import Float64
-from .drawn_fast import draw_fast, drawn_fast
 from .following import Moment, draw_moments, newest_points, read_moments
-from .panel import LEGEND, ROBOT_LEGEND, with_panel, with_states
-from .results import Shown
+from .pictures import DARK, GREEN, ORANGE, RED
+from .results import Outcome, Shown
 from .scene import FIXED, OF_QUERY, ROBOT, MapScene
 
 SECONDS_A_QUERY = 2.0
 _EVERY_S = 0.5
 _BACK_M, _UP_M, _IN_VIEW_M = 45.0, 60.0, 95.0
+_COLOURS: dict[Outcome, str] = {"found": GREEN, "refused": ORANGE, "false": RED}
+
+LEGEND = (
+    "Dots: queries found (green), refused (orange), false (red). Cloud: on the map (green), not on "
+    "it (red). Upright green lines: matches that agree."
+)
+ROBOT_LEGEND = (
+    "Its path: localized (green), candidate or degraded (orange); the large dot is its end."
+)
+_STYLE = Template("""
+<style>
+#segloc { position: fixed; top: 1em; right: 1em; z-index: 900; width: 23em; max-width: 40vw;
+  max-height: 80vh; overflow-y: auto; background: #fffffff2; color: $dark;
+  border-radius: 6px; padding: .8em 1em;
+  font: 13px/1.4 system-ui, sans-serif; box-shadow: 0 1px 8px #0003 }
+#segloc select { width: 100%; font: inherit } #segloc > b { display: block; margin: .6em 0 .3em }
+#segloc p { margin: .3em 0 .6em } #segloc td { padding: .1em 0; vertical-align: top }
+#segloc table { border-collapse: collapse; border-top: 1px solid #0002; width: 100% }
+#segloc td:first-child { padding-right: .7em; white-space: nowrap; opacity: .75 }
+#segloc .parts td:first-child { text-align: right; font-variant-numeric: tabular-nums }
+#segloc small { display: block; border-top: 1px solid #0002; margin-top: .5em; padding-top: .4em }
+</style>
+""").substitute(dark=DARK)
+# The page's player shows each query for some seconds: its slider tells the time, and its field
+# takes one.
+_PANEL = Template("""
+<div id="segloc"><select aria-label="query"></select><b></b><p></p><table></table>
+<b>confidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
+<script>
+(() => {
+  const queries = $queries, seconds = $seconds;
+  const [box, head, said, stages, title, parts] =
+    ["select", "b", "p", "table", "p ~ b", ".parts"].map((name) =>
+      document.querySelector("#segloc > " + name));
+  const fill = (table, rows) => table.replaceChildren(...rows.map((row) => {
+    const line = document.createElement("tr");
+    row.forEach((text) => line.insertCell().textContent = text);
+    return line;
+  }));
+  queries.forEach((q, k) => box.add(new Option(q.index + ": " + q.outcome, k)));
+  let shown = -1;
+  const show = (k) => {
+    if (k === shown || !queries[k]) return;
+    shown = k;
+    const q = queries[k];
+    box.value = k;
+    head.textContent = q.index + ": " + q.outcome;
+    head.style.color = q.colour;
+    said.textContent = q.said;
+    fill(stages, q.stages);
+    fill(parts, q.parts);
+    title.hidden = parts.hidden = !q.parts.length;
+  };
+  const time = () => document.querySelector("[role=slider]")?.getAttribute("aria-valuenow");
+  setInterval(() => {
+    const now = time();
+    if (now != null) show(Math.min(queries.length - 1, Math.floor(Number(now) / seconds + 1e-6)));
+  }, 150);
+  box.addEventListener("change", () => {
+    const field = document.querySelector("input[type=text], input[inputmode]");
+    if (!field) return show(Number(box.value));
+    const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+    field.focus();
+    set.call(field, String(seconds * (Number(box.value) + 0.5)));
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+    field.dispatchEvent(new Event("change", { bubbles: true }));
+    field.blur();
+  });
+  show(0);
+})();
+</script>
+""")
+# Edges of points need no smoothing. It takes most of the time where a processor draws: without it
+# 200 000 points are drawn two to three times as fast.
+_SHARP = """
+(() => {
+  const get = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    const sharp = /webgl/.test(kind) ? { ...(options || {}), antialias: false } : options;
+    return get.call(this, kind, sharp);
+  };
+})();
+"""
+
+# While the view moves, as many points as are drawn in time; all once it rests. How long they take
+# is measured by a fence, so a GPU always draws all. Points come in random order: any part of a
+# cloud is the whole of it, thinner.
+_THINNED = """
+(() => {
+  if (window.thinsWhatMoves) return;
+  window.thinsWhatMoves = true;
+  const TARGET_MS = 100, FEWEST = 15000, SETTLES_MS = 400, POLL_MS = 8;
+  let held = false, until = 0, costOfPoint = 0, fence = null;
+  const still = () => { held = false; until = performance.now() + SETTLES_MS; };
+  addEventListener("pointerdown", (e) => { held = e.target.tagName === "CANVAS"; }, true);
+  for (const name of ["pointerup", "pointercancel", "blur"]) addEventListener(name, still, true);
+  addEventListener("wheel", still, { capture: true, passive: true });
+  const learn = (gl, points, begun) => setTimeout(() => {
+    if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return learn(gl, points, begun);
+    gl.deleteSync(fence);
+    fence = null;
+    const cost = (performance.now() - begun) / points;
+    costOfPoint = costOfPoint ? (costOfPoint + cost) / 2 : cost;
+  }, POLL_MS);
+  const draw = WebGL2RenderingContext.prototype.drawArrays;
+  WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
+    if (mode !== this.POINTS || count <= FEWEST) return draw.call(this, mode, first, count);
+    const moves = held || performance.now() < until;
+    const inTime = Math.max(FEWEST, Math.floor(TARGET_MS / (costOfPoint || 1e-9)));
+    const drawn = moves ? Math.min(count, inTime) : count;
+    draw.call(this, mode, first, drawn);
+    if (fence) return;
+    fence = this.fenceSync(this.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.flush();
+    learn(this, drawn, performance.now());
+  };
+})();
+"""
 
 
 def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
@@ -245,3 +366,52 @@ def _server(host: str, port: int) -> Any:
             return viser.ViserServer(host=host, port=port, verbose=False)
     except OSError as error:
         raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error
+
+
+def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
+    """A page of viser's player with a panel, for queries that are shown so many seconds each."""
+    told = [
+        {
+            "index": query.index,
+            "outcome": query.outcome,
+            "colour": _COLOURS[query.outcome],
+            "said": query.said if seen is None else seen.verdict,
+            "stages": [] if seen is None else [line.split(": ", 1) for line in seen.stages],
+            "parts": [] if seen is None else [line.split(" ", 1) for line in seen.parts],
+        }
+        for query in queries
+        for seen in (query.seen,)
+    ]
+    text = json.dumps(told).replace("<", "\\u003c")  # no name of a query ends the script
+    panel = _PANEL.substitute(queries=text, seconds=seconds, legend=LEGEND)
+    return _with(page, panel)
+
+
+def with_states(page: str, states: Sequence[str]) -> str:
+    """A page of where a robot was, with how often it was in which state."""
+    rows = "".join(
+        f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
+        for state, count in Counter(states).most_common()
+    )
+    told = f"<b>{len(states)} scans</b><table>{rows}</table><small>{ROBOT_LEGEND}</small>"
+    return _with(page, f'<div id="segloc">{told}</div>')
+
+
+def _with(page: str, panel: str) -> str:
+    head, end, tail = page.rpartition("</body>")
+    return f"{head}{_STYLE}{panel}{end}{tail}" if end else f"{page}{_STYLE}{panel}"
+
+
+def drawn_fast(page: str) -> str:
+    """A page of viser's that draws many points faster."""
+    head, start, tail = page.partition("<head>")
+    added = f"<script>{_SHARP}{_THINNED}</script>"
+    return f"{head}{start}{added}{tail}" if start else page
+
+
+def draw_fast(server: Any) -> None:
+    """Let the pages of a server of viser's thin what moves, where its version can be told to."""
+    with suppress(ImportError, AttributeError):
+        from viser._messages import RunJavascriptMessage
+
+        server.gui._websock_interface.queue_message(RunJavascriptMessage(source=_THINNED))

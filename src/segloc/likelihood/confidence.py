@@ -16,8 +16,14 @@ from ..system.section import Section
 from .evidence import Evidence, RefinedScore, Score
 
 FEATURES = (
-    *("in_view", "flush", "ground", "inliers", "inliers_over_rival"),
-    *("overlap_over_rival", "seen_over_rival", "flush_over_rival"),
+    "in_view",
+    "flush",
+    "ground",
+    "inliers",
+    "inliers_over_rival",
+    "overlap_over_rival",
+    "seen_over_rival",
+    "flush_over_rival",
 )
 """Names of the features, in the order of :meth:`ConfidenceModel.features`."""
 CAUTIOUS_FEATURES = FEATURES[:6]

@@ -3,5 +3,5 @@
 from ..tracking.views import Status as Status
 from .config import LiveConfig as LiveConfig
 from .core import LiveCore as LiveCore
+from .core import State as State
 from .localizer import LiveLocalizer as LiveLocalizer
-from .state import State as State

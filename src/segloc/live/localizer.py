@@ -20,9 +20,8 @@ from ..system.checks import checked_pose
 from ..tracking.views import View
 from ..types import Pose, Scan
 from .config import LiveConfig
-from .core import Asked, LiveCore
+from .core import Asked, LiveCore, State
 from .odometry import known_stamp
-from .state import State
 
 _MOST_POSES, _MOST_SCANS = 4096, 2
 """Odometry and scans that wait for the worker; the newest win."""

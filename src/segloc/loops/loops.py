@@ -1,4 +1,4 @@
-"""Loops: pairs of submaps that show one place, found by localizing submaps in maps of parts."""
+"""Loops: pairs of submaps of one place, found by localization or between neighbours, and refined."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pose graph of sessions: what belongs together, where it begins, and what is believed."""
+"""The pose graph of sessions: components, initial poses, and accepted loops."""
 
 from __future__ import annotations
 

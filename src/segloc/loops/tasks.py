@@ -1,4 +1,4 @@
-"""What is done for each recording, part and pair of submaps, by whatever executes tasks."""
+"""Tasks of an alignment (recordings, parts, pairs of submaps), and the store that they share."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from segloc.cli.groups import group
 from segloc.cli.options import Cluster as Cluster
+from segloc.cli.verbs import group
 from segloc.errors import ConfigError, DatasetError, MissingDependency, SeglocError
 
 from . import evaluate_failures

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from segloc.cli.console import say
-from segloc.cli.groups import group
+from segloc.cli.verbs import group
 
 from .train_extract import extract
 from .train_pairs import pairs

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
 from segloc.datasets import Selection
-from segloc.live.replay import Replay, replay
-from segloc.live.score import pose_errors
+from segloc.live.replay import Replay, pose_errors, replay
 from segloc.tracking.views import Status
 from segloc.types import Derived, Float64, Int64, Recording
 
