@@ -1,4 +1,4 @@
-"""Loops: pairs of submaps of one place, found by localization or between neighbours, and refined."""
+"""Loops: pairs of submaps of one place, found by localization or as neighbours, then refined."""
 
 from __future__ import annotations
 
