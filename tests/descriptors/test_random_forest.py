@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from samples.plaza import Plaza, PlazaSequence
-from segloc_lab.training.forest_pairs import ForestConfig
-from segloc_lab.training.grow_forest import train_forest, trees_of
+from segloc_lab.training.grow_forest import ForestConfig, train_forest, trees_of
 from segloc_lab.training.shapes import shapes_dataset
 
 from segloc import Config, Localizer, _native, build_map

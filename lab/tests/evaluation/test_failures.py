@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
 from segloc_lab.evaluation import failures
-from segloc_lab.evaluation.failure_picture import draw_case
-from segloc_lab.evaluation.failures import Case, Funnel, funnel
+from segloc_lab.evaluation.failures import Case, Funnel, draw_case, funnel
 from segloc_lab.evaluation.scenario import QuerySet
 from typer.testing import CliRunner
 

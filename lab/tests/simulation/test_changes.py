@@ -28,10 +28,10 @@ from segloc_lab.simulation.objects.terrain import Terrain
 from segloc_lab.simulation.objects.vehicles import vehicle
 from segloc_lab.simulation.suites import SIX, SUMMER
 from segloc_lab.simulation.worlds.changes import BUILT, Extent, scaffold
-from segloc_lab.simulation.worlds.character import draw_character
 from segloc_lab.simulation.worlds.industrial import mesh_fence
 from segloc_lab.simulation.worlds.replaceable import REPLACEABLE
 from segloc_lab.simulation.worlds.roads import street_network
+from segloc_lab.simulation.worlds.town import draw_character
 from segloc_lab.simulation.worlds.world import World
 
 from segloc.errors import ConfigError

@@ -28,8 +28,8 @@ from segloc_lab.simulation import (
 )
 from segloc_lab.simulation.drives import lane
 from segloc_lab.simulation.objects.identity import SESSION_IDS
-from segloc_lab.simulation.objects.rock import skin
 from segloc_lab.simulation.worlds.interior import Interior
+from segloc_lab.simulation.worlds.mine import skin
 
 from segloc import Config, Localizer, build_map
 from segloc.errors import ConfigError

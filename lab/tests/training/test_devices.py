@@ -18,7 +18,7 @@ from segloc_lab.training.pair_heads import pair_loss  # noqa: E402
 TOGETHER = """
 import json
 import torch
-from segloc_lab.training.parallel import Group
+from segloc_lab.training.train import Group
 with Group("cpu") as group:
     torch.manual_seed(0)
     model = torch.nn.Sequential(torch.nn.Linear(3, 2), torch.nn.BatchNorm1d(2))

@@ -18,7 +18,11 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("segloc_lab.training.train")
 
 from segloc_lab.training import pair_fitting  # noqa: E402
-from segloc_lab.training.augment import AugmentConfig, augment  # noqa: E402
+from segloc_lab.training.augment import (  # noqa: E402
+    AugmentConfig,
+    augment,
+    reorder,
+)
 from segloc_lab.training.batches import draw_batch  # noqa: E402
 from segloc_lab.training.config import HeadKind, TrainConfig  # noqa: E402
 from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
@@ -29,7 +33,6 @@ from segloc_lab.training.metrics import matching_pairs, nearest_is_right, score 
 from segloc_lab.training.pair_fitting import fit_pair_head  # noqa: E402
 from segloc_lab.training.pair_heads import PairHead, pair_loss  # noqa: E402
 from segloc_lab.training.pointset import prepared_points  # noqa: E402
-from segloc_lab.training.sampling import reorder  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
 from segloc_lab.training.train import train  # noqa: E402

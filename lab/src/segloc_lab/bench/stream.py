@@ -173,7 +173,7 @@ def simulated_stream(sensor: str, firings: int, method: str = DEFAULT_METHOD) ->
         scans = [walk.scan(i) for i in range(len(walk))]
         return Stream(build_map(walk, config), scans, walk.poses, QUERY_EVERY)
     from ..simulation import Route, hdl64e, simulate_session, town
-    from ..simulation.sensors.catalogue import SENSORS
+    from ..simulation.sensors import SENSORS
 
     world = town(0, size_m=_TOWN_M)
     junctions = tuple(world.roads.walk(np.random.default_rng(0), [0], _MAPPED_M, avoid=[]))

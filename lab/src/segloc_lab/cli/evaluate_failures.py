@@ -58,8 +58,7 @@ def failures(
     from segloc.map.segment_map import SegmentMap
     from segloc.system.files import replacing
 
-    from ..evaluation.failure_picture import draw_case
-    from ..evaluation.failures import funnel
+    from ..evaluation.failures import draw_case, funnel
     from ..evaluation.scenario import QuerySet
 
     check_every(every)

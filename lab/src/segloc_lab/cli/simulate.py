@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from segloc.errors import ConfigError
 
-from . import simulate_options as of
-
 if TYPE_CHECKING:
     from segloc.datasets import Sequence
 
     from ..simulation import Conditions, SimulatedSequence
+
 
 FORMATS = ("npy", "npz", "laz", "bin", "pcd", "ply")
 SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
@@ -25,33 +24,125 @@ SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
 _OF_SUITES = {"suite", "scale", "out", "seed", "file_format", "workers"}
 
 T = TypeVar("T")
+Scene = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="SCENE",
+        help="town, park, meadow, forest, industrial, warehouse, offices, building or mine.",
+        show_default="none: --suite",
+    ),
+]
+Out = Annotated[
+    Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
+]
+Suite = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Instead of a scene: six named test sets.", show_default="none"
+    ),
+]
+Scale = Annotated[str, typer.Option(metavar="NAME", help="Of a suite: small, full or paper.")]
+Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
+Thin = Annotated[int, typer.Option(metavar="COUNT", help="Only one of so many firings.")]
+Platform = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="car, wheeled, legged, quadruped, carried, handheld or drone.",
+        show_default="as the scene needs",
+    ),
+]
+Tilt = Annotated[
+    tuple[float, float],
+    typer.Option(metavar="DEGREES DEGREES", help="Roll and pitch of the sensor on its platform."),
+]
+Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
+Sessions = Annotated[
+    int, typer.Option(min=1, max=1001, metavar="COUNT", help="Session 0 is the one to map.")
+]
+Length = Annotated[float, typer.Option(metavar="METRES", help="Of each session.")]
+Spacing = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES", help="Between scans.", show_default="2, or 0.2 for one that sweeps"
+    ),
+]
+Size = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", help="Side of the world.", show_default="as the scene has it"),
+]
+Storey = Annotated[
+    int, typer.Option(min=0, metavar="NUMBER", help="Of a building: which one is driven through.")
+]
+Seed = Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Another seed is another world.")]
+Season = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Of later sessions: summer, autumn, winter or spring.",
+        show_default="as in session 0",
+    ),
+]
+Foliage = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        help="Leaves left in later sessions, 0 to 1.",
+        show_default="as the season has it",
+    ),
+]
+Replaced = Annotated[
+    float, typer.Option(metavar="SHARE", help="Of bins, benches, bushes and the like.")
+]
+Scaffolding = Annotated[float, typer.Option(metavar="SHARE", help="Of buildings with scaffolding.")]
+Swathe = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Gather the sweeps of a push-broom LiDAR.",
+        show_default="they stay apart",
+    ),
+]
+FileFormat = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="SUFFIX",
+        help="Of scans: npy, npz, laz, bin, pcd or ply.",
+        show_default="npy, or npz with times",
+    ),
+]
+Objects = Annotated[
+    bool, typer.Option("--objects", help="Also write which object each point lies on.")
+]
+Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes that cast rays.")]
 
 
 def simulate(
     context: typer.Context,
-    scene: of.Scene = None,
-    out: of.Out = Path("simulated"),
-    suite: of.Suite = None,
-    scale: of.Scale = "small",
-    sensor: of.Sensor = "hdl64e",
-    thin: of.Thin = 1,
-    platform: of.Platform = None,
-    tilt: of.Tilt = (0.0, 0.0),
-    skew: of.Skew = False,
-    sessions: of.Sessions = 2,
-    length: of.Length = 300.0,
-    spacing: of.Spacing = None,
-    size: of.Size = None,
-    storey: of.Storey = 0,
-    seed: of.Seed = 0,
-    season: of.Season = None,
-    foliage: of.Foliage = None,
-    replaced: of.Replaced = 0.15,
-    scaffolding: of.Scaffolding = 0.03,
-    swathe: of.Swathe = None,
-    file_format: of.FileFormat = None,
-    objects: of.Objects = False,
-    workers: of.Workers = 2,
+    scene: Scene = None,
+    out: Out = Path("simulated"),
+    suite: Suite = None,
+    scale: Scale = "small",
+    sensor: Sensor = "hdl64e",
+    thin: Thin = 1,
+    platform: Platform = None,
+    tilt: Tilt = (0.0, 0.0),
+    skew: Skew = False,
+    sessions: Sessions = 2,
+    length: Length = 300.0,
+    spacing: Spacing = None,
+    size: Size = None,
+    storey: Storey = 0,
+    seed: Seed = 0,
+    season: Season = None,
+    foliage: Foliage = None,
+    replaced: Replaced = 0.15,
+    scaffolding: Scaffolding = 0.03,
+    swathe: Swathe = None,
+    file_format: FileFormat = None,
+    objects: Objects = False,
+    workers: Workers = 2,
 ) -> None:
     """Record drives through a simulated world: folders of scans with exact poses.
 

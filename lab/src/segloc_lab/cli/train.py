@@ -91,8 +91,7 @@ def forest(
     """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
     from segloc.system.files import checked_target
 
-    from ..training.forest_pairs import ForestConfig
-    from ..training.grow_forest import train_forest
+    from ..training.grow_forest import ForestConfig, train_forest
     from ..training.shards import load_dataset
 
     checked_target(out)
@@ -183,7 +182,7 @@ def _train(
 ) -> None:
     from segloc.system.files import checked_target
 
-    from ..training.options import load_train_config, require_torch
+    from ..training.config import load_train_config, require_torch
     from ..training.shards import load_dataset
 
     require_torch()

@@ -1,24 +1,35 @@
-"""How many queries each method localizes, and how many of them falsely."""
+"""The study that compares methods on scenarios.
+
+Each method answers the queries of a scenario in pieces: one process a piece, kept on disk.
+"""
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial import cKDTree
+
+from segloc.batch.score import PATH_BREAK_M, Evaluation
 from segloc.config import Config
+from segloc.descriptors import Descriptor, create
+from segloc.map.segment_map import SegmentMap
+from segloc.system.processes import in_parallel
 from segloc.types import Float64
 
 from . import comparison
-from .cache import load_arrays, load_json, save_arrays, save_json
-from .comparison import ESTIMATORS
-from .comparison_maps import maps
-from .comparison_pieces import Job, answers_of, make_maps
-from .comparison_tables import Result, details, differences, summaries
-from .methods import Methods, ready
-from .report.study import Study, Table
-from .scenario import Pair, PairScenario, Scenario
+from .cache import DATA, load_arrays, load_json, save_arrays, save_json, store
+from .comparison import ESTIMATORS, MappedPlace, arrays_of, build_maps, place_of
+from .comparison_tables import Result, details, differences, groups, label_of, summaries
+from .methods import Methods, best_of, ready
+from .report.study import Curve, Figure, Study, Table
+from .scenario import OpenedScenario, Pair, PairScenario, QuerySet, Scenario
 from .workspace import Workspace
 
 Settings = dict[str, Any]
@@ -39,6 +50,15 @@ ALONE = """
 
 Here segments alone make candidates. As segloc is shipped it also searches by stems and by what
 stands where, which find nearly all that a method's segments lose, and so hide what it is worth."""
+_CLOUD_RADIUS_M = 60.0
+PIECE, PIECES = 1, 32
+"""So many queries of a scenario are answered, and kept, at once; more where it would be in more
+pieces than so many."""
+
+PLACES = ("map", "negative")
+_ARRAYS = "arrays.npz"
+
+Answers = dict[str, Any]
 
 
 def own_recordings(workspace: Workspace, pair: Pair) -> Study:
@@ -160,3 +180,208 @@ def _method_key(
     config = comparison.shared_config(name, 0, scenario.segments_alone).model_dump(mode="json")
     decides = {"scenario": settings, "config": config, "method": methods.fingerprints[name]}
     return f"localization-{scenario.name}-{name}", decides
+
+
+def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
+    """Every scenario with the answers of each method: ours, if it is there, and the others folded.
+
+    Each method has our estimator.
+    """
+    best = best_of(methods)
+    ordered = (best, *(name for name in methods.names if name != best))
+    for result in results:
+        ground = {"map": _near_path(result.arrays), "path of the map": _path(result.arrays)}
+        for group in groups(result):
+            label = label_of(result, group)
+            for method in ordered:
+                parts = [_drawn(result.scored(method, each, "consensus")) for each in group]
+                drawn = {key: _joined([part[key] for part in parts]) for key in parts[0]}
+                name, fold = f"map-{label.replace(' ', '-')}", ""
+                if method != best:
+                    name, fold = f"{name}-{method}", f"{label}: by other methods"
+                title, series = f"{label}: {method}", ground | drawn
+                yield Figure(name, title, "map", series, "m", "m", fold=fold)
+
+
+def _near_path(arrays: Mapping[str, Float64]) -> Curve:
+    cloud, path = arrays["cloud"], arrays["trajectory"]
+    near = cKDTree(path).query(cloud, distance_upper_bound=_CLOUD_RADIUS_M)[0] < _CLOUD_RADIUS_M
+    return cloud[near, 0], cloud[near, 1]
+
+
+def _path(arrays: Mapping[str, Float64]) -> Curve:
+    path = arrays["trajectory"]
+    breaks = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
+    broken = np.insert(path, breaks, np.nan, axis=0)
+    return broken[:, 0], broken[:, 1]
+
+
+def _drawn(scored: Evaluation) -> dict[str, Float64]:
+    """Points of each kind of answer, (N, 2); a false one is tied to its true place."""
+    found = scored.positions_found()[:, :2, 3]
+    false = scored.false[scored.localized]
+    drawn = {"not localized": np.empty((0, 2)), "localized": found[~false]}
+    if scored.truths is not None:
+        truths = scored.truths[:, :2, 3]
+        drawn["not localized"] = truths[~scored.localized]
+        gaps = np.full((int(false.sum()), 2), np.nan)
+        ties = np.stack([truths[scored.false], found[false], gaps], axis=1)
+        drawn["true place of a false one"] = ties.reshape(-1, 2)
+    return {**drawn, "localized falsely": found[false]}
+
+
+def _joined(parts: list[Float64]) -> Curve:
+    points = np.concatenate(parts)
+    return points[:, 0], points[:, 1]
+
+
+@dataclass(frozen=True)
+class Job:
+    """The queries of a scenario, to be answered by some methods.
+
+    Attributes
+    ----------
+    maps : Path
+        Where the maps are left for all pieces; the name of this folder, and so what a piece is
+        kept by, is another one for all other settings.
+    """
+
+    scenario: Scenario
+    methods: tuple[str, ...]
+    threads: int
+    maps: Path
+
+    def arrays(self) -> dict[str, Float64]:
+        """Those of :func:`~segloc_lab.evaluation.comparison.arrays_of`, once the map is made."""
+        return load_arrays(self.maps / "map" / DATA / _ARRAYS)
+
+    def descriptors(self) -> dict[str, Descriptor]:
+        return {name: create(name, self.threads) for name in self.methods}
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The queries of a job from ``start`` on, so many of them; ``number`` tells pieces apart."""
+
+    job: Job
+    number: int
+    start: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scenario that is ready to be answered."""
+
+    query_sets: Mapping[str, QuerySet]
+    descriptors: Mapping[str, Descriptor]
+    places: Mapping[str, MappedPlace]
+
+
+def make_maps(workspace: Workspace, jobs: Sequence[Job]) -> None:
+    """The maps of all jobs, each in a process of its own, where they are not yet."""
+    left = [(job, name) for job in jobs for name in PLACES if not (job.maps / name).exists()]
+    with workspace.progress("Building maps") as update:
+        update(0, len(left))
+        made = in_parallel(_make_map, left, workspace.workers, workspace.executor)
+        for count, _ in enumerate(made, 1):
+            update(count, len(left))
+
+
+def _make_map(task: tuple[Job, str]) -> None:
+    job, name = task
+    opened = job.scenario.open()
+    recording = opened.map if name == "map" else opened.negative
+    if recording is None:
+        return
+    maps = build_maps(recording, job.descriptors(), job.threads)
+    first = next(iter(maps.values()))
+    arrays = arrays_of(opened.query_sets, first.trajectory, first.cloud + first.origin)
+    store(job.maps / name, {}, partial(_save, maps, arrays))
+
+
+def _save(maps: Mapping[str, SegmentMap], arrays: Mapping[str, Float64], folder: Path) -> None:
+    folder.mkdir()
+    for name, prior_map in maps.items():
+        prior_map.save(folder / f"{name}.segmap")
+    save_arrays(arrays, folder / _ARRAYS)
+
+
+def answers_of(workspace: Workspace, jobs: Sequence[Job]) -> list[Answers]:
+    """Localize each job by :func:`.comparison.localize_all`; in the order of the jobs.
+
+    Pieces that have been answered before are not answered again.
+    """
+    pieces = [piece for job in jobs for piece in _pieces(job)]
+    keys = [_piece_key(piece) for piece in pieces]
+    try:
+        found = workspace.cached_each("Localizing", keys, _answer, pieces, save_json, load_json)
+    finally:
+        _prepared.clear()
+    whole: dict[Path, list[Answers]] = {job.maps: [] for job in jobs}
+    for piece, answers in zip(pieces, found, strict=True):
+        whole[piece.job.maps].append(answers)
+    return [_whole(parts) for parts in whole.values()]
+
+
+def _pieces(job: Job) -> list[Piece]:
+    arrays = job.arrays()
+    queries = sum(len(each) for name, each in arrays.items() if name.startswith("indices-"))
+    size = max(PIECE, -(-queries // PIECES))
+    starts = range(0, max(queries, 1), size)
+    return [Piece(job, number, start, size) for number, start in enumerate(starts, 1)]
+
+
+def _piece_key(piece: Piece) -> tuple[str, dict[str, Any]]:
+    settings = {"maps": piece.job.maps.name, "queries": [piece.start, piece.size]}
+    return f"piece-{piece.job.scenario.name}-{piece.number}", settings
+
+
+def _answer(piece: Piece) -> Answers:
+    ready = _ready(piece.job)
+    part = _queries_of(ready.query_sets, piece.start, piece.size)
+    return comparison.localize_all(part, ready.descriptors, ready.places)
+
+
+_prepared: dict[Path, Prepared] = {}
+"""What this process answers, by its maps: pieces of one scenario come one after another, and it is
+made ready once. It is large, so never two of them."""
+
+
+def _ready(job: Job) -> Prepared:
+    ready = _prepared.get(job.maps)
+    if ready is None:
+        _prepared.clear()
+        opened = job.scenario.open()
+        ready = Prepared(opened.query_sets, job.descriptors(), _places(opened, job))
+        _prepared[job.maps] = ready
+    return ready
+
+
+def _places(opened: OpenedScenario, job: Job) -> dict[str, MappedPlace]:
+    found = {}
+    for name, recording in zip(PLACES, (opened.map, opened.negative), strict=True):
+        if recording is None:
+            continue
+        files = {each: job.maps / name / DATA / f"{each}.segmap" for each in job.methods}
+        maps = {each: SegmentMap.load(file) for each, file in files.items()}
+        found[name] = place_of(maps, job.threads, job.scenario.segments_alone)
+    return found
+
+
+def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> dict[str, QuerySet]:
+    """The same sets, with so many queries of them all together, the first ``start`` left out."""
+    found, before = {}, 0
+    for name, each in query_sets.items():
+        first, last = (int(np.clip(k - before, 0, None)) for k in (start, start + size))
+        truths = None if each.truths is None else each.truths[first:last]
+        found[name] = replace(each, positions=each.positions[first:last], truths=truths)
+        before += len(each.positions)
+    return found
+
+
+def _whole(parts: Sequence[Any]) -> Any:
+    """Lists at the same place of nested dicts, one after another."""
+    if isinstance(parts[0], dict):
+        return {key: _whole([part[key] for part in parts]) for key in parts[0]}
+    return [each for part in parts for each in part]

@@ -24,8 +24,7 @@ from ..simulation import (
     simulate_sessions,
     warehouse,
 )
-from ..simulation.motion.flight import Flight
-from ..simulation.motion.platforms import Platform
+from ..simulation.motion.platforms import Flight, Platform
 from ..simulation.sensors.ranging import Lidar
 from ..simulation.worlds.world import World
 

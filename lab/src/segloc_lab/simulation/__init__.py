@@ -5,11 +5,10 @@ from __future__ import annotations
 from segloc.motion import Motion, deskew
 
 from .drives import demo_sessions, simulate_sessions
-from .motion.flight import Flight
-from .motion.gait import Gait
-from .motion.odometry import OdometryNoise
 from .motion.platforms import (
     PLATFORMS,
+    Flight,
+    Gait,
     Platform,
     car,
     carried,
@@ -20,21 +19,21 @@ from .motion.platforms import (
     wheeled,
 )
 from .motion.route import Route
-from .motion.traversal import SimulatedSequence, simulate_session
+from .motion.traversal import OdometryNoise, SimulatedSequence, simulate_session
 from .objects.scene import Scene
 from .record import record
-from .sensors.catalogue import SENSORS
+from .sensors import SENSORS
 from .sensors.lidar import SpinningLidar, hdl32e, hdl64e, os0_128, os1_64, os1_128, vlp16
 from .sensors.linescan import LineLidar, lms151
 from .sensors.ranging import Lidar, Rays, Returns
 from .sensors.rosette import RosetteLidar, SwirlLidar, avia, mid360, solid_state
+from .worlds import SCENES
 from .worlds.forest import forest
 from .worlds.industrial import industrial
 from .worlds.meadow import meadow
 from .worlds.mine import mine
 from .worlds.offices import building, offices
 from .worlds.park import park
-from .worlds.scenes import SCENES
 from .worlds.town import town
 from .worlds.warehouse import warehouse
 from .worlds.world import Conditions, World

@@ -9,10 +9,10 @@ from segloc.errors import ConfigError
 
 from .drives import simulate_sessions
 from .motion.platforms import PLATFORMS
-from .sensors.catalogue import SENSORS
+from .sensors import SENSORS
 from .sensors.linescan import LineLidar
 from .sensors.ranging import Lidar
-from .worlds.scenes import SCENES
+from .worlds import SCENES
 from .worlds.world import Conditions
 
 SWATHE_M = 30.0

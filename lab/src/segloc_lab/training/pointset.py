@@ -15,7 +15,7 @@ from segloc import _native
 from segloc.descriptors.pointset import POINTS
 from segloc.types import Float32
 
-from .augment import augment
+from .augment import augment, reorder
 from .config import TrainConfig
 from .dataset import SegmentDataset, packed
 from .export import export, folded
@@ -24,7 +24,6 @@ from .models import LAYERS, DescriptorNetwork, neighbors_of
 from .pair_fitting import fit_pair_head
 from .pair_heads import pair_loss
 from .quality import fit_logistic, judged
-from .sampling import reorder
 from .tasks import Batch, Inputs, Task
 
 

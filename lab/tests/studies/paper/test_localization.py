@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from samples.executors import processes
 from samples.tiny_suite import TINY
-from segloc_lab.evaluation import comparison, comparison_pieces
+from segloc_lab.evaluation import comparison, comparison_study
 from segloc_lab.evaluation.comparison import shared_config
 from segloc_lab.evaluation.comparison_study import answered
 from segloc_lab.evaluation.comparison_tables import summaries
@@ -147,14 +147,14 @@ def test_what_is_damaged_is_localized_again(
 def test_a_run_that_is_cut_off_goes_on_with_the_next_piece(
     study: Study, workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(comparison_pieces, "PIECE", 3)
+    monkeypatch.setattr(comparison_study, "PIECE", 3)
     build, built = comparison.build_maps, []
 
     def counted(recording: Recording, *rest: object) -> object:
         built.append(recording.name)
         return build(recording, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(comparison_pieces, "build_maps", counted)
+    monkeypatch.setattr(comparison_study, "build_maps", counted)
     whole, begun = comparison.localize_all, []
 
     def cut_off(*arguments: object) -> object:

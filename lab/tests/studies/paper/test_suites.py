@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from segloc_lab.simulation import SCENES
 from segloc_lab.simulation.suites import PAPER, REPEATED, SIX
-from segloc_lab.simulation.worlds.catalogue import Catalogue
+from segloc_lab.simulation.worlds.world import Catalogue
 
 from segloc.geometry import stations
 

@@ -1,4 +1,4 @@
-"""What carries the sensor: how fast it goes, how it rides over the ground, how it sways."""
+"""Platforms that carry a sensor: cars, robots, walking bodies, people and drones; how each moves."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from segloc.errors import ConfigError
@@ -15,12 +16,15 @@ from segloc.types import Float64
 
 from ..objects.terrain import Terrain
 from ..worlds.roads import along
-from .flight import Flight
-from .gait import Gait
 from .paths import Footprint, on_ground
 
 _KNOT_S = 0.025  # fine enough for steps of three hertz
 _KNOT_M = 0.25
+_CLIMB_M = 40.0  # of way over which its height is alike
+_GUST_S = 1.2
+_GRAVITY = 9.81
+_WANDER_S = 0.8  # over which a body's slow tilts are alike
+_LEAN_S = 2.5  # over which it leans one way
 
 
 def _eased(speed: Float64, gain: float) -> Float64:
@@ -285,3 +289,144 @@ PLATFORMS = {
     "drone": drone,
 }
 """What makes each platform."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """Where a drone keeps above ground, and how it tilts.
+
+    Attributes
+    ----------
+    low_m, high_m : float
+        It stays between these above the ground.
+    cruise_deg : float
+        It pitches forward by so much to keep its speed.
+    gust_deg : float
+        Standard deviation of roll and pitch in the wind.
+
+    Raises
+    ------
+    ConfigError
+        If the heights do not rise from 0, or a tilt is negative.
+    """
+
+    low_m: float = 5.0
+    high_m: float = 30.0
+    cruise_deg: float = 5.0
+    gust_deg: float = 1.5
+
+    def __post_init__(self) -> None:
+        if not 0 < self.low_m < self.high_m < np.inf:
+            raise ConfigError(f"low_m and high_m must rise from 0, not {self.low_m}, {self.high_m}")
+        for name in ("cruise_deg", "gust_deg"):
+            if not 0 <= getattr(self, name) < 45:
+                raise ConfigError(f"{name} must be in 0..45, not {getattr(self, name)}")
+
+    def poses(
+        self,
+        terrain: Terrain,
+        xy: Float64,
+        yaw: Float64,
+        distance: Float64,
+        stamps: Float64,
+        rng: np.random.Generator,
+    ) -> Float64:
+        """Poses (N, 4, 4) at points (N, 2) and headings (N,), banked as its bends demand.
+
+        ``distance`` (N,) is how far it has flown at evenly spaced ``stamps`` (N,).
+        """
+        T = np.tile(np.eye(4), (len(xy), 1, 1))
+        speed = np.gradient(distance, stamps)
+        turning = gaussian_filter1d(np.gradient(np.unwrap(yaw), stamps), 0.4 / stamps[1])
+        tilt = np.radians(self.gust_deg) * slow(rng, stamps, _GUST_S)[:, :2]
+        tilt[:, 0] -= np.arctan(speed * turning / _GRAVITY)
+        tilt[:, 1] += np.radians(self.cruise_deg) * speed / speed.max()
+        angles = np.column_stack([yaw, tilt[:, 1], tilt[:, 0]])
+        T[:, :3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
+        T[:, :2, 3] = xy
+        T[:, 2, 3] = terrain.height(*xy.T) + self._heights(distance, rng)
+        return T
+
+    def _heights(self, distance: Float64, rng: np.random.Generator) -> Float64:
+        """Above ground: a smooth curve that uses all of the band on a long flight."""
+        even = np.arange(-4 * _CLIMB_M, distance[-1] + 4 * _CLIMB_M, 1.0)
+        curve = np.tanh(slow(rng, even, _CLIMB_M)[:, 0])
+        middle, half = (self.low_m + self.high_m) / 2, (self.high_m - self.low_m) / 2
+        return np.asarray(middle + half * np.interp(distance, even, curve), dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gait:
+    """How a walking body moves its sensor.
+
+    Attributes
+    ----------
+    steps_hz : float
+        Steps a second.
+    bob_m : float
+        Amplitude of the rise and fall, once a step.
+    sway_m : float
+        Amplitude from side to side, once in two steps.
+    pitch_deg, roll_deg : float
+        Amplitudes of the nod, once a step, and of the roll, once in two steps.
+    wander_deg : float
+        Standard deviation of the slow tilt and turn of whoever carries or balances the sensor.
+    lean_deg : float
+        Standard deviation of how far it leans for seconds, each in roll and pitch.
+    most_deg : float
+        It never tilts as far as this in all; infinite where nothing holds it back.
+
+    Raises
+    ------
+    ConfigError
+        If ``lean_deg`` is negative or ``most_deg`` is not positive.
+    """
+
+    steps_hz: float
+    bob_m: float
+    sway_m: float
+    pitch_deg: float
+    roll_deg: float
+    wander_deg: float
+    lean_deg: float = 0.0
+    most_deg: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.lean_deg < np.inf:
+            raise ConfigError(f"lean_deg must not be negative, not {self.lean_deg}")
+        if not self.most_deg > 0:
+            raise ConfigError(f"most_deg must be positive, not {self.most_deg}")
+
+    def sways(self, stamps: Float64, rng: np.random.Generator) -> Float64:
+        """T_body_sensor (N, 4, 4) at evenly spaced stamps (N,), about the identity."""
+        start = rng.uniform(0, 2 * np.pi, 2)
+        step = 2 * np.pi * self.steps_hz * stamps + start[0]
+        stride = np.pi * self.steps_hz * stamps + start[1]
+        tilt = np.radians(self.wander_deg) * slow(rng, stamps, _WANDER_S)
+        tilt[:, 0] += np.radians(self.roll_deg) * np.sin(stride)
+        tilt[:, 1] += np.radians(self.pitch_deg) * np.sin(step + 1.0)
+        if self.lean_deg:
+            tilt[:, :2] += np.radians(self.lean_deg) * slow(rng, stamps, _LEAN_S)[:, :2]
+        if self.most_deg < np.inf:
+            tilt[:, :2] = _held_back(tilt[:, :2], np.radians(self.most_deg))
+        T = np.tile(np.eye(4), (len(stamps), 1, 1))
+        T[:, :3, :3] = Rotation.from_rotvec(tilt).as_matrix()
+        T[:, 1, 3] = self.sway_m * np.sin(stride + 0.5)
+        T[:, 2, 3] = self.bob_m * np.sin(step)
+        return T
+
+
+def _held_back(tilt: Float64, most: float) -> Float64:
+    """Tilts (N, 2) as they are when small, and less than ``most`` however large; radians."""
+    size = np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-12)
+    return np.asarray(tilt * (most * np.tanh(size / most) / size), dtype=np.float64)
+
+
+def slow(rng: np.random.Generator, at: Float64, width: float) -> Float64:
+    """Smooth random curves (N, 3) of unit standard deviation, alike over ``width``.
+
+    ``at`` (N,) are evenly spaced moments or distances, in the unit of ``width``.
+    """
+    cells = width / (at[1] - at[0])
+    curves = gaussian_filter1d(rng.normal(size=(len(at), 3)), cells, axis=0, mode="reflect")
+    return np.asarray(curves * np.sqrt(2 * np.sqrt(np.pi) * cells), dtype=np.float64)

@@ -9,11 +9,10 @@ import numpy as np
 from ..objects.buildings import house
 from ..objects.identity import Objects
 from ..objects.street import bus_shelter, cabinet, lamp, traffic_sign
-from .catalogue import Catalogue
 from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
 from .planting import town_tree
 from .roads import street_network
-from .world import World
+from .world import Catalogue, World
 
 _MARGIN, _BLOCK = 30.0, 46.0
 _BAY = (2.5, 5.0)  # metres

@@ -15,7 +15,7 @@ from ..objects.mesh import Mesh
 from ..objects.terrain import Terrain, relief, roughness
 from .interior import Interior
 from .layout import Occupancy
-from .movables import NUMBER
+from .replaceable import NUMBER
 from .roads import RoadNetwork
 from .world import Spots, World
 

@@ -23,11 +23,10 @@ from ..objects.undergrowth import (
     thicket,
     woodpile,
 )
-from .catalogue import Catalogue
 from .land import Ground, Land, lay_out, scattered
 from .layout import check_world
 from .roads import street_network
-from .world import World
+from .world import Catalogue, World
 
 _STAND = 65.0  # width of a stand, metres
 _LOOKED_AT = 20.0  # from a track: small things farther away are left out

@@ -11,9 +11,8 @@ from segloc.types import Float32, Float64
 
 from ..objects.mesh import Mesh, loft, rectangle
 from ..objects.terrain import Terrain, relief, roughness
-from .catalogue import Catalogue
 from .roads import RoadNetwork, Street
-from .world import Spots
+from .world import Catalogue, Spots
 
 _KERB = 0.12
 _STEP = 0.5  # of the terrain's grid, metres

@@ -1,16 +1,28 @@
-"""What may be gone in another session, and what then stands elsewhere or instead."""
+"""Objects that differ between sessions: replaced ones, and those that are moved about indoors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..objects.containers import barriers, drums, pallets, rubble, shipping_container, stores
-from ..objects.furniture import cupboard, desk, pot_plant, printer, shelf, sofa, table
+from ..objects.furniture import (
+    chair,
+    cupboard,
+    desk,
+    door_leaf,
+    pot_plant,
+    printer,
+    shelf,
+    sofa,
+    table,
+    trolley,
+)
 from ..objects.mesh import Mesh
-from ..objects.storage import cage, machine, pallet_load
+from ..objects.storage import cage, fork_lift, machine, pallet_load
 from ..objects.street import (
     bench,
     bollards,
@@ -79,3 +91,36 @@ REPLACEABLE: dict[str, Replaceable] = {
     "printer": Replaceable(printer, 0.6, in_place=True),
 }
 """By kind. Of each the share that :class:`Conditions` names is replaced."""
+
+
+class Movable(NamedTuple):
+    """A kind of thing that stands elsewhere in each session.
+
+    Attributes
+    ----------
+    kind : str
+    make : callable
+    odds : float
+        That one stands at a place for it.
+    shift_m, turn : float
+        Standard deviations about the place and its heading, metres and radians.
+    """
+
+    kind: str
+    make: Callable[[np.random.Generator], Mesh]
+    odds: float
+    shift_m: float
+    turn: float
+
+
+MOVABLES: tuple[Movable, ...] = (
+    Movable("door", door_leaf, 1.0, 0.0, 0.0),
+    Movable("chair", chair, 0.9, 0.2, 1.0),
+    Movable("trolley", trolley, 0.4, 0.2, 0.3),
+    Movable("goods", pallet_load, 0.5, 0.1, 0.1),
+    Movable("cages", cage, 0.5, 0.3, 0.1),
+    Movable("fork lift", fork_lift, 0.4, 0.2, 0.3),
+)
+"""Places name them by their number here."""
+
+NUMBER = {each.kind: k for k, each in enumerate(MOVABLES)}

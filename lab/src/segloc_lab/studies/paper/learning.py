@@ -23,8 +23,7 @@ from segloc.system.processes import in_parallel
 
 from ...evaluation.comparison import QUALITY
 from ...training.config import TrainConfig
-from ...training.forest_pairs import ForestConfig
-from ...training.grow_forest import train_forest
+from ...training.grow_forest import ForestConfig, train_forest
 from ...training.shards import INDEX, load_dataset
 
 NETWORKS = ("dsm", "esm", "segmap", "profile")

@@ -16,9 +16,9 @@ from segloc.types import Float32
 from ...bench.fps import SAMPLES, SEGMENTS, fps
 from ...bench.harness import OURS, Row, in_process
 from ...evaluation.report.study import Cell, Study, Table
+from ...training.augment import Sampler
 from ...training.dataset import SegmentDataset
 from ...training.metrics import score
-from ...training.sampling import Sampler
 from .domain_segments import DomainSize
 from .domains import Domains
 from .learning import Training, network_config, trained
