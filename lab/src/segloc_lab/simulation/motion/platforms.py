@@ -1,4 +1,4 @@
-"""Platforms that carry a sensor: cars, robots, walking bodies, people and drones; how each moves."""
+"""Platforms that carry a sensor (cars, robots, people, drones), and how each moves it."""
 
 from __future__ import annotations
 
