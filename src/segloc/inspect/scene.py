@@ -109,18 +109,18 @@ class MapScene:
         cloud = self._map.cloud
         return np.median(cloud, axis=0).astype(np.float64) if len(cloud) else np.zeros(3)
 
-    def draw_query(self, query: Shown, prefix: str = "/query") -> None:
+    def draw_query(self, query: Shown) -> None:
         """One query in place of another: cloud, segments, matches, runner-up, and its outcome."""
         for layer in OF_QUERY:
             self.clear(layer)
         at = self.middle(query) + [0.0, 0.0, 3.0 * _ABOVE_M]
         text = f"{query.index}: {query.outcome}"  # the panel has the rest
-        label = self._api.add_label(f"{prefix}/label", text, position=tuple(at))
+        label = self._api.add_label("/query/label", text, position=tuple(at))
         self._keep("text", label)
         if query.seen is not None and query.seen.T_map_local is not None:
-            self._draw_seen(query.seen, prefix)
+            self._draw_seen(query.seen)
 
-    def _draw_seen(self, seen: Seen, prefix: str) -> None:
+    def _draw_seen(self, seen: Seen) -> None:
         T = seen.T_map_local
         assert T is not None
 
@@ -129,24 +129,24 @@ class MapScene:
 
         off = ~seen.on_map
         red = np.tile(np.array(_RED, np.uint8), (int(off.sum()), 1))
-        self.points("cloud", f"{prefix}/off_map", placed(seen.points[off]), red, 0.18)
+        self.points("cloud", "/query/off_map", placed(seen.points[off]), red, 0.18)
         green = np.tile(np.array(_GREEN, np.uint8), (int((~off).sum()), 1))
-        self.points("cloud", f"{prefix}/on_map", placed(seen.points[~off]), green, 0.18)
+        self.points("cloud", "/query/on_map", placed(seen.points[~off]), green, 0.18)
         lifted = placed(seen.segment_points)
-        self.points("segments", f"{prefix}/segments", lifted, _distinct(seen.segment_of), 0.26)
+        self.points("segments", "/query/segments", lifted, _distinct(seen.segment_of), 0.26)
         known = seen.matched < len(self._map.centroids)
         there = (self._map.centroids[seen.matched[known]] - self._map.origin).astype(np.float32)
         lines = np.stack([placed(seen.centroids[known]), there], axis=1)
         fits = seen.inliers[known]
-        self.lines("other matches", f"{prefix}/other_matches", lines[~fits], np.array(_GREY), 0.04)
+        self.lines("other matches", "/query/other_matches", lines[~fits], np.array(_GREY), 0.04)
         lines = lines.copy()
         lines[:, 0, 2] += 6.0  # nearly upright: so that matches that agree can be seen
-        self.lines("matches that agree", f"{prefix}/inliers", lines[fits], np.array(_GREEN), 0.3)
+        self.lines("matches that agree", "/query/inliers", lines[fits], np.array(_GREEN), 0.3)
         if seen.T_map_other is not None:
             other = (seen.T_map_other[:3, 3] - self._map.origin).astype(np.float32)[None]
             red_one = np.array([_RED], np.uint8)
-            self.points("runner-up", f"{prefix}/runner_up", other, red_one, 1.5)
-            name = f"{prefix}/runner_up_label"
+            self.points("runner-up", "/query/runner_up", other, red_one, 1.5)
+            name = "/query/runner_up_label"
             self._keep("runner-up", self._api.add_label(name, "runner-up", position=other[0]))
 
     def points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:

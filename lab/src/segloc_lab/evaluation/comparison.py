@@ -71,7 +71,6 @@ def build_maps(
     recording: Recording,
     descriptors: Mapping[str, Descriptor],
     threads: int = 1,
-    progress: Progress | None = None,
 ) -> dict[str, SegmentMap]:
     """The maps of several methods, made of the same segments; the first has the cloud of all.
 
@@ -86,7 +85,7 @@ def build_maps(
         raise DatasetError(f"{recording.name}: building a map needs a pose for every scan")
     first = next(iter(descriptors))
     maps = {name: empty_map(each, config, poses[0, :3, 3]) for name, each in descriptors.items()}
-    for view in map_views(recording, config, progress=progress):
+    for view in map_views(recording, config):
         described = describe_all(descriptors, view.scene.segments)
         for name in descriptors:
             add_view(maps[name], view, described[name], with_cloud=name == first)
@@ -112,11 +111,9 @@ def describe_all(
     return found
 
 
-def build_place(
-    recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
-) -> MappedPlace:
+def build_place(recording: Recording, descriptors: Mapping[str, Descriptor]) -> MappedPlace:
     """The maps of :func:`build_maps`, ready for queries."""
-    return place_of(build_maps(recording, descriptors, threads), threads)
+    return place_of(build_maps(recording, descriptors))
 
 
 def place_of(

@@ -46,6 +46,8 @@ STAGES = (
 )
 
 _MIN_ALIGNED = 0.3
+_PICTURED_M = 60.0
+"""Half the width of a picture."""
 
 
 @dataclass(frozen=True)
@@ -228,9 +230,7 @@ def _stage(
     return rejected if found else unfound
 
 
-def draw_case(
-    localizer: Localizer, sequence: Recording, case: Case, position: int, radius_m: float = 60.0
-) -> bytes:
+def draw_case(localizer: Localizer, sequence: Recording, case: Case, position: int) -> bytes:
     """A failed query from above: its segments under the true pose, on those of the map.
 
     Parameters
@@ -256,7 +256,7 @@ def draw_case(
     middle = T[:2, 3]
     figure = blank((8.0, 8.4), 110)
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.93))
-    plan(axes, middle - radius_m, middle + radius_m)
+    plan(axes, middle - _PICTURED_M, middle + _PICTURED_M)
     prior_map = localizer.prior_map
     layers: tuple[tuple[Float64, dict[str, Any], str], ...] = (
         (
@@ -273,7 +273,7 @@ def draw_case(
         ),
     )
     for points, style, label in layers:
-        near = np.abs(points - middle).max(axis=1) < radius_m if len(points) else slice(0)
+        near = np.abs(points - middle).max(axis=1) < _PICTURED_M if len(points) else slice(0)
         axes.scatter(*points[near].T, label=label or None, **style)
     legend(axes)
     title = f"{case.index}: {case.stage} ({case.segments} segments, {case.repeated} repeated, "

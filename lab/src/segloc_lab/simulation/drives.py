@@ -18,6 +18,7 @@ from .worlds.world import Conditions, World
 
 _LANES = (1.1, 0.2, 0.7, -0.4, 0.9)  # metres right of the centre line, session by session
 _LANE_OF = 3.4  # half the width of a street that has room for all of these, metres
+_DEMO_M = 500.0  # driven in each session of the demonstration
 
 
 def mapped_way(world: World, rng: np.random.Generator, length_m: float) -> list[int]:
@@ -140,7 +141,6 @@ def demo_sessions(
     *,
     sensor: Lidar | None = None,
     size_m: float = 330.0,
-    length_m: float = 500.0,
 ) -> dict[str, SimulatedSequence]:
     """Three drives: ``map``, ``revisit`` and ``elsewhere``.
 
@@ -151,13 +151,13 @@ def demo_sessions(
     lidar = hdl64e(900) if sensor is None else sensor
     here, there = town(seed, size_m=size_m), town(seed + 1000, size_m=size_m)
     rng = np.random.default_rng([seed, 31])
-    mapped = mapped_way(here, rng, length_m)
-    again = way_back(here, rng, mapped, length_m)
-    away = mapped_way(there, rng, length_m)
+    mapped = mapped_way(here, rng, _DEMO_M)
+    again = way_back(here, rng, mapped, _DEMO_M)
+    away = mapped_way(there, rng, _DEMO_M)
     routes = {
-        "map": (here, 0, Route(tuple(mapped), length_m=length_m)),
-        "revisit": (here, 1, Route(tuple(again), lane_offset_m=0.3, length_m=length_m)),
-        "elsewhere": (there, 0, Route(tuple(away), length_m=length_m)),
+        "map": (here, 0, Route(tuple(mapped), length_m=_DEMO_M)),
+        "revisit": (here, 1, Route(tuple(again), lane_offset_m=0.3, length_m=_DEMO_M)),
+        "elsewhere": (there, 0, Route(tuple(away), length_m=_DEMO_M)),
     }
     return {
         name: simulate_session(world, session, route, lidar, seed, name=name)

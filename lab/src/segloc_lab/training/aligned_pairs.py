@@ -26,7 +26,6 @@ def write_dataset(
     recordings: Sequence[Recording],
     place: str,
     segmentation: SegmentationConfig,
-    config: ExtractConfig | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> LabelCounts:
     """Cut aligned recordings of one place into labelled segments, as ``segloc train`` reads them.
@@ -41,7 +40,6 @@ def write_dataset(
     place : str
         A name for the place.
     segmentation : SegmentationConfig
-    config : ExtractConfig, optional
     progress : callable, optional
         Called with a line for each session.
 
@@ -50,7 +48,7 @@ def write_dataset(
     DatasetError
         If no segment was found.
     """
-    settings = config or ExtractConfig()
+    settings = ExtractConfig()
     items = [
         Posed(Session(place, f"{k:02d}-{recording.name}", "unknown"), recording)
         for k, recording in enumerate(recordings)

@@ -84,7 +84,6 @@ def extract_session(
     segment: Segment,
     config: ExtractConfig,
     registration: Registration | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Extract:
     """Cut one recording into local clouds, and these into segments.
 
@@ -97,8 +96,6 @@ def extract_session(
     config : ExtractConfig
     registration : Registration, optional
         Corrects each local cloud's pose.
-    progress : callable, optional
-        Called with (local clouds done, local clouds in all).
 
     Raises
     ------
@@ -108,13 +105,11 @@ def extract_session(
     rng = np.random.default_rng(config.seed)
     collected = _Collected()
     identity = _Identity(recording) if hasattr(recording, "object_ids") else None
-    for length, cloud, T, done in _local_clouds(recording, config, identity):
+    for length, cloud, T in _local_clouds(recording, config, identity):
         scene = segment(cloud)
         if registration is not None:
             T = registration.corrected(T, scene.surface)
         collected.add(scene, T, length, config.max_points, rng)
-        if progress:
-            progress(*done)
     if not collected.parts:
         raise DatasetError(f"{recording.name}: no segment found")
     return collected.packed(identity)
@@ -205,8 +200,8 @@ def _one_a_voxel(points: Float64 | Float32) -> Int64:
 
 def _local_clouds(
     recording: Recording, config: ExtractConfig, identity: _Identity | None
-) -> Iterator[tuple[float, LocalCloud, Pose, tuple[int, int]]]:
-    """Length, cloud, T_world_local and progress of each local cloud of a recording."""
+) -> Iterator[tuple[float, LocalCloud, Pose]]:
+    """Length, cloud and T_world_local of each local cloud of a recording."""
     poses = recording.poses
     if poses is None or len(poses) == 0:
         raise DatasetError(f"{recording.name}: training needs a pose for every scan")
@@ -231,9 +226,9 @@ def _local_clouds(
         return scan
 
     accumulator = Accumulator(config.local_cloud)
-    for done, (index, length, scans) in enumerate(plan):
+    for index, length, scans in plan:
         cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
-        yield length, cloud, geometry.levelled(poses[index]), (done + 1, len(plan))
+        yield length, cloud, geometry.levelled(poses[index])
 
 
 def sorted_extents(points: Float32) -> Float64:

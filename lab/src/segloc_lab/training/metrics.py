@@ -13,6 +13,9 @@ from segloc.types import Float32
 from .dataset import SegmentDataset
 from .labels import groups_of
 
+_RESAMPLES = 500
+"""Draws of a bootstrap."""
+
 
 @dataclass(frozen=True)
 class Scores:
@@ -132,9 +135,7 @@ class Interval:
         return f"{self.value:.4f} ({self.low:.4f} to {self.high:.4f})"
 
 
-def auc_interval(
-    vectors: Float32, dataset: SegmentDataset, *, resamples: int = 500, seed: int = 0
-) -> Interval:
+def auc_interval(vectors: Float32, dataset: SegmentDataset, *, seed: int = 0) -> Interval:
     """Area under the ROC with a bootstrap interval over places.
 
     Pairs of one place are not independent, so whole places are drawn: worlds where there are at
@@ -144,7 +145,6 @@ def auc_interval(
     ----------
     vectors : (P, dim) float32
     dataset : SegmentDataset
-    resamples : int
     seed : int
     """
     rng = np.random.default_rng(seed)
@@ -152,7 +152,7 @@ def auc_interval(
     (a, b), (c, d) = matching_pairs(dataset), _different_pairs(dataset, rng)
     right = -np.linalg.norm(vectors[a] - vectors[b], axis=1)
     wrong = -np.linalg.norm(vectors[c] - vectors[d], axis=1)
-    return area_interval(right, wrong, places[a], places[c], rng, resamples=resamples)
+    return area_interval(right, wrong, places[a], places[c], rng)
 
 
 def area_interval(
@@ -161,8 +161,6 @@ def area_interval(
     right_places: NDArray[np.int64],
     wrong_places: NDArray[np.int64],
     rng: np.random.Generator,
-    *,
-    resamples: int = 500,
 ) -> Interval:
     """Area under the ROC of any score, with a bootstrap interval over places.
 
@@ -173,7 +171,6 @@ def area_interval(
     right_places, wrong_places : (R,), (W,) int64
         The place of each pair, from 0 on; see :func:`bootstrap_places`.
     rng : numpy.random.Generator
-    resamples : int
 
     Returns
     -------
@@ -194,7 +191,7 @@ def area_interval(
     count = int(max(right_places.max(), wrong_places.max())) + 1
     drawn = [
         area(weights)
-        for weights in rng.multinomial(count, np.full(count, 1 / count), resamples).astype(float)
+        for weights in rng.multinomial(count, np.full(count, 1 / count), _RESAMPLES).astype(float)
         if weights[right_places].any() and weights[wrong_places].any()
     ]
     lower, upper = np.quantile(drawn, [0.025, 0.975]) if drawn else (0.0, 1.0)

@@ -23,6 +23,8 @@ from .metrics import Interval, auc_interval, recall_at_k
 
 KS = (1, 5, 25, 200)
 _CHUNK = 2048
+_MAX_QUERIES = 5000
+"""Queries of a session; if there are more, they are chosen at random."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,6 @@ def score_descriptor(
     distractors: Sequence[SegmentDataset] = (),
     *,
     pools: Sequence[int] = (),
-    max_queries: int = 5000,
     seed: int = 0,
     threads: int = 1,
 ) -> Report:
@@ -103,8 +104,6 @@ def score_descriptor(
         Segments of other worlds.
     pools : sequence of int
         Without any: the dataset's own segments, and all distractors.
-    max_queries : int
-        Queries of each session, chosen at random.
     seed, threads : int
     """
     vectors, _ = describe(descriptor, dataset)
@@ -120,7 +119,7 @@ def score_descriptor(
         own = np.flatnonzero(dataset.sessions == session)
         rest = np.flatnonzero(dataset.sessions != session)
         own = own[np.isin(dataset.labels[own], dataset.labels[rest])]
-        own = rng.permutation(own)[:max_queries]
+        own = rng.permutation(own)[:_MAX_QUERIES]
         if len(own) == 0:
             continue
         asked += len(own)

@@ -38,7 +38,6 @@ class Registration:
     ----------
     structure : (N, 3) float32
         World frame.
-    config : RegisterConfig
 
     Attributes
     ----------
@@ -46,8 +45,8 @@ class Registration:
         Local clouds that were aligned, that did not fit, and that no earlier session saw.
     """
 
-    def __init__(self, structure: Float32, config: RegisterConfig | None = None) -> None:
-        self.config = config or RegisterConfig()
+    def __init__(self, structure: Float32) -> None:
+        self.config = RegisterConfig()
         self._aligner = Aligner(self.config.voxel_m, self.config.max_correspondence_m, threads=1)
         index = _native.PointIndex(structure, 2 * self.config.near_m)
         self._target = Target(self._aligner.surface(structure), index)

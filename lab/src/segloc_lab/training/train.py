@@ -43,7 +43,6 @@ def train(
     config: TrainConfig,
     card: dict[str, Any] | None = None,
     progress: Progress = print,
-    task: Task | None = None,
 ) -> Scores:
     """Train a network, and write ``out`` (a .safetensors file) with the best weights.
 
@@ -60,8 +59,6 @@ def train(
     card : dict, optional
         Goes into the weights file: data, command, licence. Figures are added.
     progress : callable
-    task : Task, optional
-        What is trained; by default what ``config.network`` names.
 
     Returns
     -------
@@ -76,7 +73,7 @@ def train(
         If there are too few objects with two views, or if the state cannot be taken up.
     """
     torch.set_num_threads(config.threads)
-    task = task or create_task(config)
+    task = create_task(config)
     training, held = dataset.split(config.validation_share, config.seed)
     validation = held.limited(config.validation_limit, config.seed)
     with Group(config.device) as group:

@@ -24,7 +24,6 @@ def wall(
     openings: Sequence[tuple[float, float, float, float]] = (),
     *,
     thick: float = 0.2,
-    reflectance: float = _PLASTER,
 ) -> Mesh:
     """A wall between two points of the plan.
 
@@ -37,7 +36,6 @@ def wall(
     openings : sequence of (from, to, low, top)
         Metres along the wall, and heights; apart from each other.
     thick : float
-    reflectance : float
     """
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     long, (low, high) = float(np.linalg.norm(b - a)), span
@@ -59,16 +57,14 @@ def wall(
         [blocks[:, 1] - blocks[:, 0], np.full(len(blocks), thick), blocks[:, 3] - blocks[:, 2]]
     )
     yaw = float(np.arctan2(*(b - a)[::-1]))
-    return boxes(middle, size, reflectance).moved([*a, 0.0], yaw)
+    return boxes(middle, size, _PLASTER).moved([*a, 0.0], yaw)
 
 
-def panes(
-    start: ArrayLike, end: ArrayLike, span: tuple[float, float], *, pitch: float = 1.2
-) -> Mesh:
-    """Glass between mullions from one point of the plan to another."""
+def panes(start: ArrayLike, end: ArrayLike, span: tuple[float, float]) -> Mesh:
+    """Glass between mullions, 1.2 m apart, from one point of the plan to another."""
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     long, (low, high) = float(np.linalg.norm(b - a)), span
-    x = np.linspace(0, long, max(2, round(long / pitch) + 1))
+    x = np.linspace(0, long, max(2, round(long / 1.2) + 1))
     post = boxes(
         np.column_stack([x, 0 * x, 0 * x + (low + high) / 2]), [0.06, 0.08, high - low], _STEEL
     )
@@ -125,8 +121,9 @@ def beams(
     return boxes((a + b) / 2 + shift - above(size[1] / 2), wide, _STEEL)
 
 
-def stair_flight(wide: float, run: float, rise: float, steps: int = 9) -> Mesh:
+def stair_flight(wide: float, run: float, rise: float) -> Mesh:
     """A flight of stairs that climbs ``rise`` over ``run`` along +x, its foot at the origin."""
+    steps = 9
     k = np.arange(steps) + 0.5
     tread = np.column_stack([k * run / steps, 0 * k, (k + 0.5) * rise / steps - 0.08])
     parts = [boxes(tread, [run / steps, wide, 0.16], _CONCRETE)]

@@ -63,11 +63,9 @@ class Fitting:
         at: Float64,
         yaw: float,
         size: tuple[float, float],
-        *,
-        clearance: float = 0.2,
     ) -> bool:
-        """Stand something on free floor off the ways; False if there is none."""
-        if not self.claim(at, size, yaw, clearance):
+        """Stand something on free floor, 0.2 m off the ways; False if there is none."""
+        if not self.claim(at, size, yaw, 0.2):
             return False
         self.put(kind, mesh, at, yaw)
         return True
