@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
-import numpy as np
 import typer
 
 from .options import (
@@ -213,7 +213,7 @@ class SoFar:
         self._states, self._newest = out / SO_FAR, out / NEWEST
         self._recording, self._clouds = recording, clouds
         self._stream: TextIO | None = None
-        self._last = -np.inf
+        self._last = -math.inf
 
     def __enter__(self) -> SoFar:
         return self
@@ -241,6 +241,8 @@ class SoFar:
             self._keep(position, state)
 
     def _keep(self, position: int, state: State) -> None:
+        import numpy as np
+
         from .. import _native, geometry
         from ..system.files import replacing
 

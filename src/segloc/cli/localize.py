@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .. import geometry
 from .options import (
     Anywhere,
     Cluster,
@@ -289,6 +288,8 @@ def _grouped(reasons: dict[str, int]) -> list[tuple[str, int]]:
 
 def pose_text(T: Pose) -> str:
     """Position and heading, with units."""
+    from .. import geometry
+
     x, y, z = (float(v) for v in T[:3, 3])
     yaw = math.degrees(geometry.heading(T))
     return f"x {x:.2f}, y {y:.2f}, z {z:.2f} m, yaw {yaw:.1f} deg"
