@@ -15,9 +15,16 @@ from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OPTIONS = (
-    *("--headless=new", "--no-sandbox", "--no-first-run", "--disable-background-networking"),
-    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=1000,700"),
-    *("--remote-debugging-port=0", "--disable-component-update", "--mute-audio"),
+    "--headless=new",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1000,700",
+    "--remote-debugging-port=0",
+    "--disable-component-update",
+    "--mute-audio",
 )
 _STARTS_S, _ANSWERS_S = 90.0, 180.0
 

@@ -76,10 +76,14 @@ class Format:
 
 FORMATS = {
     "pcd": Format(
-        (MapSource,), "the map's cloud, for PCL", lambda s, out, _: write_pcd(s.prior_map, out)
+        (MapSource,),
+        "the map's cloud, for PCL",
+        lambda s, out, _: _written(s.prior_map, out, format_pcd),
     ),
     "ply": Format(
-        (MapSource,), "the map's cloud, for viewers", lambda s, out, _: write_ply(s.prior_map, out)
+        (MapSource,),
+        "the map's cloud, for viewers",
+        lambda s, out, _: _written(s.prior_map, out, format_ply),
     ),
     "laz": Format(
         (MapSource,), "the map's cloud, for GIS", lambda s, out, _: write_laz(s.prior_map, out)
@@ -138,16 +142,6 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
     if not form.folder and not (to == "tum" and isinstance(source, AlignedSource)):
         checked_target(target)
     return form.write(source, target, options or Options())
-
-
-def write_pcd(prior_map: SegmentMap, out: Path) -> list[str]:
-    """Binary PCD, x y z as float32."""
-    return _written(prior_map, out, format_pcd)
-
-
-def write_ply(prior_map: SegmentMap, out: Path) -> list[str]:
-    """Binary PLY, x y z as float."""
-    return _written(prior_map, out, format_ply)
 
 
 def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
