@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One for all queries, or one for each, or none."""
 QUERIES = 16
-"""Of a part: enough that windows of neighbouring queries share their work."""
+"""Queries of a part: enough that neighbouring windows share work."""
 LONGEST_GAP_S = 2.0
-"""A query farther from a fix in time has no prior."""
-UNSAID_M, SIGMAS = 10.0, 3.0
-"""The error of a receiver that says none, and how many standard deviations are allowed for."""
-MOST_M = 500.0
-"""A fix that is worse says nothing."""
+"""Longest time between a query and its fix [s]."""
+DEFAULT_ERROR_M, SIGMAS = 10.0, 3.0
+"""Error assumed where the receiver gives none [m]; radius of a prior in standard deviations."""
+MAX_RADIUS_M = 500.0
+"""Fixes that need a larger radius are ignored [m]."""
 
 
 class Locates(Protocol):
@@ -153,7 +153,7 @@ def query_clouds(
 
 @dataclass(frozen=True)
 class Place:
-    """Where queries are localized, in few bytes: each process opens it once a run.
+    """Map and configuration of a run; each process opens them once.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class Place:
         A map file, or the folder or URL of tiles.
     config : Config
     run : str
-        Another one for every run: maps may be replaced in between.
+        Unique to a run, since maps may be replaced between runs.
     """
 
     where: str
@@ -171,7 +171,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Part:
-    """Some queries of a recording: a task that can be done again, and gives the same."""
+    """Some queries of a recording: a repeatable task."""
 
     place: Place
     recording: Recording
@@ -200,7 +200,7 @@ def localize_parts(
     progress: Callable[[int, int], None] | None = None,
     near: Priors = None,
 ) -> list[Localization]:
-    """Localize the scans at some positions of a recording, whoever does it.
+    """Localize the scans at some positions of a recording in parts, by an executor.
 
     Poses, confidences and reasons are those of :func:`segloc.batch.run.localize_sequence`, to the
     last bit; each process uses one thread.
@@ -239,10 +239,10 @@ def localize_parts(
 def gnss_priors(
     fixes: Fixes, georeference: Georeference, stamps: Float64 | None, least_m: float
 ) -> list[Prior | None]:
-    """A prior for each query that has a fix near it in time.
+    """Make a prior for each query with a GNSS fix near it in time.
 
-    All of them are for a first look: what is not found there is searched for everywhere, since
-    fixes between houses may be far off, and say that they are not.
+    A query that is not found near its fix is searched for in the whole map: between buildings
+    fixes may be far off and underestimate their error.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def gnss_priors(
     stamps : (N,) float64 or None
         Of the queries, seconds.
     least_m : float
-        Radius of a prior whose fix is exact: the antenna, the scan and the map have errors, too.
+        Radius of a prior with an exact fix: covers errors of antenna, scan and map.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def gnss_priors(
     if stamps is None:
         raise DatasetError(f"{fixes.source}: fixes are by time, and the scans have no times")
     xy = georeference.in_map(fixes.degrees)[:, :2]
-    error_m = np.where(np.isfinite(fixes.error_m), fixes.error_m, UNSAID_M)
+    error_m = np.where(np.isfinite(fixes.error_m), fixes.error_m, DEFAULT_ERROR_M)
     after = np.searchsorted(fixes.stamps, stamps).clip(1, max(len(fixes) - 1, 1)) % len(fixes)
     before = np.maximum(after - 1, 0)
     sooner = stamps - fixes.stamps[before] <= fixes.stamps[after] - stamps
@@ -273,6 +273,6 @@ def gnss_priors(
     for stamp, k in zip(stamps, nearest, strict=True):
         radius_m = least_m + SIGMAS * float(error_m[k])
         late = abs(fixes.stamps[k] - stamp) > LONGEST_GAP_S
-        useless = late or radius_m > MOST_M or not np.isfinite(xy[k]).all()
+        useless = late or radius_m > MAX_RADIUS_M or not np.isfinite(xy[k]).all()
         priors.append(None if useless else Prior(xy[k], radius_m, anywhere=True))
     return priors

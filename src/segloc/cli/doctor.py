@@ -45,7 +45,7 @@ def examined(
     sample: int,
     config: Path | None,
 ) -> tuple[Examinable, Examination]:
-    """A recording as a verb names it, opened and examined."""
+    """Open and examine a recording."""
     from typing import cast
 
     from ..datasets import open_sequence
@@ -62,20 +62,20 @@ def examined(
 
 
 def show_findings(found: Examination) -> None:
-    """Print each finding in a line: what is wrong, then what is worth knowing."""
+    """Print one line a finding."""
     for finding in found.findings:
         print(f"{'wrong' if finding.wrong else 'note'}: {finding}")
 
 
 def show_pose_files(sequence: Path, recording: Examinable) -> None:
-    """Where a recording has no poses, print which files may be theirs."""
+    """If a recording has no poses, list files that may hold them."""
     if recording.poses is None:
         for name in pose_files(sequence.resolve()):
             print(f"note: {name} beside the scans may be their poses: --poses {name}")
 
 
 def pose_files(sequence: Path) -> list[str]:
-    """Files that ``--poses`` finds by their names alone and that may be a recording's poses."""
+    """Files beside a recording that may hold its poses, as names for ``--poses``."""
     inside = sorted(sequence.glob("*.tum")) if sequence.is_dir() else []
     beside = [sequence.parent / f"{sequence.name}{end}" for end in (".tum", ".odometry.tum")]
     return [path.name for path in (*inside, *beside) if path.is_file()]

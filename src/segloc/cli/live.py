@@ -196,15 +196,15 @@ def _show(facts: dict[str, Any], title: str) -> None:
 
 
 class SoFar:
-    """Keeps the states so far and the newest scan in a folder until the results are there.
+    """Keep states and the newest scan in a folder while a replay runs, for `segloc view`.
 
     Parameters
     ----------
     out : path
-        Made with the first state.
+        Created with the first state.
     recording : Recording
     clouds : bool
-        Whether scans can be read meanwhile, from the thread that adds states.
+        Whether the thread that adds states may read scans.
     """
 
     def __init__(self, out: Path, recording: Scans, clouds: bool = True) -> None:
@@ -230,7 +230,7 @@ class SoFar:
                 file.unlink(missing_ok=True)
 
     def add(self, position: int, state: State) -> None:
-        """One more state; now and then with what stands in its scan."""
+        """Add a state; at most once a second also the points of its scan."""
         if self._stream is None:
             self._states.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._states.open("w", encoding="utf-8")
@@ -259,7 +259,7 @@ class SoFar:
 
 
 def record(recording: Scans, position: int, state: State) -> dict[str, Any]:
-    """A state in values that JSON can hold, with the number and time of its scan."""
+    """Values for JSON: a state with the number and stamp of its scan."""
     return {
         "index": int(recording.indices[position]),
         **state.record(),

@@ -296,7 +296,7 @@ def pose_text(T: Pose) -> str:
 
 
 def sentence(result: Localization) -> str:
-    """The answer to one query in one line."""
+    """Describe the answer to a query in one line."""
     measured = f"{result.inliers} segments agree, {result.overlap:.0%} of the cloud lies on the map"
     if result.localized:
         pose = pose_text(result.T_map_sensor)
@@ -305,7 +305,7 @@ def sentence(result: Localization) -> str:
 
 
 def show_answers(evaluation: Evaluation, title: str) -> None:
-    """Print the answer to one query as a line, those to many as a table, the worst first."""
+    """Print the answer to one query as a line, to several as a table with the worst first."""
     from .console import table
 
     if len(evaluation) == 1:
@@ -319,9 +319,11 @@ def show_answers(evaluation: Evaluation, title: str) -> None:
 
 
 def worst_first(evaluation: Evaluation) -> Sequence[int]:
-    """Positions of the queries: false ones, those not localized, then those localized; of each the
-    least sure first, but the surest first of what is false. Those as sure, to the digits that are
-    shown, come in their order."""
+    """Order queries: false ones, those not localized, then the localized ones.
+
+    False ones come by falling confidence, the others by rising confidence. Equal ones, to the
+    digits that are shown, keep their order.
+    """
     results, false = evaluation.results, evaluation.false
 
     def rank(i: int) -> tuple[int, float, int]:
@@ -349,12 +351,12 @@ def gnss_priors(
     near: Prior | None,
     radius: float,
 ) -> list[Prior | None]:
-    """The priors of a bag's queries; how many have one is said.
+    """Make priors from the GNSS fixes of a bag; note how many queries have one.
 
     Raises
     ------
     ConfigError
-        If the map does not say where on the globe it lies, or there is a prior already.
+        If the map has no georeference, or a prior is given already.
     """
     from ..batch.run import gnss_priors
     from ..datasets.fixes import read_fixes
@@ -378,7 +380,7 @@ def gnss_priors(
 
 
 def hint(recording: Scans, results: Sequence[Localization], config: LocalCloudConfig) -> str | None:
-    """One line where most queries fail; None where most do not, or nothing is to be said."""
+    """Explain in one line why most queries fail; None if most succeed or no cause is known."""
     from ..doctor import first_fault
     from ..errors import SeglocError
 

@@ -116,7 +116,7 @@ def _trajectory(evaluation: Evaluation) -> tuple[Trajectory, str]:
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Keep other verbs from writing ``out`` meanwhile; who comes second waits, and says so."""
+    """Lock ``out`` for writing; if it is locked, note it and wait."""
     from ..system.files import checked_target
     from ..system.locks import exclusive
     from .console import note
@@ -127,7 +127,7 @@ def writing(out: Path) -> Iterator[None]:
 
 
 def write_together(out: Path, files: dict[str, bytes]) -> None:
-    """Write files of a folder, and of folders in it: all of them, or none."""
+    """Write the files of a folder and its subfolders: all or none."""
     from ..system.files import replacing
 
     folders = sorted({(out / name).parent for name in files} | {out})

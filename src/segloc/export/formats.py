@@ -145,7 +145,7 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
 
 
 def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
-    """LAZ in steps of a millimetre, wherever the map lies."""
+    """Write LAZ with a resolution of 1 mm, wherever the map lies."""
     data = format_laz(_points(prior_map), offset=np.round(prior_map.origin))
     with replacing(out) as stream:
         stream.write(data)
@@ -153,7 +153,7 @@ def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
 
 
 def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]:
-    """A folder as Autoware's map loader takes it: square tiles along x and y, and their list.
+    """Write the folder of Autoware's map loader: square tiles along x and y, and their list.
 
     Each tile is named by its lower corner, which is a multiple of ``tile_m``.
     """
@@ -190,7 +190,7 @@ def _points(prior_map: SegmentMap) -> Float64:
 
 
 def _near_origin(prior_map: SegmentMap) -> tuple[Float32, list[str]]:
-    """The points as float32, less the map's origin where they lie too far off for that."""
+    """Points as float32; far from zero, relative to the map's origin."""
     points = _points(prior_map)
     if np.abs(points).max() <= FLOAT32_M:
         return points.astype(np.float32), []
@@ -201,14 +201,14 @@ def _near_origin(prior_map: SegmentMap) -> tuple[Float32, list[str]]:
 
 
 def write_loops(source: AlignedSource, out: Path) -> list[str]:
-    """The accepted loops, one JSON object a line."""
+    """Write the accepted loops, one JSON object a line."""
     lines = [json.dumps(loop, allow_nan=False) + "\n" for loop in _accepted(source)]
     write_text(out, "".join(lines))
     return []
 
 
 def write_g2o(source: AlignedSource, out: Path) -> list[str]:
-    """All scans as vertices, odometry and accepted loops as edges.
+    """Write all scans as vertices, odometry and accepted loops as edges.
 
     Vertices are numbered through all sessions; the first of each component is fixed.
     """

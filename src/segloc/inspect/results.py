@@ -101,7 +101,7 @@ def _shown(folder: Path, file: Path, number: int, line: str) -> Shown:
 
 @dataclass(frozen=True)
 class Seen:
-    """One query, as it is drawn.
+    """One query, reduced to what a viewer draws.
 
     Attributes
     ----------
@@ -112,20 +112,20 @@ class Seen:
         A line a stage, then one for each part of the confidence.
     localized : bool
     T_map_local : (4, 4) float64 or None
-        The best pose, believed or not.
+        The best pose, accepted or not.
     T_map_other : (4, 4) float64 or None
         The runner-up's, of the sensor.
     points : (N, 3) float32
-        What stands in the cloud, thinned, local frame.
+        Above-ground points, thinned, local frame.
     on_map : (N,) bool
-        Which of it lies on the map at the best pose.
+        Which points lie on the map at the best pose.
     segment_points : (M, 3) float32
     segment_of : (M,) int64
-        Whose point each is.
+        Segment of each point.
     centroids : (K, 3) float32
         Of the segments that have a match, local frame.
     matched : (K,) int64
-        Rows of the map's segments that they are matched with.
+        Matched segments of the map, by row.
     inliers : (K,) bool
     """
 
@@ -155,7 +155,7 @@ class Seen:
 
 
 def seen(trace: Trace) -> Seen:
-    """What there is to see of a trace."""
+    """Reduce a trace to what a viewer draws."""
     parts = [f"{part.log_odds:+.1f} {part.words}" for part in trace.parts]
     parts = [f"{trace.constant:+.1f} to begin with", *parts] if parts else []
     other = trace.result.runner_up
@@ -190,7 +190,7 @@ _POINTS = ("points", "segment_points", "centroids")
 
 
 def packed(query: Seen) -> bytes:
-    """A small file of it; the same for the same query."""
+    """Serialize a query into few bytes; deterministic."""
     said = {
         "name": query.name,
         "verdict": query.verdict,
@@ -212,7 +212,7 @@ def packed(query: Seen) -> bytes:
 
 
 def unpacked(data: bytes, where: str) -> Seen:
-    """What :func:`packed` made a file of.
+    """Read what :func:`packed` wrote.
 
     Raises
     ------

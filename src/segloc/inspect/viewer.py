@@ -403,14 +403,14 @@ def _with(page: str, panel: str) -> str:
 
 
 def drawn_fast(page: str) -> str:
-    """A page of viser's that draws many points faster."""
+    """Add scripts to a viser page that draw many points faster."""
     head, start, tail = page.partition("<head>")
     added = f"<script>{_SHARP}{_THINNED}</script>"
     return f"{head}{start}{added}{tail}" if start else page
 
 
 def draw_fast(server: Any) -> None:
-    """Let the pages of a server of viser's thin what moves, where its version can be told to."""
+    """Thin moving clouds in the pages of a viser server, if its version supports it."""
     with suppress(ImportError, AttributeError):
         from viser._messages import RunJavascriptMessage
 

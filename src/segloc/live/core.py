@@ -299,7 +299,7 @@ class LiveCore:
 
 @dataclass(frozen=True)
 class State:
-    """Where the robot is, and how well that is known.
+    """Pose estimate of a robot, and its certainty.
 
     Attributes
     ----------
@@ -319,14 +319,13 @@ class State:
     views : int
         Independent views that agree.
     reason : str
-        Why it is no better known; "" when localized.
+        Why it is not localized; "" if it is.
     travelled_m : float
-        By the odometry, since the beginning.
+        Distance travelled, by odometry [m].
     answered : float or None
-        Stamp of the scan whose query this answers; None where it answers none.
+        Stamp of the query's scan if this state answers a query.
     latency_ms : float or None
-        From when that scan, or else the newest, came in until this was said. None where no clock
-        ran.
+        From the arrival of that scan, or of the newest, to this state; None without a clock.
     """
 
     stamp: float
@@ -348,7 +347,7 @@ class State:
 
     @property
     def localized(self) -> bool:
-        """Whether a pose is believed: localized or degraded."""
+        """Whether there is a pose: localized or degraded."""
         return self.T_map_odom is not None
 
     @property
@@ -359,7 +358,7 @@ class State:
         return self.T_map_odom @ self.T_odom_base
 
     def record(self) -> Mapping[str, Any]:
-        """In values that JSON can hold."""
+        """Values for JSON."""
         return {
             "stamp": self.stamp,
             "state": self.status.value,

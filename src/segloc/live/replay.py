@@ -212,7 +212,7 @@ def _silent(done: int, total: int) -> None:
 
 
 def pose_errors(replay: Replay, truths: Float64) -> tuple[Float64, Float64]:
-    """How far off the published poses are, in metres and degrees, (N,) each; NaN without a pose.
+    """Errors of the published poses [m] and [deg], (N,) each; NaN without a pose.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def summary(
 
 
 def _steps(poses: Float64, replay: Replay) -> Float64:
-    """Metres travelled up to each scan that something was said at, since the one before."""
+    """Distance travelled between scans with a published state [m]."""
     travelled = geometry.travelled(poses)[replay.positions]
     return np.diff(travelled, prepend=travelled[:1])
 

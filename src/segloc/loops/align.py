@@ -163,8 +163,8 @@ def _silent(label: str) -> Iterator[Progress]:
 def spread(session: Session, nodes: Float64) -> Float64:
     """T_world_sensor of every scan, (N, 4, 4).
 
-    A scan between two submaps is carried along by both; what they say of it is blended by the
-    distance travelled to each: linear in position, slerp in rotation.
+    Interpolate between the neighbouring submaps by distance travelled: linear in position, slerp
+    in rotation.
 
     Parameters
     ----------

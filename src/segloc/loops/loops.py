@@ -197,7 +197,7 @@ def edges_of(loops: list[Loop]) -> Edges:
 
 @dataclass(frozen=True)
 class Fit:
-    """How one submap lies on another.
+    """Registration of one submap to another.
 
     Attributes
     ----------
@@ -205,10 +205,10 @@ class Fit:
     covariance : (6, 6) float64
         Of rotation and translation, frame of the source.
     shared : float
-        Share of the source's structure that meets the target's, and the other way round: the
-        larger of the two, since submaps reach differently far.
+        Overlap in [0, 1]: the larger of source on target and target on source, since
+        submaps differ in range.
     shift_m : float
-        How far registration moved the source.
+        Distance by which registration moved the source [m].
     """
 
     T_target_source: Pose
@@ -218,7 +218,7 @@ class Fit:
 
 
 class Submaps(Protocol):
-    """By their numbers."""
+    """Submaps by number."""
 
     def __getitem__(self, number: int, /) -> Submap: ...
 
@@ -232,7 +232,7 @@ class SubmapRegistration:
         self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)
 
     def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
-        """Align two submaps, by number, from a first guess; None where ICP cannot."""
+        """Align two submaps from an initial guess; None if ICP fails."""
         there, back = self._prepared(target), self._prepared(source)
         if min(len(there.surface), len(back.surface)) < _LEAST_POINTS:
             return None
@@ -244,7 +244,7 @@ class SubmapRegistration:
         if min(there.count, back.count) >= _LEAST_POINTS:
             other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
             shared = max(found.overlap, other)
-        # No loop is believed to be more exact than this.
+        # Lower bound of a loop's standard deviations.
         least = np.repeat([np.radians(self._config.loop_deg), self._config.loop_m], 3) ** 2
         return Fit(T, found.covariance + np.diag(least), shared, found.shift_m)
 
@@ -259,7 +259,7 @@ class SubmapRegistration:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """A submap as target and as source."""
+    """A submap prepared as target and source."""
 
     target: Target
     sample: Float32
@@ -272,7 +272,7 @@ class _Prepared:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two submaps that lie close, and a first guess of T_target_source."""
+    """Two nearby submaps and an initial guess of T_target_source."""
 
     target: int
     source: int
@@ -285,15 +285,15 @@ def neighbours(
     component: Int64,
     settings: AlignConfig,
 ) -> list[Pair]:
-    """Each submap with the nearest one of other passes within reach, and where it lies there.
+    """Pair each submap with the nearest one of every other pass within reach.
 
     Parameters
     ----------
     chain : Chain
     poses : (N, 4, 4) float64
-        Of the submaps, optimised once.
+        Optimised poses of the submaps.
     component : (N,) int64
-        Submaps of different components have nothing to do with each other.
+        Component of each submap; no pair crosses components.
     """
     return [
         Pair(target, source, geometry.inverse(poses[target]) @ poses[source])
@@ -304,7 +304,7 @@ def neighbours(
 def tied(
     pairs: Sequence[Pair], submaps: Submaps, settings: AlignConfig, threads: int
 ) -> list[Loop]:
-    """The loops of those pairs that can be aligned."""
+    """Align pairs of submaps; leave out those where ICP fails."""
     register = SubmapRegistration(submaps, settings, threads)
     loops = (registered(p.target, p.source, p.guess, "dense", register, settings) for p in pairs)
     return [loop for loop in loops if loop is not None]
@@ -313,9 +313,9 @@ def tied(
 def _pairs(
     chain: Chain, poses: Float64, component: Int64, settings: AlignConfig
 ) -> list[tuple[int, int]]:
-    """For each submap the nearest of each other pass: a stretch of travel of one session.
+    """Find the nearest submap in every other pass (a stretch of travel of one session).
 
-    Of so many passes at most: their number grows with the sessions.
+    A submap has at most ``dense_passes`` pairs, since passes grow with the sessions.
     """
     positions = poses[:, :3, 3]
     a, b = cKDTree(positions).query_pairs(settings.dense_m, output_type="ndarray").T

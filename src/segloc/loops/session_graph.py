@@ -81,7 +81,7 @@ class SessionGraph:
 
 
 def odometry_edges(chain: Chain, settings: AlignConfig) -> Edges:
-    """Neighbouring submaps of each session, as odometry has them."""
+    """Odometry edges between consecutive submaps of each session."""
     second = np.flatnonzero(np.diff(chain.session, prepend=-1) == 0)
     first = second - 1
     T = np.linalg.inv(chain.odometry[first]) @ chain.odometry[second]
@@ -91,7 +91,7 @@ def odometry_edges(chain: Chain, settings: AlignConfig) -> Edges:
 
 
 def components_of(chain: Chain, loops: list[Loop]) -> list[list[int]]:
-    """Sessions that accepted loops connect, the largest component first."""
+    """Group sessions connected by accepted loops, the largest group first."""
     count = chain.sessions
     edges = edges_of([loop for loop in loops if loop.accepted])
     ends = chain.session[edges.first], chain.session[edges.second]
@@ -102,10 +102,10 @@ def components_of(chain: Chain, loops: list[Loop]) -> list[list[int]]:
 
 
 def placed(chain: Chain, loops: list[Loop], components: list[list[int]]) -> Float64:
-    """Odometry with the sessions of each component moved as wholes into its first one's frame.
+    """Move each session rigidly into the frame of the first session of its component.
 
-    Next comes the session with most loops to those that are placed: it goes where the median one
-    of them puts it.
+    The session with most loops to placed sessions comes next, at the median of the poses that
+    these loops give.
     """
     poses: Float64 = chain.odometry.copy()
     across = _across(chain, loops)
@@ -129,7 +129,7 @@ def placed(chain: Chain, loops: list[Loop], components: list[list[int]]) -> Floa
 
 
 def _across(chain: Chain, loops: list[Loop]) -> dict[int, list[Loop]]:
-    """The accepted loops between sessions, by each of the two."""
+    """Accepted loops between sessions, by session."""
     found: dict[int, list[Loop]] = {}
     for loop in loops:
         a, b = int(chain.session[loop.target]), int(chain.session[loop.source])
@@ -140,7 +140,7 @@ def _across(chain: Chain, loops: list[Loop]) -> dict[int, list[Loop]]:
 
 
 def _guess(chain: Chain, loop: Loop, session: int, poses: Float64) -> tuple[int, Pose]:
-    """The other session of a loop, and T_world_odom of it by a session that is placed."""
+    """The other session of a loop, and its T_world_odom given the placed one."""
     known, new, T = loop.target, loop.source, loop.T_target_source
     if chain.session[loop.source] == session:
         known, new, T = loop.source, loop.target, geometry.inverse(T)

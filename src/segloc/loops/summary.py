@@ -1,4 +1,4 @@
-"""What an alignment leaves behind: its loops as a table, its numbers, and a picture."""
+"""Results of an alignment: a table of loops, figures, and a picture."""
 
 from __future__ import annotations
 
@@ -139,10 +139,10 @@ def _spread(residuals: list[Float64 | None]) -> dict[str, float | None]:
 
 
 def picture(alignment: Alignment) -> bytes:
-    """Every component from above, as odometry had it and as it is now, with its loops.
+    """Draw every component from above, by odometry and aligned, with its loops.
 
-    A loop is a line between the two scans that saw one place. The title says how far, in the
-    median, the trajectories have one scan from where the loop puts it.
+    A loop is a line between two scans of one place. The title gives the median distance between a
+    scan and the position that its loop implies.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def picture(alignment: Alignment) -> bytes:
 
 
 def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
-    """Odometry, each session moved to where its first pose is now."""
+    """Odometry, each session moved to its aligned first pose."""
     moved = list(alignment.odometry)
     for k in members:
         odometry = alignment.odometry[k]

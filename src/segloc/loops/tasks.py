@@ -29,7 +29,7 @@ Stage = Callable[[str], AbstractContextManager[Progress]]
 
 _VOTERS, _PAIRS = 32, 64
 """Submaps, and pairs of them, of a task."""
-_SUBMAPS_AT_HAND, _MAPS_AT_HAND = 256, 2
+_CACHED_SUBMAPS, _CACHED_MAPS = 256, 2
 
 
 @dataclass(frozen=True)
@@ -207,14 +207,14 @@ def _tied(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
 
 @dataclass(frozen=True)
 class SubmapStore:
-    """Submaps by their number, maps by their name, for tasks that all see the folder.
+    """Submaps by number and maps by name, in a folder that all tasks see.
 
-    No bit is lost. A process keeps those at hand that it used last, until :func:`forget`.
+    Storage is lossless. Each process caches the ones it used last, until :func:`forget`.
 
     Raises
     ------
     DatasetError
-        If what is taken from it is missing or damaged; names the file.
+        If an entry is missing or damaged; names the file.
     SeglocError
         If a file cannot be written.
     """
@@ -222,7 +222,7 @@ class SubmapStore:
     folder: Path
 
     def put(self, number: int, submap: Submap) -> None:
-        """Keep a submap."""
+        """Store a submap."""
         file = BytesIO()
         np.savez(file, allow_pickle=False, **_arrays_of(submap))
         with replacing(self._submap(number), sweep=False) as stream:
@@ -232,11 +232,11 @@ class SubmapStore:
         return _read_submap(self._submap(number))
 
     def put_map(self, name: str, prior_map: SegmentMap) -> None:
-        """Keep a map."""
+        """Store a map."""
         prior_map.save(self._map(name))
 
     def map(self, name: str) -> SegmentMap:
-        """A map that was kept."""
+        """Load a stored map."""
         return _read_map(self._map(name))
 
     def _submap(self, number: int) -> Path:
@@ -263,7 +263,7 @@ def _arrays_of(submap: Submap) -> dict[str, Any]:
     return arrays if described.quality is None else arrays | {"quality": described.quality}
 
 
-@lru_cache(maxsize=_SUBMAPS_AT_HAND)
+@lru_cache(maxsize=_CACHED_SUBMAPS)
 def _read_submap(path: Path) -> Submap:
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -276,12 +276,12 @@ def _read_submap(path: Path) -> Submap:
         raise DatasetError(f"{path}: cannot be read: {error}") from error
 
 
-@lru_cache(maxsize=_MAPS_AT_HAND)
+@lru_cache(maxsize=_CACHED_MAPS)
 def _read_map(path: Path) -> SegmentMap:
     return SegmentMap.load(path)
 
 
 def forget() -> None:
-    """Let go of what this process has at hand."""
+    """Clear the caches of this process."""
     _read_submap.cache_clear()
     _read_map.cache_clear()
