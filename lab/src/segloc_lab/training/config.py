@@ -12,8 +12,7 @@ from pydantic import Field
 from segloc.config import validated
 from segloc.descriptors.pointset import Alignment
 from segloc.errors import MissingDependency
-from segloc.system.section import Section
-from segloc.system.section import read_yaml
+from segloc.system.section import Section, read_yaml
 
 from .augment import AugmentConfig, Sampler
 from .dataset import FAR_M
