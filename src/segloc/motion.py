@@ -114,6 +114,9 @@ def interpolated(
     inside &= exact | (stamps[after] - stamps[after - 1] <= max_gap_s)
     if inside.any():
         found[inside] = motion.at(wanted[inside])
+    for knot in (after - 1, after):  # a pose at its own stamp is not computed anew
+        same = wanted == stamps[knot]
+        found[same] = poses[knot[same]]
     return found
 
 
