@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from .map.update import update_map
     from .prior import Prior
     from .tracker import Tracker
-    from .types import LocalCloud, Scan
+    from .types import LocalCloud, MemoryRecording, Recording, Scan
 
 __all__ = [
     "Config",
@@ -53,10 +53,12 @@ __all__ = [
     "LoopDetector",
     "MapFormatError",
     "MapMismatch",
+    "MemoryRecording",
     "MissingDependency",
     "NotLocalized",
     "Prior",
     "Reason",
+    "Recording",
     "RollingCloud",
     "Scan",
     "SeglocError",
@@ -79,9 +81,11 @@ _LATER = {
     "Localized": "localization",
     "Localizer": "localizer",
     "LoopDetector": "loops",
+    "MemoryRecording": "types",
     "NotLocalized": "localization",
     "Prior": "prior",
     "Reason": "localization",
+    "Recording": "types",
     "RollingCloud": "frontend.rolling_cloud",
     "Scan": "types",
     "SegmentMap": "map.segment_map",

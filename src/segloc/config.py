@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
@@ -20,9 +19,9 @@ from .proposals.landmarks.config import StemConfig
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
 from .proposals.pose import PoseConfig
-from .system.section import read_yaml
+from .system.section import Section, read_yaml
 
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound=Section)
 
 FOR_USERS = (
     "method",
@@ -188,32 +187,8 @@ def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Mode
     """
     try:
         return model.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        said = first["msg"]
-        if first["type"] == "extra_forbidden":
-            said = f"no such key{_meant(model, key)}"
-        raise ConfigError(f"{where}: {key}: {said}") from error
-
-
-def _meant(model: type[BaseModel], key: str) -> str:
-    """Which key may be meant by an unknown one."""
-    keys = list(_keys(model))
-    last = key.rpartition(".")[2]
-    same = [each for each in keys if each.rpartition(".")[2] == last]
-    near = same or get_close_matches(key, keys, 1, 0.7)
-    if not near:
-        names = {each.rpartition(".")[2]: each for each in keys}
-        near = [names[name] for name in get_close_matches(last, names, 1, 0.7)]
-    return f": did you mean {near[0]}?" if near else ": `segloc config --all` prints all of them"
-
-
-def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    for name, info in model.model_fields.items():
-        yield f"{prefix}{name}"
-        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
-            yield from _keys(info.annotation, f"{prefix}{name}.")
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

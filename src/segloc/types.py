@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import DatasetError, InvalidScan
+from .errors import DatasetError, InvalidScan, SeglocError
 from .system import checks
 from .system.checks import Float32 as Float32
 from .system.checks import Float64 as Float64
@@ -132,6 +134,128 @@ def stamp_at(recording: Recording, i: int) -> float | None:
     """The time of the scan at position i, seconds; None where the recording has no times."""
     stamps = recording.stamps
     return None if stamps is None else float(stamps[i])
+
+
+class MemoryRecording:
+    """A recording of scans that are in memory.
+
+    Parameters
+    ----------
+    scans : list of Scan or of (N, >=3) arrays
+        In the order in which they were taken.
+    poses : (K, 4, 4) array, optional
+        T_odom_sensor of each scan; by default the scans' own, if all have one.
+    stamps : (K,) array, optional
+        Times of the scans, seconds; by default the scans' own, if all have one.
+    name : str
+
+    Raises
+    ------
+    InvalidScan
+        If a scan or a pose is none; names the first that is.
+    DatasetError
+        If there is no scan, the lengths differ, or some scans have a pose and others have none.
+    """
+
+    def __init__(
+        self,
+        scans: Iterable[Scan | ArrayLike],
+        poses: ArrayLike | None = None,
+        stamps: ArrayLike | None = None,
+        name: str = "memory",
+    ) -> None:
+        self.name = name
+        self._scans = [_scan_at(i, each) for i, each in enumerate(_listed(scans, name))]
+        count = len(self._scans)
+        self.indices: Int64 = np.arange(count)
+        self.poses = (
+            self._own_poses() if poses is None else checks.checked_poses(poses, count, "poses")
+        )
+        self.stamps = self._own_stamps()
+        if stamps is not None:
+            self.stamps = checks.checked_rows(stamps, "stamps", (count,), np.float64)
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __repr__(self) -> str:
+        posed = "without poses" if self.poses is None else "with poses"
+        return f"MemoryRecording({self.name!r}, {len(self)} scans {posed})"
+
+    def scan(self, i: int) -> Scan:
+        """The scan at position i (0 to K - 1), with its stamp and its pose where they are known."""
+        scan = copy.copy(self._scans[i])
+        scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
+        scan.stamp = None if self.stamps is None else float(self.stamps[i])
+        return scan
+
+    def _own_poses(self) -> Float64 | None:
+        found = [scan.T_odom_sensor for scan in self._scans]
+        missing = [i for i, T in enumerate(found) if T is None]
+        if missing and len(missing) < len(found):
+            raise DatasetError(
+                f"{self.name}: scan {missing[0]} has no T_odom_sensor ({len(missing)} of "
+                f"{len(found)} have none): give all of them one, or poses=(K, 4, 4)"
+            )
+        return None if missing else np.stack([T for T in found if T is not None])
+
+    def _own_stamps(self) -> Float64 | None:
+        found = [scan.stamp for scan in self._scans if scan.stamp is not None]
+        return np.array(found) if len(found) == len(self._scans) else None
+
+
+def _listed(scans: Iterable[Any], name: str) -> list[Any]:
+    if isinstance(scans, (str, bytes, Scan)) or not isinstance(scans, Iterable):
+        raise InvalidScan(
+            f"scans must be a recording, or a list of Scan or of (N, 3) arrays, not "
+            f"{type(scans).__name__}: see segloc.MemoryRecording, or segloc.open_sequence of a path"
+        )
+    if isinstance(scans, np.ndarray) and scans.ndim == 2:
+        raise InvalidScan(
+            f"scans must be a list of clouds, not one of shape {scans.shape}: [points]"
+        )
+    listed = list(scans)
+    if not listed:
+        raise DatasetError(f"{name}: no scan in it")
+    return listed
+
+
+def _scan_at(i: int, given: Scan | ArrayLike) -> Scan:
+    try:
+        return given if isinstance(given, Scan) else Scan(given)
+    except InvalidScan as error:
+        raise InvalidScan(f"scans[{i}]: {error}") from error
+
+
+Scanned: TypeAlias = "Recording | Iterable[Scan | ArrayLike]"
+"""What recordings are made of: one, or scans or clouds in memory."""
+
+
+def as_recording(given: Scanned, poses: ArrayLike | None = None) -> Recording:
+    """A recording of what a caller gives as one: itself, or a :class:`MemoryRecording`.
+
+    Parameters
+    ----------
+    given : Recording, or list of Scan or of (N, >=3) arrays
+    poses : (K, 4, 4) array, optional
+        T_odom_sensor of each scan, in place of those that they have.
+
+    Raises
+    ------
+    SeglocError
+        If it is neither, or the poses do not fit it.
+    """
+    if not all(hasattr(given, name) for name in ("scan", "poses", "indices", "stamps")):
+        return MemoryRecording(given, poses)  # type: ignore[arg-type]
+    recording: Recording = given  # type: ignore[assignment]
+    own = recording.poses if poses is None else poses
+    if own is None:
+        return recording
+    try:
+        checked = checks.checked_poses(own, len(recording), "poses")
+    except InvalidScan as error:
+        raise SeglocError(f"{recording.name}: {error}") from error
+    return recording if poses is None else Reposed(recording, checked)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ..prior import Prior
 from ..system.processes import as_finished
 from ..system.stage_times import Clock, StageTimes
 from ..tiles import TiledMap, holds_tiles
-from ..types import Float64, Int64, LocalCloud, Recording
+from ..types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
 
 if TYPE_CHECKING:
     from ..proposals.proposer import Query
@@ -87,14 +87,14 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
 
 def localize_sequence(
     localizer: Locates,
-    sequence: Recording,
+    scans: Scanned,
     positions: Int64,
     progress: Callable[[int, int], None] | None = None,
     near: Priors = None,
 ) -> list[Localization]:
-    """Localize the scans at some positions of a sequence, each by itself.
+    """Localize the scans at some positions of a recording, each by itself.
 
-    Where the sequence has poses, a query gathers the scans of the path behind it; otherwise it is
+    Where the recording has poses, a query gathers the scans of the path behind it; otherwise it is
     the one scan alone. With a prior all of them are near it; or there is one for each, or None.
 
     Raises
@@ -102,7 +102,8 @@ def localize_sequence(
     DatasetError
         If a scan cannot be read. A scan that is empty or shows nothing is "not localized".
     """
-    results = []
+    results: list[Localization] = []
+    sequence = as_recording(scans)
     clouds = query_clouds(sequence, positions, localizer.config, localizer.clock)
     for (cloud, times), prior in zip(clouds, each_prior(near, len(positions)), strict=True):
         query = localizer.describe(cloud, times)

@@ -10,14 +10,13 @@ import numpy as np
 from .. import geometry
 from ..datasets.signature import signature
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
+from ..frontend.reach import BEYOND_M, is_far_blob, median_range
 from ..frontend.segmentation import Segmentation, Segmenter
 from ..types import Float32, Scan
 from .finding import Fault, Finding
 from .orientation import floors
 
 _FEWEST_POINTS = 200  # of a scan that is judged
-_BEYOND_M = 400.0  # half of the points are beyond any LiDAR's range
-_SLIM_DEG, _THICK = 20.0, 0.4  # seen from the origin: a small, far blob
 _GROUND, _LITTLE = 0.3, 0.3
 """So much of what is flat is one floor; and so little, beside it, lies where ground would."""
 _LOW_M = 3.5  # sensors on vehicles and in hands are no higher above ground; ceilings are
@@ -64,7 +63,7 @@ def _mounted(scan: Scan, config: LocalCloudConfig) -> Float32:
 
 def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
     """Millimetres, or points that are not around the sensor."""
-    far = [_far_blob(points) for points in clouds]
+    far = [is_far_blob(points) for points in clouds]
     if np.mean(far) > 0.5:
         middle = float(np.median([np.linalg.norm(np.median(p, axis=0)) for p in clouds]))
         return Finding(
@@ -73,8 +72,8 @@ def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
             "as points in world coordinates do",
             "take them back into the sensor's frame, by T_world_sensor^-1",
         )
-    reach = median(float(np.median(np.linalg.norm(points, axis=1))) for points in clouds)
-    if reach > _BEYOND_M:
+    reach = median(median_range(points) for points in clouds)
+    if reach > BEYOND_M:
         fault, count = _small_unit(clouds, reach)
         return Finding(
             fault,
@@ -92,19 +91,6 @@ def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
         if any(_LOWEST_M < height < _LOW_M for height in heights):
             return fault, count
     return _SMALL_UNITS[reach < _USUAL_RANGE_MM]
-
-
-def _far_blob(points: Float32) -> bool:
-    """Whether points are seen from the origin as something small and far away."""
-    cloud = points.astype(np.float64)
-    ranges = np.linalg.norm(cloud, axis=1)
-    near, far = np.percentile(ranges, [5, 95])
-    if near < _THICK * far:
-        return False
-    directions = cloud / np.maximum(ranges, 1e-9)[:, None]
-    middle = directions.mean(axis=0)
-    middle /= max(float(np.linalg.norm(middle)), 1e-9)
-    return bool(np.percentile(directions @ middle, 10) > np.cos(np.radians(_SLIM_DEG)))
 
 
 def _axes(clouds: list[Float32]) -> Finding | None:

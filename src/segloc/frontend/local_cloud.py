@@ -168,5 +168,7 @@ def odometry_pose(scan: Scan) -> Pose:
         If it has none.
     """
     if scan.T_odom_sensor is None:
-        raise InvalidScan("scans can only be accumulated with their T_odom_sensor")
+        raise InvalidScan(
+            "scans can only be accumulated with their poses: give each Scan its T_odom_sensor"
+        )
     return scan.T_odom_sensor

@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from ..errors import WeightsError
+from ..errors import ConfigError, WeightsError
 from ..system.section import Section
 from .evidence import Evidence, RefinedScore, Score
 
@@ -201,10 +201,8 @@ def load_confidence(path: Path) -> ConfidenceModel:
         model = ConfidenceModel.model_validate(json.loads(path.read_text("utf-8")))
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise WeightsError(f"{path}: {key}: {first['msg']}") from error
+    except ConfigError as error:
+        raise WeightsError(f"{path}: {error}") from error
     except ValueError as error:
         raise WeightsError(f"{path}: damaged ({error})") from error
     for part, features in ((model, FEATURES), (model.cautious, CAUTIOUS_FEATURES)):

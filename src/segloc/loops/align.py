@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ..config import Config
 from ..errors import ConfigError, DatasetError
-from ..types import Float64, Int64, Recording
+from ..types import Float64, Int64, Recording, Scanned, as_recording
 from .config import AlignConfig
 from .consistency import supported
 from .loops import Chain, Loop, Progress, edges_of, neighbours
@@ -63,7 +63,7 @@ class Alignment:
 
 
 def align_sessions(
-    recordings: Sequence[Recording],
+    recordings: Sequence[Scanned],
     config: Config | None = None,
     settings: AlignConfig | None = None,
     stage: Stage | None = None,
@@ -77,7 +77,7 @@ def align_sessions(
 
     Parameters
     ----------
-    recordings : sequence of Recording
+    recordings : sequence of Recording, or of lists of Scan
         With odometry: poses that may drift, each in its own frame with z up.
     config : Config, optional
         How segments are cut, described and localized.
@@ -104,10 +104,11 @@ def align_sessions(
     config, settings, stage = config or Config(), settings or AlignConfig(), stage or _silent
     if not recordings:
         raise ConfigError("there is no session to align")
-    sessions = [_session(k, recording, settings) for k, recording in enumerate(recordings)]
+    opened = [as_recording(each) for each in recordings]
+    sessions = [_session(k, recording, settings) for k, recording in enumerate(opened)]
     chain = Chain.of(sessions, settings.part_m)
     with opened_workspace(config, settings, executor, folder) as own:
-        describe_all(own, _tasks(recordings, sessions, settings), stage)
+        describe_all(own, _tasks(opened, sessions, settings), stage)
         with stage("Looking for loops") as update:
             found = find_loops(own, chain, update)
         graph = SessionGraph(chain, supported(chain, found, settings), settings)

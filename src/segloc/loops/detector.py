@@ -12,6 +12,7 @@ from pydantic import Field
 from .. import geometry
 from ..config import Config
 from ..descriptors import create
+from ..frontend.local_cloud import odometry_pose
 from ..frontend.rolling_cloud import RollingCloud
 from ..frontend.segmentation import Segmenter
 from ..localizer import Localizer
@@ -122,15 +123,17 @@ class LoopDetector:
         """How many keyframes are kept."""
         return len(self._nodes)
 
-    def add(self, scan: Scan | np.ndarray, T_odom_sensor: ArrayLike) -> list[LoopClosure]:
+    def add(
+        self, scan: Scan | np.ndarray, T_odom_sensor: ArrayLike | None = None
+    ) -> list[LoopClosure]:
         """Take the next scan, and say what loops are believed by now that were not before.
 
         Parameters
         ----------
         scan : Scan or (N, 3) array
             Points in the sensor's frame, metres, its motion undone.
-        T_odom_sensor : (4, 4) array
-            In the odometry's frame, whose z axis points up.
+        T_odom_sensor : (4, 4) array, optional
+            In the odometry's frame, whose z axis points up; by default the scan's own.
 
         Raises
         ------
@@ -138,7 +141,8 @@ class LoopDetector:
             If it is no scan, or the pose is no rigid transform; nothing is changed then.
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
-        T = checked_pose(T_odom_sensor, "T_odom_sensor")
+        own = odometry_pose(scan) if T_odom_sensor is None else T_odom_sensor
+        T = checked_pose(own, "T_odom_sensor")
         self._long.add(scan, T)
         self._short.add(scan, T)
         number, self._scans = self._scans, self._scans + 1

@@ -18,22 +18,24 @@ from ..descriptors import Descriptor, create
 from ..errors import ConfigError, DatasetError
 from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
+from ..frontend.reach import reach_fault
 from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
 from ..frontend.tilt import frame_lean, levelled
 from ..system.files import folder_in
 from ..system.processes import all_of
-from ..types import Descriptors, Float64, Pose, Recording, stamp_at
+from ..types import Descriptors, Float64, Pose, Recording, Scanned, as_recording, stamp_at
 from .compact import compacted
-from .config import BuildConfig, MappingConfig, ViewConfig
+from .config import BuildConfig, MappingConfig, ViewConfig, checked_build_config
 from .segment_map import SegmentMap
 
 Progress = Callable[[int, int], None]
 
 
 def build_map(
-    sequence: Recording,
-    config: BuildConfig,
+    scans: Scanned,
+    config: BuildConfig | None = None,
     *,
+    poses: ArrayLike | None = None,
     every_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     adapt: bool = True,
@@ -42,12 +44,14 @@ def build_map(
 
     Parameters
     ----------
-    sequence : Recording
+    scans : Recording, or list of Scan or of (N, >=3) arrays
         With poses: they define the map frame, whose z axis must point up. Where it certainly does
         not, ``metadata["frame"]`` of the map says so; with ``config.mapping.level`` the poses are
         turned first, and ``metadata["T_map_odom"]`` says how.
-    config : BuildConfig
-        Or a :class:`segloc.Config`, which is one.
+    config : BuildConfig, optional
+        Or a :class:`segloc.Config`, which is one; by default that of the default method.
+    poses : (K, 4, 4) array, optional
+        T_map_sensor of each scan; by default the scans' own ``T_odom_sensor``.
     every_m : float, optional
         Distance between views; overrides the configuration.
     progress : callable, optional
@@ -60,17 +64,22 @@ def build_map(
     DatasetError
         If there are no poses, or nothing that could be segmented, or the poses are to be levelled
         and nothing tells what is up.
+    InvalidScan
+        If a scan or a pose is none, or the numbers of both differ.
+    ConfigError
+        If ``config`` is none.
     """
-    sequence, frame = _framed(sequence, config)
-    poses = _poses(sequence)
+    config = checked_build_config(config)
+    sequence, frame = _framed(as_recording(scans, poses), config)
+    path = _poses(sequence)
     config = adapted_to_view(config, [sequence]) if adapt else config
     descriptor = create(config.method, config.threads, config.weights)
-    prior_map = empty_map(descriptor, config, poses[0, :3, 3])
+    prior_map = empty_map(descriptor, config, path[0, :3, 3])
     for view in map_views(sequence, config, every_m=every_m, progress=progress):
         add_view(prior_map, view, descriptor.describe(view.scene.segments))
     if len(prior_map) == 0:
-        raise DatasetError(f"{sequence.name}: no segment found in {len(sequence)} scans")
-    prior_map.add_trajectory(poses)
+        raise DatasetError(f"{sequence.name}: {_nothing(sequence, config)}")
+    prior_map.add_trajectory(path)
     used = config.model_copy(update={"threads": 0})  # the map does not depend on them
     prior_map.metadata["config"] = used.to_yaml()
     prior_map.metadata["sequence"] = sequence.name
@@ -100,6 +109,14 @@ def adapted_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> Bui
         return config
     mapping = mapping.model_copy(update={"views": NARROW_VIEWS})
     return config.model_copy(update={"mapping": mapping, "segmentation": NARROW_SEGMENTATION})
+
+
+def _nothing(sequence: Recording, config: BuildConfig) -> str:
+    """Why no segment was found."""
+    middle = sequence.scan(len(sequence) // 2)
+    why = reach_fault([middle], config.local_cloud.radius_m)
+    found = f"no segment found in {len(sequence)} scans"
+    return f"{found}: {why}" if why else f"{found}, the middle one of {len(middle)} points"
 
 
 def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:
@@ -197,7 +214,10 @@ def _stamp(sequence: Recording, index: int) -> float:
 def _poses(sequence: Recording) -> Float64:
     poses = sequence.poses
     if poses is None or len(poses) == 0:
-        raise DatasetError(f"{sequence.name}: building a map needs a pose for every scan")
+        raise DatasetError(
+            f"{sequence.name}: building a map needs a pose for every scan, and none of "
+            f"{len(sequence)} has one: T_odom_sensor of each Scan, poses=(K, 4, 4), or a file"
+        )
     return poses
 
 

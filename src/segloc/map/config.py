@@ -79,6 +79,23 @@ class BuildConfig(Section):
         return text
 
 
+def checked_build_config(config: BuildConfig | None) -> BuildConfig:
+    """The given configuration, or that of the default method.
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    if config is None:
+        return BuildConfig.model_validate(_known(dict(preset(DEFAULT_METHOD)), BuildConfig))
+    if not isinstance(config, BuildConfig):
+        raise ConfigError(
+            f"config must be a segloc.Config, not {type(config).__name__}: poses go by poses=..."
+        )
+    return config
+
+
 BuildConfigT = TypeVar("BuildConfigT", bound=BuildConfig)
 
 

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MapMismatch, SeglocError
-from ..types import Descriptors, Float32, Float64
+from ..system.above import from_above
+from ..system.section import Section
+from ..types import Descriptors, Float32, Float64, Scanned
 from . import file as mapfile
 from .contents import column_fault, voxel_fault
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
@@ -24,7 +26,7 @@ from .voxel_cloud import VoxelCloud
 class SegmentMap(SegmentTable):
     """Segments of a place with their descriptors, and the cloud that they were cut from.
 
-    Start from :meth:`empty` or :meth:`load`.
+    Start from :meth:`from_scans`, :meth:`load` or :meth:`empty`.
 
     Attributes
     ----------
@@ -74,6 +76,28 @@ class SegmentMap(SegmentTable):
             raise SeglocError(fault)
         cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
         return cls(descriptor_name, fingerprint, no_segments(dim), cloud, np.empty((0, 4, 4)))
+
+    @classmethod
+    def from_scans(
+        cls, scans: Scanned, poses: ArrayLike | None = None, config: Section | None = None
+    ) -> SegmentMap:
+        """Build a map from scans with poses; as :func:`segloc.build_map`.
+
+        Parameters
+        ----------
+        scans : Recording, or list of Scan or of (N, >=3) arrays
+        poses : (K, 4, 4) array, optional
+            T_map_sensor of each scan; by default the scans' own ``T_odom_sensor``.
+        config : Config, optional
+            By default that of the default method.
+
+        Raises
+        ------
+        SeglocError
+            If a scan or a pose is none, poses are missing, or nothing could be segmented.
+        """
+        built: SegmentMap = from_above("map.build", "build_map")(scans, config, poses=poses)
+        return built
 
     # --- what it holds -------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..errors import SeglocError
 from ..system.section import Section
-from ..types import Float64, Recording
+from ..types import Float64, Recording, Scanned, as_recording
 from .build import build_map
 from .compact import compacted
 from .config import BuildConfig, stored_config
@@ -75,7 +75,7 @@ class UpdateCounts:
 
 def update_map(
     prior_map: SegmentMap,
-    recording: Recording,
+    scans: Scanned,
     config: BuildConfig | None = None,
     update: UpdateConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -92,8 +92,8 @@ def update_map(
     Parameters
     ----------
     prior_map : SegmentMap
-    recording : Recording
-        Its poses are T_map_sensor.
+    scans : Recording, or list of Scan
+        The session; its poses are T_map_sensor.
     config : BuildConfig, optional
         How the session is described; by default as the map was built.
     update : UpdateConfig, optional
@@ -118,7 +118,7 @@ def update_map(
         If far more of what should be in view is gone than changes in a place: then the poses are
         not in the map's frame.
     """
-    update = update or UpdateConfig()
+    update, recording = update or UpdateConfig(), as_recording(scans)
     judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
     _check_frame(judged, recording.name, update.max_gone)
     gone, seen = _judged_segments(prior_map, judged, update.gone_share)

@@ -56,7 +56,9 @@ def checked_points(points: ArrayLike) -> Float32:
     if array.shape[0] == 3 and array.shape[1] > _WIDEST_ROW:
         raise InvalidScan(f"points must have shape (N, 3), not {array.shape}: transpose them")
     if not np.issubdtype(array.dtype, np.floating):
-        raise InvalidScan(f"points must be floating point, not {array.dtype}")
+        raise InvalidScan(
+            f"points must be floating point and in metres, not {array.dtype}: convert them"
+        )
     with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf
         return np.ascontiguousarray(array[:, :3], dtype=np.float32)
 
@@ -222,10 +224,36 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     if np.abs(T[:3, 3]).max() > MOST_METRES:
         raise InvalidScan(f"{name} lies {np.abs(T[:3, 3]).max():.3g} m from the origin: metres?")
     if not are_rotations(R):
-        raise InvalidScan(f"{name} is not a rigid transform")
+        raise InvalidScan(f"{name} is not a rigid transform: {_rotation_fault(R)}")
     if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
-        raise InvalidScan(f"{name} must end with the row 0 0 0 1")
+        last = " ".join(f"{value:g}" for value in T[3])
+        raise InvalidScan(f"{name} must end with the row 0 0 0 1, not {last}: transpose it?")
     return T
+
+
+def _rotation_fault(R: Float64) -> str:
+    """What keeps a (3, 3) matrix from being a rotation, with its figures."""
+    with np.errstate(all="ignore"):
+        error, sign = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
+    if error <= ROTATION_TOLERANCE:
+        return f"its axes are left-handed (determinant {sign:.0f})"
+    return f"R R^T differs from the identity by {error:.2g}, more than {ROTATION_TOLERANCE:g}"
+
+
+def checked_poses(poses: ArrayLike, count: int, name: str) -> Float64:
+    """A copy of ``poses`` as (count, 4, 4) float64 rigid transforms.
+
+    Raises
+    ------
+    InvalidScan
+        If there are more or fewer, or one is none; names the first that is.
+    """
+    array: Float64 = as_array(poses, name, np.float64)
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise InvalidScan(f"{name} must have shape ({count}, 4, 4), not {array.shape}")
+    if len(array) != count:
+        raise InvalidScan(f"{name}: {len(array)} for {count} scans: give one (4, 4) pose a scan")
+    return np.array([checked_pose(T, f"{name}[{i}]") for i, T in enumerate(array)])
 
 
 def pose_if_given(pose: ArrayLike | None, name: str) -> Pose | None:

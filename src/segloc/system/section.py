@@ -1,26 +1,92 @@
 """Sections of the configuration, and the YAML they are read from.
 
-A section refuses unknown keys, NaN and infinity; YAML is small, flat and without references.
+A section refuses unknown keys, NaN, infinity and wrong values; YAML is small, flat and without
+references.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..errors import ConfigError
+
+SectionT = TypeVar("SectionT", bound="Section")
+
 
 _LONGEST = 100_000  # characters; the whole configuration with its comments has 6000
 _DEEPEST = 20
 
 
 class Section(BaseModel):
-    """A section of the configuration, or of a file beside the weights."""
+    """A section of the configuration, or of a file beside the weights.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value is out of range; names the key.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def __init__(self, /, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise _refused(type(self), error) from error
+
+    # Sections within sections are validated without it, so that faults keep their whole keys.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def model_validate(cls: type[SectionT], obj: Any, **options: Any) -> SectionT:
+        """A section of a mapping of its values; ``options`` are those of pydantic."""
+        try:
+            return super().model_validate(obj, **options)
+        except ValidationError as error:
+            raise _refused(cls, error) from error
+
+    def model_copy(
+        self: SectionT, *, update: Mapping[str, Any] | None = None, deep: bool = False
+    ) -> SectionT:
+        """A copy with other values for some keys, which are checked."""
+        copied = super().model_copy(deep=deep)
+        return type(self).model_validate({**dict(copied), **update}) if update else copied
+
+
+def _refused(model: type[BaseModel], error: ValidationError) -> ConfigError:
+    """The first fault in one line: key, what is wrong, what was given."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return ConfigError(f"{key}: no such key{_meant(model, key)}")
+    given = first.get("input")
+    shown = f", not {given!r:.60}" if isinstance(given, (bool, int, float, str)) else ""
+    return ConfigError(f"{key}: {first['msg']}{shown}")
+
+
+def _meant(model: type[BaseModel], key: str) -> str:
+    """Which key may be meant by an unknown one."""
+    keys = list(_keys(model))
+    last = key.rpartition(".")[2]
+    same = [each for each in keys if each.rpartition(".")[2] == last]
+    near = same or get_close_matches(key, keys, 1, 0.7)
+    if not near:
+        names = {each.rpartition(".")[2]: each for each in keys}
+        near = [names[name] for name in get_close_matches(last, names, 1, 0.7)]
+    return f": did you mean {near[0]}?" if near else ": `segloc config --all` prints all of them"
+
+
+def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    for name, info in model.model_fields.items():
+        yield f"{prefix}{name}"
+        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
+            yield from _keys(info.annotation, f"{prefix}{name}.")
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
