@@ -1,8 +1,45 @@
 """segloc: where is the robot? A pose in a prior LiDAR map from one point cloud.
 
 >>> from segloc import Localizer, Scan, SegmentMap
->>> localizer = Localizer(SegmentMap.load("site.segmap"))  # doctest: +SKIP
->>> result = localizer.localize(Scan(points))  # doctest: +SKIP
+>>> prior_map = SegmentMap.from_scans(scans, poses)  # doctest: +SKIP
+>>> result = Localizer(prior_map).localize(Scan(points))  # doctest: +SKIP
+>>> print(result)  # doctest: +SKIP
+localized at x 12.34 y 5.67 z 1.20 yaw 45.0 deg (confidence 0.99)
+
+Clouds and recordings
+    Scan                a cloud as a sensor saw it, with its stamp, pose or gravity if known
+    MemoryRecording     scans in memory with their poses
+    open_sequence       open a recording on disk: a folder, a bag, a capture, a known dataset
+    Recording           protocol of recordings: write a class of your own for other sources
+    RollingCloud        the cloud of the last metres, kept up to date scan by scan
+    LocalCloud          what a query is: points around one pose, z up
+
+Maps
+    build_map           scans with poses -> a map; also SegmentMap.from_scans
+    SegmentMap          a map: from_scans, load, save, merge, crop, info, plot
+    update_map          add a later session to a map, and remove what is gone
+    align_sessions      sessions with poses that drift -> poses in one frame
+
+Localization
+    Localizer           finds the pose of a scan in a map, with no first guess
+    Prior               about where the sensor is known to be: Localizer.localize(near=...)
+    Localized           an answer with a pose: T_map_sensor, confidence, covariance, plot
+    NotLocalized        an answer without one: reason, message, plot
+    Localization        either of the two; Reason lists why there is no pose
+    ros_covariance      the covariance of an answer as ROS has it
+
+On a robot
+    Tracker             one pose over many scans, carried along by odometry
+    LiveLocalizer       the same in threads of its own, for streams of scans and odometry
+    LoopDetector        finds the places that a robot comes back to, for a SLAM back-end
+
+Settings and errors
+    Config              everything that can be set; `segloc config` explains it
+    SeglocError         base of all errors: ConfigError, DatasetError, InvalidScan, LiveError,
+                        MapFormatError, MapMismatch, MissingDependency, WeightsError
+
+On the command line: ``segloc --help``. Further rooms, such as ``segloc.tiles`` and
+``segloc.doctor``, are described in docs/architecture.md.
 """
 
 from __future__ import annotations

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+from . import geometry
+from .system.above import from_above
 from .types import AttitudeSource, Float64, Pose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class Reason(str, Enum):
@@ -59,7 +65,7 @@ class RunnerUp:
     overlap: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class _Answer:
     """What both answers tell of the best candidate.
 
@@ -104,10 +110,28 @@ class _Answer:
     stamp: float | None = None
     attitude: AttitudeSource = "given"
 
+    def plot(self, prior_map: Any, axes: Axes | None = None) -> Axes:
+        """Draw the answer on the map, from above.
 
-@dataclass(frozen=True, kw_only=True)
+        Parameters
+        ----------
+        prior_map : SegmentMap
+            The map that was localized in.
+        axes : matplotlib Axes, optional
+            By default those of a new figure.
+
+        Raises
+        ------
+        MissingDependency
+            If matplotlib is not installed.
+        """
+        drawn: Axes = from_above("inspect.plots", "plot_result")(self, prior_map, axes)
+        return drawn
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Localized(_Answer):
-    """A believed pose.
+    """A believed pose; ``str`` gives it in one line.
 
     Attributes
     ----------
@@ -124,10 +148,28 @@ class Localized(_Answer):
     reason: None = None
     message: Literal[""] = ""
 
+    def __str__(self) -> str:
+        x, y, z = self.T_map_sensor[:3, 3]
+        yaw = math.degrees(geometry.heading(self.T_map_sensor))
+        return (
+            f"localized at x {x:.2f} y {y:.2f} z {z:.2f} yaw {yaw:.1f} deg "
+            f"(confidence {math.floor(100 * self.confidence) / 100:.2f})"
+        )
 
-@dataclass(frozen=True, kw_only=True)
+    def __repr__(self) -> str:
+        x, y, z = self.T_map_sensor[:3, 3]
+        yaw = math.degrees(geometry.heading(self.T_map_sensor))
+        rmse = "None" if self.rmse is None else f"{self.rmse:.3f}"
+        return (
+            f"Localized(x={x:.3f}, y={y:.3f}, z={z:.3f}, yaw_deg={yaw:.2f}, "
+            f"confidence={self.confidence:.4f}, inliers={self.inliers}, "
+            f"overlap={self.overlap:.3f}, rmse={rmse})"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class NotLocalized(_Answer):
-    """No pose is believed.
+    """No pose is believed; ``str`` says why in one line.
 
     Attributes
     ----------
@@ -141,6 +183,15 @@ class NotLocalized(_Answer):
     localized: Literal[False] = False
     T_map_sensor: None = None
     covariance: None = None
+
+    def __str__(self) -> str:
+        return f"not localized: {self.message}"
+
+    def __repr__(self) -> str:
+        return (
+            f"NotLocalized({self.message!r}, confidence={self.confidence:.4f}, "
+            f"inliers={self.inliers}, overlap={self.overlap:.3f})"
+        )
 
 
 Localization: TypeAlias = Localized | NotLocalized

@@ -10,12 +10,12 @@ from typing import Any, Protocol
 from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
-from .frontend.local_cloud import Accumulator, Scans
+from .frontend.local_cloud import Accumulator, Scans, listed
 from .frontend.segmentation import Segmenter
 from .likelihood import QueryCloud, Verdict, Verifier
 from .localization import Localization
 from .map.segment_map import SegmentMap
-from .pipeline import Search, answer
+from .pipeline import Search, answer, explained
 from .prior import Near, Prior, allowed, within
 from .proposals.landmarks import StemProposer
 from .proposals.matching import Matcher
@@ -183,7 +183,12 @@ class Localizer:
             is ambiguous.
         """
         times, prior = StageTimes(self.clock), Prior.of(near)
-        return self.locate(self.describe(scans, times), times, deadline_ms, prior)
+        result = self.locate(self.describe(scans, times), times, deadline_ms, prior)
+        if result.localized:
+            return result
+        given = [] if isinstance(scans, LocalCloud) else listed(scans)
+        radius_m = self.config.local_cloud.radius_m
+        return explained(result, given, self.prior_map, radius_m, prior)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Scans -> local cloud -> segments -> descriptors."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from . import geometry
+from .frontend.reach import reach_fault
 from .likelihood import RefinedScore, Score, Verdict
 from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
+from .map.segment_map import SegmentMap
 from .prior import Prior
 from .proposals.proposer import Query
-from .types import Candidate, LocalCloud, Matches, Pose
+from .types import Candidate, LocalCloud, Matches, Pose, Scan
 
 NOT_FLAT = (
     "unknown attitude (too little that is flat is in view to tell how the sensor stands, and taken "
@@ -116,6 +120,50 @@ def answer(
         covariance=geometry.rotated_covariance(covariance, T_local_sensor),
         **common,
     )
+
+
+def explained(
+    result: NotLocalized,
+    scans: Sequence[Scan],
+    prior_map: SegmentMap,
+    radius_m: float,
+    near: Prior | None,
+) -> NotLocalized:
+    """Add what is wrong with the scans, the map or the prior, where that is why nothing is found.
+
+    Parameters
+    ----------
+    result : NotLocalized
+    scans : list of Scan
+        The query; empty where its points are not at hand as they were taken.
+    prior_map : SegmentMap
+    radius_m : float
+        Points farther from the sensor are not in the query.
+    near : Prior or None
+        Where it was looked for.
+    """
+    why = ""
+    if result.reason in (Reason.NO_POINTS, Reason.NO_SEGMENTS) and scans:
+        why = reach_fault(scans, radius_m)
+    elif not len(prior_map):
+        why = f"the map has no segments, and {len(prior_map.cloud)} points"
+    elif near is not None and result.reason is Reason.NOT_NEAR_PRIOR:
+        why = _off_the_map(near, prior_map, radius_m)
+    if not why:
+        return result
+    said = f"{near}: {why}" if result.reason is Reason.NOT_NEAR_PRIOR else why
+    return replace(result, message=f"{result.reason} ({said})")
+
+
+def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
+    """How far a prior lies outside of all that the map shows; "" if it does not."""
+    if len(near.rows(prior_map.centroids, reach_m)):
+        return ""
+    x, y = np.asarray(near.position)[:2]
+    away = float(np.hypot(*(prior_map.centroids[:, :2] - (x, y)).T).min())
+    low, high = prior_map.centroids.min(axis=0), prior_map.centroids.max(axis=0)
+    spans = f"x {low[0]:.0f} to {high[0]:.0f}, y {low[1]:.0f} to {high[1]:.0f}"
+    return f"the map is {away:.0f} m from there, it spans {spans}: is the prior in its frame?"
 
 
 def _measured(verdict: Verdict) -> dict[str, float | None]:

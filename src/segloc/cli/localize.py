@@ -205,6 +205,7 @@ def _tell(
     json: bool,
 ) -> None:
     """Write and show the answers, and a hint where there is one."""
+    from ..doctor import hint
     from .console import busy, note
     from .results import write_results
 

@@ -2,6 +2,7 @@
 
 from .finding import Fault as Fault
 from .finding import Finding as Finding
+from .hints import hint as hint
 from .pose_faults import pose_findings as pose_findings
 from .recording import Examinable as Examinable
 from .recording import Examination as Examination

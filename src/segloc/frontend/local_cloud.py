@@ -99,7 +99,7 @@ class Accumulator:
         InvalidScan
             If there is no scan, one of several has no pose, or they are something else.
         """
-        scans = _listed(scans)
+        scans = listed(scans)
         anchor = scans[reference]
         if len(scans) == 1 and anchor.T_odom_sensor is None:
             return self._alone(anchor)
@@ -140,7 +140,14 @@ class Accumulator:
         return _native.moved_crop(points, T_local_sensor, self.config.radius_m)
 
 
-def _listed(scans: Scans) -> Sequence[Scan]:
+def listed(scans: Scans) -> Sequence[Scan]:
+    """The scans of a query as a sequence.
+
+    Raises
+    ------
+    InvalidScan
+        If there is none, or they are something else.
+    """
     if isinstance(scans, Scan):
         return [scans]
     if isinstance(scans, np.ndarray):

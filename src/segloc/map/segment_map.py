@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,9 @@ from .contents import column_fault, voxel_fault
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .segment_table import SEGMENT_DTYPES, Array, SegmentTable, checked, joined, no_segments
 from .voxel_cloud import VoxelCloud
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class SegmentMap(SegmentTable):
@@ -270,6 +273,22 @@ class SegmentMap(SegmentTable):
         if masks[0].shape != (len(self),) or masks[1].shape != (len(self.cloud),):
             raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not fit")
         return self._part(segments, *masks, self.trajectory)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the map from above: its points, and the path of the sensor.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            By default those of a new figure.
+
+        Raises
+        ------
+        MissingDependency
+            If matplotlib is not installed.
+        """
+        drawn: Axes = from_above("inspect.plots", "plot_map")(self, axes)
+        return drawn
 
     # --- on disk -------------------------------------------------------------------------------
 
