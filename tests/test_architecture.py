@@ -52,7 +52,7 @@ PACKAGES = {
     "lz4": "datasets.ros",
     "velodyne_decoder": "datasets.packets",
     "kiss_icp": "datasets.odometry",
-    "matplotlib": "inspect batch",
+    "matplotlib": "inspect batch localization map.segment_map",
     "viser": "inspect",
     "fsspec": "tiles",
     "pyproj": "map.georeference",
