@@ -19,6 +19,7 @@ Maps
     SegmentMap          a map: from_scans, load, save, merge, crop, info, plot
     update_map          add a later session to a map, and remove what is gone
     align_sessions      sessions with poses that drift -> poses in one frame
+    align_to_map        sessions with poses that drift -> poses in the frame of a map
 
 Localization
     Localizer           finds the pose of a scan in a map, with no first guess
@@ -68,7 +69,7 @@ if TYPE_CHECKING:
     from .live import LiveLocalizer
     from .localization import Localization, Localized, NotLocalized, Reason
     from .localizer import Localizer
-    from .loops import LoopDetector, align_sessions
+    from .loops import LoopDetector, align_sessions, align_to_map
     from .map.build import build_map
     from .map.segment_map import SegmentMap
     from .map.update import update_map
@@ -104,6 +105,7 @@ __all__ = [
     "WeightsError",
     "__version__",
     "align_sessions",
+    "align_to_map",
     "build_map",
     "open_sequence",
     "ros_covariance",
@@ -128,6 +130,7 @@ _LATER = {
     "SegmentMap": "map.segment_map",
     "Tracker": "tracker",
     "align_sessions": "loops",
+    "align_to_map": "loops",
     "build_map": "map.build",
     "open_sequence": "datasets",
     "ros_covariance": "geometry",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..errors import ConfigError
 from .options import (
     Cluster,
     ConfigFile,
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ..config import Config
-    from ..loops import AlignConfig, Alignment, Reposed
-    from ..types import Recording
+    from ..datasets import Sequence
+    from ..loops import AlignConfig, Alignment, MapAlignment, Reposed
 
 _NOISE = {"odometry_m", "odometry_deg", "odometry_scale"}
 """What odometry was taken to err."""
@@ -36,7 +37,11 @@ _NOISE = {"odometry_m", "odometry_deg", "odometry_scale"}
 
 def align(
     sequences: Annotated[
-        list[Path], typer.Argument(metavar="SEQUENCE", help="Sessions: recordings of one place.")
+        list[Path],
+        typer.Argument(
+            metavar="SEQUENCE",
+            help="Sessions: recordings of one place; the first may be a map to bring the others into.",
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
     poses: PosesOfEach = None,
@@ -57,32 +62,27 @@ def align(
     """Bring sessions with drifting poses, each in its own frame, into one frame.
 
     Loops within and across sessions are found without an initial guess. Sessions that nothing
-    connects stay apart.
+    connects stay apart. With a map (a .segmap file, or tiles) before them, sessions are brought
+    into its frame instead, and one that does not meet it is refused.
     """
     from ..config import validated
     from ..loops import AlignConfig, Reposed, align_sessions
     from ..system.processes import executing
     from .console import progress
-    from .options import each
-    from .recording import open_recording
     from .results import check_folder
 
     check_folder(out)
     settings = validated(AlignConfig, {"every_m": every, "min_support": min_support}, "alignment")
+    read = _Read(poses, select, topic, deskew, odometry)
+    if is_map(sequences[0]):
+        if workers != 1 or cluster is not None:
+            raise ConfigError("--workers and --cluster do not go with a map: leave them out")
+        _into_map(sequences, out, read, settings, (config, method, threads))
+        return
     chosen = load_config(config, method, threads)
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
-    count = len(sequences)
-    mount = chosen.local_cloud.mount
-    recordings = [
-        open_recording(
-            path, file, scans, topic=topic, deskew=deskew, odometry=odometry, mount=mount
-        )
-        for path, file, scans in zip(
-            sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
-        )
-    ]
-    _check(sequences, recordings)
+    recordings = read.opened(sequences, chosen)
     with executing(workers, cluster) as executor:
         shared = out.absolute().parent
         alignment = align_sessions(
@@ -94,7 +94,115 @@ def align(
     _show(alignment, out)
 
 
-def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
+@dataclass(frozen=True)
+class _Read:
+    """How sessions are read."""
+
+    poses: list[Path] | None
+    select: list[str] | None
+    topic: str | None
+    deskew: bool
+    odometry: bool
+
+    def opened(self, sequences: list[Path], config: Config) -> list[Sequence]:
+        """The sessions, all with poses."""
+        from .options import each
+        from .recording import open_recording
+
+        count = len(sequences)
+        files = each(self.poses, count, "--poses"), each(self.select, count, "--select")
+        recordings = [
+            open_recording(
+                path,
+                file,
+                scans,
+                topic=self.topic,
+                deskew=self.deskew,
+                odometry=self.odometry,
+                mount=config.local_cloud.mount,
+            )
+            for path, file, scans in zip(sequences, *files, strict=True)
+        ]
+        _check(sequences, recordings)
+        return recordings
+
+
+def is_map(path: Path) -> bool:
+    """Whether an argument names a map: a file, or tiles."""
+    from ..tiles import holds_tiles
+
+    return path.suffix == ".segmap" or (path.is_dir() and holds_tiles(str(path)))
+
+
+def _into_map(
+    paths: list[Path],
+    out: Path,
+    read: _Read,
+    settings: AlignConfig,
+    options: tuple[Path | None, str | None, int],
+) -> None:
+    """Bring sessions into the frame of the first path, a map."""
+    from ..errors import MapMismatch
+    from ..loops import align_to_map
+    from ..map.segment_map import SegmentMap
+    from ..tiles import TiledMap, holds_tiles
+    from .console import progress
+    from .options import map_settings
+
+    config, method, threads = options
+    where, sequences = str(paths[0]), paths[1:]
+    if not sequences:
+        raise ConfigError(f"{where} is a map: name the sessions that are to be brought into it")
+    prior_map = TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
+    described = prior_map if isinstance(prior_map, SegmentMap) else prior_map.coarse()
+    if method not in (None, described.descriptor):
+        raise MapMismatch(f"{where} was described by {described.descriptor!r}, not {method!r}")
+    chosen = map_settings(described, config, threads)
+    recordings = read.opened(sequences, chosen)
+    alignment = align_to_map(prior_map, recordings, chosen, settings, progress)
+    _write_in_map(out, alignment, settings)
+    for name, line in told(alignment):
+        print(f"{name}: {line}")
+    print(f"{out} has session_0.tum ..., poses in the frame of {paths[0].name}, alignment.json")
+
+
+def told(alignment: MapAlignment) -> list[tuple[str, str]]:
+    """Each session, and how well it is tied to the map."""
+    from ..loops.summary import summary_to_map
+
+    lines = []
+    for facts in summary_to_map(alignment)["sessions"]:
+        residual = facts["residual_after"]["median_m"]
+        lines.append(
+            (
+                facts["name"],
+                f"{facts['anchors_accepted']} of {facts['submaps']} places agree on where it lies "
+                f"in the map ({facts['anchors_rejected']} rejected), to {residual:.2f} m in the "
+                f"median; at most {facts['unanchored_m']:.0f} m from one of them",
+            )
+        )
+    return lines
+
+
+def _write_in_map(out: Path, alignment: MapAlignment, settings: AlignConfig) -> None:
+    from ..loops.summary import summary_to_map
+    from ..system.files import write_text
+
+    out.mkdir(parents=True, exist_ok=True)
+    _write_tracks(out, alignment)
+    facts = {**summary_to_map(alignment), "odometry": settings.model_dump(include=_NOISE)}
+    write_text(out / "alignment.json", json.dumps(facts, indent=2) + "\n")
+
+
+def _write_tracks(out: Path, alignment: Alignment | MapAlignment) -> None:
+    from ..io import Trajectory, write_tum
+
+    for name, tracks in (("session", alignment.poses), ("odometry", alignment.odometry)):
+        for k, (indices, poses) in enumerate(zip(alignment.indices, tracks, strict=True)):
+            write_tum(out / f"{name}_{k}.tum", Trajectory(indices.astype(float), poses))
+
+
+def _check(paths: list[Path], recordings: list[Sequence]) -> None:
     """Refuse sessions without poses before the work, and say where sensors differ."""
     from ..datasets.signature import sensor_of
     from ..errors import DatasetError
@@ -113,15 +221,12 @@ def _check(paths: list[Path], recordings: Sequence[Recording]) -> None:
 
 def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
     from ..errors import MissingDependency
-    from ..io import Trajectory, write_tum
     from ..loops.summary import loops_csv, loops_jsonl, picture, summary
     from ..system.files import replacing, write_text
     from .console import note
 
     out.mkdir(parents=True, exist_ok=True)
-    for name, tracks in (("session", alignment.poses), ("odometry", alignment.odometry)):
-        for k, (indices, poses) in enumerate(zip(alignment.indices, tracks, strict=True)):
-            write_tum(out / f"{name}_{k}.tum", Trajectory(indices.astype(float), poses))
+    _write_tracks(out, alignment)
     write_text(out / "loops.csv", loops_csv(alignment))
     write_text(out / "loops.jsonl", loops_jsonl(alignment))
     facts = {**summary(alignment), "odometry": settings.model_dump(include=_NOISE)}

@@ -12,6 +12,7 @@ from .options import (
     ConfigFile,
     Deskew,
     Elsewhere,
+    Odometry,
     Recording,
     Select,
     Threads,
@@ -22,9 +23,22 @@ from .options import (
 
 if TYPE_CHECKING:
     from ..config import Config
-    from ..datasets import Sequence
     from ..map.segment_map import SegmentMap
     from ..map.update import UpdateConfig, UpdateCounts
+    from ..tiles import TiledMap
+    from ..types import Recording as Scans
+
+PosesInMap = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Poses of the scans in the map (TUM or KITTI); with --align, in any frame.",
+        show_default="with --align, its own",
+    ),
+]
+Align = Annotated[
+    bool, typer.Option("--align", help="First bring the session's odometry into the map.")
+]
 
 
 def update(
@@ -35,12 +49,9 @@ def update(
     out: Annotated[
         str, typer.Option(metavar="MAP", help="The file to write; tiles change where they lie.")
     ],
-    poses: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="Poses of the scans in the map (TUM or KITTI); see `segloc align`."
-        ),
-    ],
+    poses: PosesInMap = None,
+    align: Align = False,
+    odometry: Odometry = False,
     select: Select = None,
     max_missed: Annotated[
         int,
@@ -64,14 +75,27 @@ def update(
     """Add a session to a map, and remove what is no longer there.
 
     An object that the session's rays passed through is remembered as missed; what was not in view
-    stays. Of tiles only those are read and written that the session reaches.
+    stays. Of tiles only those are read and written that the session reaches. A session whose poses
+    are odometry in a frame of its own is brought into the map by --align, or refused.
     """
     from ..map.update import UpdateConfig
     from ..tiles import holds_tiles
     from .console import table
 
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
-    asked = _Asked(sequence, poses, select, topic, deskew, config, weights, threads, elsewhere)
+    asked = _Asked(
+        sequence=sequence,
+        poses=poses,
+        align=align,
+        odometry=odometry,
+        select=select,
+        topic=topic,
+        deskew=deskew,
+        config=config,
+        weights=weights,
+        threads=threads,
+        elsewhere=elsewhere,
+    )
     if holds_tiles(prior_map):
         rows = asked.into_tiles(prior_map, out, settings)
     else:
@@ -84,7 +108,9 @@ class _Asked:
     """A session, and how it is read."""
 
     sequence: Path
-    poses: Path
+    poses: Path | None
+    align: bool
+    odometry: bool
     select: str | None
     topic: str | None
     deskew: bool
@@ -93,19 +119,40 @@ class _Asked:
     threads: int
     elsewhere: bool
 
-    def _opened(self, prior_map: SegmentMap) -> tuple[Config, Sequence]:
-        """The session, and the settings by which a map was built."""
+    def __post_init__(self) -> None:
+        from ..errors import ConfigError
+
+        if self.poses is None and not self.align:
+            raise ConfigError(
+                "an update needs poses in the frame of the map: --poses FILE, or --align, which "
+                "brings the session's own there"
+            )
+
+    def _opened(self, where: SegmentMap | TiledMap) -> tuple[Config, Scans]:
+        """The settings by which a map was built, and the session in its frame."""
+        from ..loops import Reposed, align_to_map
+        from ..map.segment_map import SegmentMap
+        from .align import told
+        from .console import note, progress
         from .recording import open_recording
 
+        prior_map = where if isinstance(where, SegmentMap) else where.coarse()
         chosen = map_settings(prior_map, self.config, self.threads, self.weights)
-        return chosen, open_recording(
+        recording = open_recording(
             self.sequence,
             self.poses,
             self.select,
             topic=self.topic,
             deskew=self.deskew,
+            odometry=self.odometry,
             mount=chosen.local_cloud.mount,
         )
+        if not self.align:
+            return chosen, recording
+        alignment = align_to_map(where, [recording], chosen, stage=progress)
+        for name, line in told(alignment):
+            note(f"{name}: {line}")
+        return chosen, Reposed(recording, alignment.poses[0])
 
     def into_map(self, prior_map: Path, out: Path, settings: UpdateConfig) -> list[tuple[str, str]]:
         """Update a map file, and say what was done."""
@@ -131,7 +178,7 @@ class _Asked:
         from .console import progress
 
         check_same_tiles(where, out)
-        chosen, recording = self._opened(TiledMap(where).coarse())
+        chosen, recording = self._opened(TiledMap(where))
         with progress("Looking at the tiles") as bar:
             changed, counts = update_tiles(
                 where, recording, chosen, settings, bar, elsewhere=self.elsewhere

@@ -101,7 +101,7 @@ def align_sessions(
     SeglocError
         If a file cannot be written, or a process was ended again and again.
     """
-    config, settings, stage = config or Config(), settings or AlignConfig(), stage or _silent
+    config, settings, stage = config or Config(), settings or AlignConfig(), stage or silent
     if not recordings:
         raise ConfigError("there is no session to align")
     opened = [as_recording(each) for each in recordings]
@@ -157,7 +157,8 @@ def _alignment(sessions: Sequence[Session], chain: Chain, graph: SessionGraph) -
 
 
 @contextmanager
-def _silent(label: str) -> Iterator[Progress]:
+def silent(label: str) -> Iterator[Progress]:
+    """A stage whose progress nobody sees."""
     yield lambda done, total: None
 
 

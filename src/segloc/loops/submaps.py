@@ -16,7 +16,7 @@ from ..frontend.local_cloud import Accumulator, window
 from ..frontend.segmentation import Segmentation, Segmenter
 from ..map.build import View, add_view, empty_map
 from ..map.segment_map import SegmentMap
-from ..types import Descriptors, Float32, Float64, Int64, Pose, Recording, Segments
+from ..types import Descriptors, Float32, Float64, Int64, LocalCloud, Pose, Recording, Segments
 from .config import AlignConfig
 
 Progress = Callable[[int, int], None]
@@ -127,7 +127,7 @@ def describe_session(
     DatasetError
         If a scan cannot be read.
     """
-    reader = _Reader(recording, session.poses, config)
+    reader = Reader(recording, session.poses, config)
     done = 0
     for nodes in session.parts(settings.part_m):
         part = empty_map(reader.descriptor, config, session.poses[0, :3, 3])
@@ -140,7 +140,7 @@ def describe_session(
         yield submaps, part
 
 
-class _Reader:
+class Reader:
     """Gathers, segments and describes; neighbouring clouds share scans, each read once."""
 
     def __init__(self, recording: Recording, poses: Float64, config: Config) -> None:
@@ -150,20 +150,22 @@ class _Reader:
         self.read = lru_cache(maxsize=2 * max(some))(recording.scan)
         self.accumulator = Accumulator(config.local_cloud)
         self.segmenter = Segmenter(config.segmentation)
-        self.descriptor = create(config.method, config.threads)
+        self.descriptor = create(config.method, config.threads, config.weights)
 
     def window(self, anchor: int, length_m: float) -> range:
         gap = self.config.local_cloud.max_gap_m
         return window(self.poses, anchor, length_m, centred=True, max_gap_m=gap)
 
-    def view(self, anchor: int, length_m: float) -> tuple[Segmentation, Descriptors]:
+    def cloud(self, anchor: int, length_m: float) -> LocalCloud:
         scans = self.window(anchor, length_m)
-        cloud = self.accumulator.gather([self.read(i) for i in scans], anchor - scans.start)
-        scene = self.segmenter.segment(cloud)
+        return self.accumulator.gather([self.read(i) for i in scans], anchor - scans.start)
+
+    def view(self, anchor: int, length_m: float) -> tuple[Segmentation, Descriptors]:
+        scene = self.segmenter.segment(self.cloud(anchor, length_m))
         return scene, self.descriptor.describe(scene.segments)
 
 
-def _submap(reader: _Reader, anchor: int, settings: AlignConfig, prior_map: SegmentMap) -> Submap:
+def _submap(reader: Reader, anchor: int, settings: AlignConfig, prior_map: SegmentMap) -> Submap:
     T_odom_local = geometry.levelled(reader.poses[anchor])
     scene, descriptors = reader.view(anchor, reader.config.local_cloud.window_m)
     short, short_descriptors = reader.view(anchor, settings.submap_m)

@@ -15,6 +15,7 @@ from ..inspect.pictures import GREEN, PALETTE, PATH, TEXT_PT, blank, chart, lege
 from ..types import Float64, Pose
 from .align import Alignment
 from .loops import Loop
+from .to_map import MapAlignment
 
 _COLUMNS = [
     "target_session",
@@ -125,6 +126,27 @@ def summary(alignment: Alignment) -> dict[str, Any]:
         "residual_before": _spread([loop.before for loop in accepted]),
         "residual_after": _spread([loop.after for loop in accepted]),
     }
+
+
+def summary_to_map(alignment: MapAlignment) -> dict[str, Any]:
+    """Anchors and residuals of each session, in values that JSON can hold."""
+    sessions = []
+    for k, (name, loops) in enumerate(zip(alignment.names, alignment.anchors, strict=True)):
+        accepted = [loop for loop in loops if loop.accepted]
+        sessions.append(
+            {
+                "name": name,
+                "scans": len(alignment.poses[k]),
+                "file": f"session_{k}.tum",
+                "submaps": alignment.submaps[k],
+                "anchors_accepted": len(accepted),
+                "anchors_rejected": len(loops) - len(accepted),
+                "unanchored_m": round(alignment.unanchored_m[k], 2),
+                "residual_before": _spread([loop.before for loop in accepted]),
+                "residual_after": _spread([loop.after for loop in accepted]),
+            }
+        )
+    return {"sessions": sessions}
 
 
 def _spread(residuals: list[Float64 | None]) -> dict[str, float | None]:

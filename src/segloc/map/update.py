@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from ..errors import SeglocError
+from ..errors import MapMismatch, SeglocError
 from ..system.section import Section
 from ..types import Float64, Recording, Scanned, as_recording
 from .build import build_map
@@ -24,6 +24,7 @@ from .visibility import Visibility, VisibilityConfig, visibility
 Bools = NDArray[np.bool_]
 Int32 = NDArray[np.int32]
 
+TO_THE_FRAME = "`map update --align` (segloc.align_to_map) brings poses into the map's frame"
 _POINT_AREA_M2 = 0.04  # that a point of a segment stands for: voxels of 0.2 m
 _RADII_M = (0.5, 2.5)
 _LEAST_POINTS = 4
@@ -126,7 +127,10 @@ def update_map(
         np.int32
     )
     fresh = _described(prior_map, recording, config)
-    check_same_place(prior_map, fresh, elsewhere=elsewhere)
+    try:
+        check_same_place(prior_map, fresh, elsewhere=elsewhere)
+    except MapMismatch as error:
+        raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
     stay = missed < update.max_missed
     waiting = stay & gone
     points = ~judged.gone | _within_segments(prior_map, waiting)
@@ -164,7 +168,7 @@ def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:
         share = 100 * gone / (gone + seen)
         raise SeglocError(
             f"{name}: {share:.0f} % of the map in view is not there: "
-            "are its poses in the frame of the map?"
+            f"are its poses in the frame of the map? {TO_THE_FRAME}"
         )
 
 

@@ -77,7 +77,9 @@ def visibility(
     config = config or VisibilityConfig()
     poses = recording.poses
     if poses is None or not len(poses):
-        raise DatasetError(f"{recording.name}: needs a pose in the map for every scan")
+        raise DatasetError(
+            f"{recording.name}: needs a pose in the map for every scan: see segloc.align_to_map"
+        )
     travelled = geometry.travelled(poses)
     chosen = geometry.stations(travelled, config.every_m)
     passes = np.zeros(len(points), np.int32)

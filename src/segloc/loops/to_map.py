@@ -1,0 +1,196 @@
+"""Sessions with poses that drift -> poses in the frame of a map that exists.
+
+Submaps of a session are localized in the map. Each that is found anchors the session there; anchors
+that agree with their neighbours and odometry make a pose graph, in which the map is one fixed node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import geometry
+from ..config import Config
+from ..errors import ConfigError, DatasetError, MapMismatch
+from ..localizer import InTiles, Localizer
+from ..map.segment_map import SegmentMap
+from ..types import Float64, Int64, Recording, Scanned, as_recording
+from .align import silent
+from .config import AlignConfig
+from .consistency import supported
+from .loops import Chain, Loop, Progress
+from .session_graph import SessionGraph
+from .spread import spread
+from .submaps import Reader, Session
+from .tasks import Stage
+
+_MAP = 0  # the number of its node
+_SUBMAPS = 8  # of a short session at least
+
+
+@dataclass(frozen=True)
+class MapAlignment:
+    """Sessions in the frame of a map.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the sessions.
+    indices : list of (N,) int64
+        The numbers of their scans.
+    odometry : list of (N, 4, 4) float64
+        T_odom_sensor, as they came.
+    poses : list of (N, 4, 4) float64
+        T_map_sensor.
+    submaps : list of int
+        How many submaps of each session were looked for in the map.
+    anchors : list of list of Loop
+        Those of each session that were found, accepted and rejected: ``source`` is the number of
+        the submap from 1 on, ``T_target_source`` its T_map_local.
+    unanchored_m : list of float
+        The farthest that each session travels from its nearest accepted anchor [m]: over such a
+        stretch its poses are odometry's.
+    """
+
+    names: list[str]
+    indices: list[Int64]
+    odometry: list[Float64]
+    poses: list[Float64]
+    submaps: list[int]
+    anchors: list[list[Loop]]
+    unanchored_m: list[float]
+
+
+def align_to_map(
+    prior_map: SegmentMap | InTiles,
+    recordings: Sequence[Scanned],
+    config: Config | None = None,
+    settings: AlignConfig | None = None,
+    stage: Stage | None = None,
+) -> MapAlignment:
+    """Bring sessions with poses that drift into the frame of a map.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap or TiledMap
+    recordings : sequence of Recording, or of lists of Scan
+        With odometry: poses that may drift, each in its own frame with z up.
+    config : Config, optional
+        How the sessions are described and localized; by default as the map was built.
+    settings : AlignConfig, optional
+    stage : callable, optional
+        Called with the name of each stage; gives a context with a callable (done, total).
+
+    Raises
+    ------
+    MapMismatch
+        If a session does not meet the map: too few of its submaps are found there, or they do not
+        agree with one another. Also if the map was described by something else.
+    ConfigError
+        If there is no recording.
+    DatasetError
+        If a session has no scans or no poses; names it.
+    """
+    settings, stage = settings or AlignConfig(), stage or silent
+    if not recordings:
+        raise ConfigError("there is no session to align")
+    localizer = Localizer(prior_map, config)
+    found = MapAlignment([], [], [], [], [], [], [])
+    for k, given in enumerate(recordings):
+        recording = as_recording(given)
+        session = _session(k, recording, settings)
+        with stage(f"Localizing session {k + 1} of {len(recordings)}") as update:
+            loops = _localized(recording, session, localizer, settings, update)
+        _append(found, k, session, loops, settings)
+    return found
+
+
+def _session(k: int, recording: Recording, settings: AlignConfig) -> Session:
+    """A recording as a chain of submaps; of a short one they stand closer."""
+    try:
+        session = Session.of(recording, settings)
+        if len(recording) > 1 and len(session.anchors) < _SUBMAPS and session.travelled[-1] > 0:
+            closer = min(settings.every_m, float(session.travelled[-1]) / _SUBMAPS)
+            session = Session.of(recording, settings.model_copy(update={"every_m": closer}))
+        return session
+    except DatasetError as error:
+        raise DatasetError(f"session {k}: {error}") from error
+
+
+def _localized(
+    recording: Recording,
+    session: Session,
+    localizer: Localizer,
+    settings: AlignConfig,
+    progress: Progress,
+) -> list[Loop]:
+    """The submaps that are found in the map, as loops from the map's node."""
+    reader, loops = Reader(recording, session.poses, localizer.config), []
+    least = np.repeat([np.radians(settings.loop_deg), settings.loop_m], 3) ** 2
+    for number, anchor in enumerate(session.anchors, 1):
+        cloud = reader.cloud(int(anchor), localizer.config.local_cloud.window_m)
+        answer = localizer.locate(localizer.describe(cloud))
+        progress(number, len(session.anchors))
+        if not answer.localized or answer.covariance is None:
+            continue
+        T_sensor_local = geometry.inverse(cloud.T_local_sensor)
+        covariance = geometry.rotated_covariance(answer.covariance, T_sensor_local)
+        assert covariance is not None
+        loops.append(
+            Loop(
+                _MAP,
+                number,
+                answer.T_map_sensor @ T_sensor_local,
+                covariance + np.diag(least),
+                "found",
+                answer.inliers,
+                answer.overlap,
+            )
+        )
+    return loops
+
+
+def _chain(session: Session) -> Chain:
+    """The map as a session of one node, then the session's submaps."""
+    count = len(session.anchors)
+    return Chain(
+        np.repeat(np.arange(2), [1, count]),
+        np.concatenate([[0.0], session.node_travelled]),
+        np.concatenate([np.eye(4)[None], session.node_poses]),
+        [],
+    )
+
+
+def _append(
+    found: MapAlignment, k: int, session: Session, loops: list[Loop], settings: AlignConfig
+) -> None:
+    """Solve a session's graph, and add it to what was found.
+
+    Raises
+    ------
+    MapMismatch
+        If too few anchors agree.
+    """
+    chain = _chain(session)
+    graph = SessionGraph(chain, supported(chain, loops, settings), settings)
+    graph.optimise()
+    believed = [loop for loop in graph.loops if loop.accepted]
+    needed = min(settings.min_support + 1, len(session.anchors))
+    if len(believed) < needed:
+        raise MapMismatch(
+            f"session {k}: {session.name} does not meet the map: {len(loops)} of "
+            f"{len(session.anchors)} places along it are found there, and {len(believed)} of them "
+            f"agree, where {needed} must: is it of another place, or is something wrong with its "
+            "scans (`segloc doctor`)?"
+        )
+    marks = chain.travelled[[loop.source for loop in believed]]
+    apart = np.abs(session.travelled[:, None] - marks[None]).min(axis=1)
+    found.names.append(session.name)
+    found.indices.append(session.indices)
+    found.odometry.append(session.poses)
+    found.poses.append(spread(session, graph.poses[1:]))
+    found.submaps.append(len(session.anchors))
+    found.anchors.append(graph.with_residuals())
+    found.unanchored_m.append(float(apart.max()))

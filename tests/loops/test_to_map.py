@@ -1,0 +1,136 @@
+"""Sessions with drifting poses brought into the frame of a map, and those that are refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from segloc_lab.simulation import OdometryNoise
+
+from segloc import Config, MapMismatch, Scan, SegmentMap, align_to_map, build_map, geometry, sample
+from segloc.cli import main
+from segloc.errors import ConfigError, DatasetError
+from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
+from segloc.sample import SampleDrive
+from segloc.types import Float64, Recording, Reposed
+
+CONFIG = Config(threads=1)
+DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
+
+
+def drifted(drive: SampleDrive, seed: int) -> Reposed:
+    """The drive with odometry of 1 % drift, in a frame of its own."""
+    frame = geometry.yaw_transform(2.0, (100.0, -50.0, 7.0))
+    return Reposed(drive, frame @ DRIFT.odometry(drive.truth, np.random.default_rng(seed)))
+
+
+def errors_m(poses: Float64, truth: Float64) -> Float64:
+    found: Float64 = np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1)
+    return found
+
+
+@pytest.fixture(scope="module")
+def tuesday() -> SampleDrive:
+    return sample.load("tuesday")
+
+
+@pytest.fixture(scope="module")
+def prior_map() -> SegmentMap:
+    return build_map(sample.load("monday"), CONFIG)
+
+
+def test_another_day_is_brought_into_the_map(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
+    found = align_to_map(prior_map, [drifted(tuesday, 1), drifted(tuesday, 2)], CONFIG)
+    for poses, odometry, unanchored_m in zip(
+        found.poses, found.odometry, found.unanchored_m, strict=True
+    ):
+        errors = errors_m(poses, tuesday.truth)
+        assert np.median(errors) < 0.3 and errors.max() < 1.0
+        assert errors_m(odometry, tuesday.truth).min() > 10
+        assert unanchored_m < 30
+
+
+def test_a_short_session_in_memory_is_brought_there_too(
+    prior_map: SegmentMap, tuesday: SampleDrive
+) -> None:
+    moved = drifted(tuesday, 3)
+    scans: list[Scan] = [moved.scan(i) for i in range(20, 26)]
+    found = align_to_map(prior_map, [scans], CONFIG)
+    assert np.median(errors_m(found.poses[0], tuesday.truth[20:26])) < 0.3
+
+
+def test_what_does_not_meet_the_map_is_refused(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
+    elsewhere = drifted(sample.load("elsewhere"), 4)
+    with pytest.raises(MapMismatch, match=r"session 1: elsewhere does not meet the map: 0 of 1. p"):
+        align_to_map(prior_map, [drifted(tuesday, 1), elsewhere], CONFIG)
+    with pytest.raises(DatasetError, match="session 0: memory: aligning needs odometry"):
+        align_to_map(prior_map, [[tuesday.scan(0).points]], CONFIG)
+    with pytest.raises(ConfigError, match="no session"):
+        align_to_map(prior_map, [], CONFIG)
+
+
+def _write(recording: Recording, folder: Path) -> None:
+    folder.mkdir()
+    for i in range(len(recording)):
+        write_scan(folder / f"{i:04d}.npy", recording.scan(i).points)
+    assert recording.poses is not None
+    write_tum(folder / "odometry.tum", Trajectory(np.arange(len(recording)) * 1.0, recording.poses))
+
+
+def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    argv = ["segloc", *arguments, "--poses", "odometry.tum", "--threads", "1"]
+    monkeypatch.setattr("sys.argv", argv)
+    with pytest.raises(SystemExit) as end:
+        main()
+    return int(end.value.code or 0)
+
+
+def test_the_commands(
+    prior_map: SegmentMap,
+    tuesday: SampleDrive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    prior_map.save("site.segmap")
+    before = Path("site.segmap").read_bytes()
+    _write(drifted(tuesday, 1), tmp_path / "tuesday")
+    _write(drifted(sample.load("elsewhere"), 4), tmp_path / "elsewhere")
+
+    assert _run(monkeypatch, "align", "site.segmap", "tuesday", "--out", "aligned") == 0
+    assert "places agree on where it lies in the map" in capsys.readouterr().out
+    poses = read_trajectory(Path("aligned/session_0.tum")).poses
+    assert np.median(errors_m(poses, tuesday.truth)) < 0.3
+    facts = json.loads(Path("aligned/alignment.json").read_text())
+    assert facts["sessions"][0]["anchors_accepted"] > 20
+
+    assert _run(monkeypatch, "align", "site.segmap", "elsewhere", "--out", "none") == 1
+    assert "elsewhere does not meet the map" in capsys.readouterr().err
+    assert not Path("none/session_0.tum").exists()
+
+    update = ("map", "update", "site.segmap")
+    assert _run(monkeypatch, *update, "elsewhere", "--align", "--out", "site.segmap") == 1
+    assert "elsewhere does not meet the map" in capsys.readouterr().err
+    assert _run(monkeypatch, *update, "tuesday", "--out", "site.segmap") == 1
+    assert "--align" in capsys.readouterr().err
+    assert Path("site.segmap").read_bytes() == before
+
+    assert _run(monkeypatch, *update, "tuesday", "--align", "--out", "new.segmap") == 0
+    assert "segments added" in capsys.readouterr().out
+    new = SegmentMap.load("new.segmap")
+    assert len(np.unique(new.session)) == 2
+    session = new.trajectory[len(prior_map.trajectory) :]
+    assert np.median(errors_m(session, tuesday.truth)) < 0.3
+
+
+def test_an_update_without_poses_names_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["segloc", "map", "update", "a", "b", "--out", "c"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "--align" in capsys.readouterr().err
