@@ -40,7 +40,7 @@ def align(
         list[Path],
         typer.Argument(
             metavar="SEQUENCE",
-            help="Sessions: recordings of one place; the first may be a map to bring the others into.",
+            help="Sessions of one place; the first may be a map to bring the others into.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
