@@ -168,9 +168,8 @@ class MemoryRecording:
         self._scans = [_scan_at(i, each) for i, each in enumerate(_listed(scans, name))]
         count = len(self._scans)
         self.indices: Int64 = np.arange(count)
-        self.poses = (
-            self._own_poses() if poses is None else checks.checked_poses(poses, count, "poses")
-        )
+        given = None if poses is None else checks.checked_poses(poses, count, "poses")
+        self.poses = self._own_poses() if given is None else given
         self.stamps = self._own_stamps()
         if stamps is not None:
             self.stamps = checks.checked_rows(stamps, "stamps", (count,), np.float64)

@@ -50,5 +50,6 @@ def reach_fault(scans: Sequence[Scan], radius_m: float) -> str:
             "Take them back by T_world_sensor^-1"
         )
     if middle > BEYOND_M:
-        return f"{found}; half are beyond {middle:.0f} m: are they in millimetres? Divide by 1000"
+        said = "are they in millimetres (divide by 1000) or centimetres (by 100)?"
+        return f"{found}; half are beyond {middle:.0f} m: {said}"
     return f"{found}; half are beyond {middle:.0f} m"

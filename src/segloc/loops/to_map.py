@@ -17,12 +17,11 @@ from ..errors import ConfigError, DatasetError, MapMismatch
 from ..localizer import InTiles, Localizer
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Int64, Recording, Scanned, as_recording
-from .align import silent
+from .align import silent, spread
 from .config import AlignConfig
 from .consistency import supported
 from .loops import Chain, Loop, Progress
 from .session_graph import SessionGraph
-from .spread import spread
 from .submaps import Reader, Session
 from .tasks import Stage
 
