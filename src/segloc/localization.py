@@ -139,6 +139,8 @@ class Localized(_Answer):
     covariance : (6, 6) float64 or None
         Of a small rotation (rad, about x, y, z) and then a translation (m), both in the sensor's
         frame: the true pose is ``T_map_sensor @ exp(delta)``. None where it is not known.
+        As wide as the errors are in simulated worlds; a map that is bent, and odometry that drifts
+        within an accumulated query, are not in it.
         :func:`segloc.ros_covariance` gives ROS's.
     """
 

@@ -24,7 +24,7 @@ from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
 from .evidence import SQUARE_M, CoarseScore, RankedCandidate, RefinedScore
 from .nearby import NearbySearch, Surroundings
-from .registration import Aligner, Registered, Target, thinned
+from .registration import ERRORS, Aligner, Registered, Target, thinned
 
 _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
 """Map points compared while candidates are ranked, and the overlap's weight in such points."""
@@ -239,7 +239,7 @@ class MapCloud:
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
-            T, covariance = found.T_target_source, found.covariance
+            T, covariance = found.T_target_source, ERRORS.widened(found.covariance)
             overlap, rmse = found.overlap, found.rmse
         seen = self._visible(query, T, config.seen_radius, config.visibility_sample)
         details = MeasuredDetails(self._compared, query, T, config)
