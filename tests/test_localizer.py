@@ -408,6 +408,7 @@ class Given:
 
     T_map_local: Pose
     exhaustive: bool = True
+    name: str = "own"
 
     def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
         return Proposals([Candidate(self.T_map_local, 0, 0.9)])
@@ -434,6 +435,19 @@ def test_poses_of_a_proposer_or_estimator_of_ones_own_are_verified(
     assert found.localized == (shift_m == 0.0), found.message
     if found.localized:
         assert np.linalg.norm(found.T_map_sensor[:3, 3] - true[:3, 3]) < 0.3
+
+
+@pytest.mark.parametrize("by_segments", [True, False])
+def test_an_answer_names_its_proposer(
+    plaza: Plaza, prior_map: SegmentMap, by_segments: bool
+) -> None:
+    true = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
+    nowhere = Given(geometry.yaw_transform(2.0, (300.0, 200.0, 1.7)))
+    estimator = None if by_segments else nowhere
+    localizer = Localizer(prior_map, estimator=estimator, proposers=[Given(true)])
+    found = localizer.localize(plaza.scan(true))
+    assert found.localized
+    assert found.proposer == ("segments" if by_segments else "own")
 
 
 def test_nothing_more_is_tried_after_the_deadline(prior_map: SegmentMap) -> None:

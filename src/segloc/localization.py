@@ -82,6 +82,9 @@ class _Answer:
     inlier_ratio : float or None
         How many times as many inliers as the runner-up, or as chance. None where it was not
         compared.
+    proposer : str or None
+        What found the pose: "segments" (their matches), "stems", "occupancy", or a proposer of
+        your own. None if no pose was proposed.
     rmse : float or None
         Residual of the alignment, metres. None where nothing was aligned.
     confidence : float
@@ -102,6 +105,7 @@ class _Answer:
     overlap: float = 0.0
     seen: float | None = None
     inlier_ratio: float | None = None
+    proposer: str | None = None
     rmse: float | None = None
     confidence: float = 0.0
     runner_up: RunnerUp | None = None

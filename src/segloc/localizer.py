@@ -216,7 +216,9 @@ class Localizer:
             return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
         counts = found.counts(query)
-        return answer(query.cloud, found.verdict, counts, times.with_total(), found.near)
+        return answer(
+            query.cloud, found.verdict, counts, times.with_total(), found.near, found.proposer
+        )
 
     def search(
         self,
@@ -297,7 +299,8 @@ class Localizer:
                 break
             with times("pose"):
                 proposals = proposer.propose(query, near)
-            candidates = within(near, proposals.candidates)
+            named = (replace(c, proposer=proposer.name) for c in proposals.candidates)
+            candidates = within(near, list(named))
             if proposals.decided and candidates:
                 found = self.verify_proposed(query, candidates, tried, cloud, times, near)
                 best = found.verdict.best

@@ -25,6 +25,9 @@ NOT_FLAT = (
 _OF_THE_QUERY = (Reason.NO_POINTS, Reason.NO_SEGMENTS, Reason.AMBIGUOUS, Reason.UNKNOWN_ATTITUDE)
 """Reasons that say nothing against the prior."""
 
+_ALIGNED_M, _ARM_M = 2.0, 10.0
+"""How far alignment moves a candidate [m]; rotations are measured at the end of an arm [m]."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -69,6 +72,23 @@ class Search:
         judged = self.verdict.reason is None or not self.verdict.is_judged
         return found if judged or found.verdict.rank > self.verdict.rank else self
 
+    @property
+    def proposer(self) -> str | None:
+        """The proposer of the best pose: of candidates that are moved to it, segments come first.
+
+        None if there is no best pose.
+        """
+        best = self.verdict.best
+        if best is None or not self.candidates:
+            return None
+
+        def order(candidate: Candidate) -> tuple[float, bool]:
+            T = geometry.inverse(best.T_map_local) @ candidate.T_map_local
+            moved_m = float(np.linalg.norm(T[:3, 3])) + _ARM_M * geometry.rotation_angle(T)
+            return max(0.0, moved_m - _ALIGNED_M), candidate.proposer != Candidate.proposer
+
+        return min(self.candidates, key=order).proposer
+
     def counts(self, query: Query) -> dict[str, int]:
         """How many items each stage produced."""
         return {
@@ -87,6 +107,7 @@ def answer(
     counts: Mapping[str, int],
     times_ms: Mapping[str, float],
     near: Prior | None = None,
+    proposer: str | None = None,
 ) -> Localization:
     """What is told of a query.
 
@@ -101,6 +122,8 @@ def answer(
         Milliseconds each stage took.
     near : Prior, optional
         Where it was looked for.
+    proposer : str, optional
+        What found the best pose.
     """
     best, T_local_sensor = verdict.best, cloud.T_local_sensor
     common: dict[str, Any] = {
@@ -110,6 +133,7 @@ def answer(
         "attitude": cloud.attitude,
         "confidence": verdict.confidence,
         "runner_up": _runner_up(verdict, T_local_sensor),
+        "proposer": proposer,
         **_measured(verdict),
     }
     if verdict.reason is not None or best is None:

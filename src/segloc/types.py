@@ -414,11 +414,14 @@ class Candidate:
         Share of what the query shows standing that stands in the map, too, less what it costs where
         the map has something and the query sees the ground; in [0, 1]. None where the pose comes
         from matches.
+    proposer : str
+        Name of the proposer that found the pose.
     """
 
     T_map_local: Pose
     inliers: int
     fit: float | None = None
+    proposer: str = "segments"
 
 
 SourceT = TypeVar("SourceT", bound=Recording)

@@ -207,6 +207,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "overlap": _finite(result.overlap),
         "seen": _finite(result.seen),
         "inlier_ratio": _finite(result.inlier_ratio),
+        "proposer": result.proposer,
         "rmse": _finite(result.rmse),
         "confidence": _finite(result.confidence),
         "runner_up": None

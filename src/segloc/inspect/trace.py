@@ -113,7 +113,9 @@ def trace(
     times = times or StageTimes(localizer.clock)
     query = localizer.describe(cloud, times)
     found = localizer.search(query, times, near=near)
-    result = answer(cloud, found.verdict, found.counts(query), times.with_total(), found.near)
+    result = answer(
+        cloud, found.verdict, found.counts(query), times.with_total(), found.near, found.proposer
+    )
     best = found.verdict.best
     T = None if best is None else best.T_map_local
     pairs, inliers = _pairs(localizer, query, found, T)

@@ -114,6 +114,7 @@ class OccupancyProposer:
         self._segmentation = segmentation or SegmentationConfig()
         self._maps: list[_OccupancyMap] | None = None
 
+    name = "occupancy"
     exhaustive = True
 
     def propose(self, query: Query, prior: Prior | None = None) -> Proposals:

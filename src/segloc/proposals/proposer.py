@@ -41,10 +41,15 @@ class Proposer(Protocol):
 
     Attributes
     ----------
+    name : str
+        Names the proposer in answers.
     exhaustive : bool
         True if the whole map is searched. Candidates that segment matches do not decide are then
         verified together with those of the proposers.
     """
+
+    @property
+    def name(self) -> str: ...
 
     @property
     def exhaustive(self) -> bool: ...

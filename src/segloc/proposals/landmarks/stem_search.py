@@ -55,6 +55,7 @@ class StemProposer:
         self._finder = StemFinder(self.config, segmentation)
         self._localizer: LandmarkLocalizer | None = None
 
+    name = "stems"
     exhaustive = False
 
     def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
