@@ -125,7 +125,7 @@ def rows(work: Path) -> Iterator[Row]:
         write(work / str(k), wrong)
         poses = ["--poses", "poses.tum"] if wrong.posed else []
         status, text = said("doctor", work / str(k), *poses)
-        wrongs = [line for line in text.splitlines() if line.startswith("wrong: ")]
+        wrongs = [line for line in text.splitlines() if line.startswith("problem: ")]
         if len(wrongs) != 1:
             raise SystemExit(f"{wrong.what}: one sentence must name it, not {wrongs}")
         building = ["map", "build", work / str(k), *poses, "--out", work / "wrong.segmap"]
@@ -134,7 +134,7 @@ def rows(work: Path) -> Iterator[Row]:
         also = [
             f"`segloc {verb}` ({code})"
             for verb, (code, told) in heard.items()
-            if _without_figures(wrongs[0].removeprefix("wrong: ")) in _without_figures(told)
+            if _without_figures(wrongs[0].removeprefix("problem: ")) in _without_figures(told)
         ]
         yield Row(wrong.what, "doctor", status, wrongs[0], ", ".join(also))
     yield from _other_places(work)

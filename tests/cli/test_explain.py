@@ -60,9 +60,9 @@ def test_explain_prints_a_verdict_and_writes_a_page(
     np.save(tmp_path / "1.npy", 1000 * POINTS_ASIDE)
     html = tmp_path / "page.html"
     for scan, said in [
-        (site.run / "0004.npy", r"^localized: the sensor was surely at x "),
+        (site.run / "0004.npy", r"^localized at x "),
         (tmp_path / "0.npy", r"^not localized, "),
-        (tmp_path / "1.npy", r"^not localized, no points: .*\nwrong: half of .* in millimetres"),
+        (tmp_path / "1.npy", r"^not localized, no points: .*\nproblem: half of .* in millimetres"),
     ]:
         capsys.readouterr()
         assert run("explain", scan, "--map", site.map, "--html", html) == 0

@@ -22,7 +22,7 @@ def test_the_commands_that_it_prints_work_as_they_stand(
         words = shlex.split(command)[1:]
         assert run(*words) == 0, command
         said[words[0]] = capsys.readouterr().out
-    assert "nothing wrong is found" in said["doctor"]
+    assert "no problems found" in said["doctor"]
     found = re.search(r"within map coverage │ +(\d+) of (\d+) │", said["localize"])
     assert found and int(found[1]) > 0.9 * int(found[2]) > 15
     assert re.search(r"false +│ +0 │", said["localize"])

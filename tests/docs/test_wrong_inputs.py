@@ -43,5 +43,5 @@ def test_healthy_ends_with_0_and_each_fault_with_1_and_a_line() -> None:
     rows = wrong_inputs.kept(wrong_inputs.PAGE.read_text("utf-8")).splitlines()[3:-1]
     for row in rows:
         what, _, status, sentence, *_ = (cell.strip() for cell in row.strip("| ").split(" | "))
-        assert sentence.startswith(("wrong: ", "note: ", "segloc: error: "))
+        assert sentence.startswith(("problem: ", "note: ", "segloc: error: "))
         assert (status == "0") == sentence.startswith("note: "), what

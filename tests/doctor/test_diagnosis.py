@@ -319,15 +319,15 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     down = written(tmp_path / "down", points=POINTS["z down"][0])
     site, poses = tmp_path / "site.segmap", ["--poses", "poses.tum"]
     assert run("doctor", good, *poses) == 0
-    assert "nothing wrong" in capsys.readouterr().out
-    for folder, said in [(bad, "wrong: the poses are inverse"), (down, "wrong: the ground lies")]:
+    assert "no problems found" in capsys.readouterr().out
+    for folder, said in [(bad, "problem: the poses are inverse"), (down, "problem: the ground lies")]:
         assert run("doctor", folder, *poses) == 1
         assert capsys.readouterr().out.splitlines()[1].startswith(said)
         assert run("info", folder, *poses) == 0
         assert said in capsys.readouterr().out
         assert run("map", "build", folder, *poses, "--out", site) == 1
         error = capsys.readouterr().err
-        assert said.removeprefix("wrong: ") in error and "--unchecked" in error
+        assert said.removeprefix("problem: ") in error and "--unchecked" in error
         assert not site.exists()
     assert run("map", "build", bad, *poses, "--out", site, "--unchecked") == 0
     assert run("map", "build", good, *poses, "--out", site) == 0
@@ -335,7 +335,7 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     out = ["--map", site, "--select", "3:4", "--out", tmp_path / "out"]
     assert run("localize", down, *out) == 0
     hint = " ".join(capsys.readouterr().err.split())
-    assert "2 of 2 queries are not localized, and this may be why: the ground lies" in hint
+    assert "2 of 2 queries failed. Likely cause: the ground lies" in hint
     assert run("localize", good, *out) == 0
     assert "not localized" not in capsys.readouterr().err
 

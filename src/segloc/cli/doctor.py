@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from ..system.text import counted
 from .options import ConfigFile, Poses, Recording, Sample, Select, Topic, load_config
 
 if TYPE_CHECKING:
@@ -21,20 +22,20 @@ def doctor(
     sample: Sample = 20,
     config: ConfigFile = None,
 ) -> None:
-    """Say what is wrong with a recording, and what mends it; exit status 1 where something is.
+    """Check a recording and suggest fixes; exits 1 if anything is wrong.
 
-    Units, axes and tilt are seen in the scans; poses are judged by how neighbouring clouds fit.
+    Scans are checked for units, axes and tilt, poses by how well neighbouring clouds fit.
     """
-
     recording, found = examined(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
-    print(f"{recording.name}: {len(recording)} scans, {facts.sensor}, poses: {facts.poses}")
+    scans = counted(len(recording), "scans")
+    print(f"{recording.name}: {scans}, {facts.sensor}, poses: {facts.poses}")
     show_findings(found)
     if poses is None:
         show_pose_files(sequence, recording)
     if wrong:
         raise typer.Exit(1)
-    print("nothing wrong is found")
+    print("no problems found")
 
 
 def examined(
@@ -64,7 +65,7 @@ def examined(
 def show_findings(found: Examination) -> None:
     """Print one line a finding."""
     for finding in found.findings:
-        print(f"{'wrong' if finding.wrong else 'note'}: {finding}")
+        print(f"{'problem' if finding.wrong else 'note'}: {finding}")
 
 
 def show_pose_files(sequence: Path, recording: Examinable) -> None:

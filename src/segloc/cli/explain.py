@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 
 def explain(
-    scan: Annotated[
-        Path, typer.Argument(metavar="SCAN", help="The file of one scan, or a recording.")
-    ],
+    scan: Annotated[Path, typer.Argument(metavar="SCAN", help="File of one scan, or a recording.")],
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     html: Annotated[
         Path | None,
@@ -27,7 +25,10 @@ def explain(
     select: Annotated[
         int | None,
         typer.Option(
-            min=0, metavar="NUMBER", help="Of a recording: which scan.", show_default="the last"
+            min=0,
+            metavar="NUMBER",
+            help="Number of the scan in a recording.",
+            show_default="the last",
         ),
     ] = None,
     poses: Poses = None,
@@ -36,9 +37,9 @@ def explain(
     weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
-    """Show one query stage by stage, and why it is localized, or is not.
+    """Show one query stage by stage, and why it is or is not localized.
 
-    With poses, the query is a cloud gathered over the path behind the scan.
+    With poses, the query is a cloud accumulated over the path behind the scan.
     """
     import numpy as np
 
@@ -88,7 +89,7 @@ def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> 
     from ..doctor import scan_findings
 
     found = scan_findings([recording.scan(position)], config, posed=recording.poses is not None)
-    return [f"{'wrong' if finding.wrong else 'note'}: {finding}" for finding in found]
+    return [f"{'problem' if finding.wrong else 'note'}: {finding}" for finding in found]
 
 
 def _show(trace: Trace, findings: list[str]) -> None:
@@ -103,6 +104,6 @@ def _show(trace: Trace, findings: list[str]) -> None:
     if not trace.parts:
         return
     print(f"\nconfidence {trace.result.confidence:.2f}, in log-odds:")
-    print(f"  {trace.constant:+5.1f}  to begin with: most poses are wrong")
+    print(f"  {trace.constant:+5.1f}  prior")
     for part in trace.parts:
         print(f"  {part.log_odds:+5.1f}  {part.words}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ..system.text import counted
 from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def show(recording: Examinable, examination: Examination) -> None:
         ("poses", found.poses),
         ("path", number(found.length_m, "m", 1)),
         ("roll and pitch", examination.attitude),
-        ("points of a scan, median", f"{found.points} ({found.sampled} scans read)"),
+        ("points of a scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
         (f"points {UNUSABLE}", f"{100 * found.dropped:.2f} %"),
         ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
         ("problems", str(wrong) if wrong else "none found"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..system.text import counted
 from .options import (
     Anywhere,
     Cluster,
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 
     from ..batch.run import Priors
     from ..batch.score import Evaluation, Tolerance
-    from ..frontend.local_cloud import LocalCloudConfig
     from ..localization import Localization
     from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
@@ -53,18 +53,21 @@ if TYPE_CHECKING:
 
 
 MapOrTiles = Annotated[
-    str, typer.Option("--map", metavar="MAP", help="The prior map: a file, or the place of tiles.")
+    str,
+    typer.Option(
+        "--map", metavar="MAP", help="The prior map: a file, or a folder or URL of tiles."
+    ),
 ]
 Out = Annotated[
     Path | None,
     typer.Option(
-        metavar="DIR", help="A folder to write results to.", show_default="none: they are printed"
+        metavar="DIR", help="Folder of the results.", show_default="none: they are printed"
     ),
 ]
 Debug = Annotated[
-    bool, typer.Option("--debug", help="Also keep what `segloc view` shows of each query.")
+    bool, typer.Option("--debug", help="Also keep the stages of each query for `segloc view`.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="All of it on stdout, for programs.")]
+Json = Annotated[bool, typer.Option("--json", help="Print everything as JSON.")]
 MOST_ROWS = 20
 _MOST = 0.5
 
@@ -95,10 +98,10 @@ def localize(
     workers: Workers = 1,
     cluster: Cluster = None,
 ) -> None:
-    """Find a scan, or each of a recording, in a map: without an initial guess.
+    """Find the pose of a scan, or of each scan of a recording, in a map; no initial guess.
 
-    With poses, a query is a cloud gathered over the path behind it; otherwise one scan. Prints the
-    pose and how sure it is, or why there is none.
+    With poses, a query is a cloud accumulated over the path behind it; otherwise one scan. Prints
+    the pose and its confidence, or the reason why the query is not localized.
     """
     from ..batch.score import Tolerance
     from ..system.processes import executing
@@ -119,7 +122,7 @@ def localize(
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(mount))
     positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
     priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
-    asked = _Asked(localizer, prior_map, recording, positions, priors)
+    asked = Queries(localizer, prior_map, recording, positions, priors)
     with progress("Localizing") as update, executing(workers, cluster) as executor:
         results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
@@ -140,7 +143,7 @@ def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
 
 
 @dataclass(frozen=True)
-class _Asked:
+class Queries:
     """Queries of a recording, and where they are localized."""
 
     localizer: Localizer
@@ -174,7 +177,7 @@ class _Asked:
         return Evaluation(indices, results, path, known, tolerance)
 
 
-def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
+def _in_detail(asked: Queries, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
     """The answers, and files of what each stage made of each query."""
     from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
@@ -197,7 +200,7 @@ def _in_detail(asked: _Asked, update: Update) -> tuple[list[Localization], dict[
 
 
 def _tell(
-    asked: _Asked,
+    asked: Queries,
     evaluation: Evaluation,
     name: str,
     out: Path | None,
@@ -217,8 +220,8 @@ def _tell(
     _show_all(evaluation, f"{recording.name} in {name}", json)
     if written and not json:
         print(f"{out} has {', '.join(written)}")
-    with busy("Looking why"):
-        line = hint(recording, evaluation.results, localizer.config.local_cloud)
+    with busy("Diagnosing failures"):
+        line = hint(asked, evaluation.results)
     if line:
         note(line)
 
@@ -298,7 +301,10 @@ def pose_text(T: Pose) -> str:
 
 def sentence(result: Localization) -> str:
     """Describe the answer to a query in one line."""
-    measured = f"{result.inliers} segments agree, {result.overlap:.0%} of the cloud lies on the map"
+    agree = counted(result.inliers, "segments", "agree")
+    measured = f"{agree}, {result.overlap:.0%} of the cloud lies on the map"
+    if result.proposer not in (None, "segments"):
+        measured += f"; proposed by {result.proposer}"
     if result.localized:
         pose = pose_text(result.T_map_sensor)
         return f"localized at {pose}; confidence {result.confidence:.2f} ({measured})"
@@ -314,9 +320,9 @@ def show_answers(evaluation: Evaluation, title: str) -> None:
         return
     order = worst_first(evaluation)
     rows = [_row(evaluation, i) for i in order[:MOST_ROWS]]
-    table(title, ("query", "confidence", "pose, or why there is none"), rows, texts=(0, 2))
+    table(title, ("query", "confidence", "pose / reason"), rows, texts=(0, 2))
     if len(order) > MOST_ROWS:
-        print(f"and {len(order) - MOST_ROWS} better ones; --out DIR or --json has all")
+        print(f"{len(order) - MOST_ROWS} more with higher confidence; --out DIR or --json has all")
 
 
 def worst_first(evaluation: Evaluation) -> Sequence[int]:
@@ -380,24 +386,61 @@ def gnss_priors(
     return priors
 
 
-def hint(recording: Scans, results: Sequence[Localization], config: LocalCloudConfig) -> str | None:
+def hint(queries: Queries, results: Sequence[Localization]) -> str | None:
     """Explain in one line why most queries fail; None if most succeed or no cause is known."""
-    from ..doctor import first_fault
-    from ..errors import SeglocError
-
     found = sum(result.localized for result in results)
     if found > _MOST * len(results):
         return None
-    failed = f"{len(results) - found} of {len(results)} queries are not localized"
-    try:
-        finding = first_fault(recording, config)
-    except SeglocError:
-        finding = None
-    if finding is not None:
-        return f"{failed}, and this may be why: {finding}"
+    failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
+    cause = _excluded(queries, results) or _fault(queries)
+    if cause is not None:
+        return f"{failed} Likely cause: {cause}"
     if found:
         return None
     return (
-        f"{failed}, and nothing wrong is found with the scans: were they taken within the map? "
-        "`segloc explain SCAN --map MAP` shows what is missing"
+        f"{failed} No problem found in the scans: were they taken within the map? "
+        "`segloc explain SCAN --map MAP` shows at which stage they fail"
     )
+
+
+def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
+    """Tell where the first query that a prior excludes is found without the prior."""
+    from ..batch.run import each_prior, query_clouds
+    from ..localization import Reason
+
+    priors = each_prior(queries.near, len(results))
+    excluded = [i for i, each in enumerate(results) if each.reason is Reason.NOT_NEAR_PRIOR]
+    if len(excluded) <= _MOST * len(results):
+        return None
+    first, localizer = excluded[0], queries.localizer
+    prior, position = priors[first], queries.positions[first : first + 1]
+    ((cloud, _),) = query_clouds(queries.recording, position, localizer.config)
+    anywhere = localizer.localize(cloud)
+    if prior is None or not anywhere.localized:
+        return None
+    x, y = anywhere.T_map_sensor[:2, 3]
+    away = float(prior.distances(anywhere.T_map_sensor[None, :3, 3])[0])
+    return (
+        f"the prior excludes them: query {queries.recording.indices[position[0]]} is at "
+        f"{x:.1f}, {y:.1f}, {away:.0f} m from its centre (confidence {anywhere.confidence:.2f}). "
+        "Correct the position, widen --radius, or add --anywhere"
+    )
+
+
+def _fault(queries: Queries) -> str | None:
+    """Name the first problem of the recording; if it has none, of the map's frame."""
+    from ..doctor import first_fault
+    from ..errors import SeglocError
+
+    try:
+        finding = first_fault(queries.recording, queries.localizer.config.local_cloud)
+    except SeglocError:
+        finding = None
+    frame = queries.localizer.prior_map.metadata.get("frame")
+    if (
+        frame
+        and not (finding is not None and finding.wrong)
+        and "T_map_odom" not in (queries.localizer.prior_map.metadata)
+    ):
+        return f"the map's frame is {frame}. Build the map with --level"
+    return None if finding is None else str(finding)

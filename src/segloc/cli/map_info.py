@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..system.text import counted
+
 if TYPE_CHECKING:
     from ..map.segment_map import SegmentMap
 
@@ -35,7 +37,7 @@ def show(prior_map: SegmentMap, title: str) -> None:
     from .console import table
 
     facts = prior_map.info()
-    sessions = f"{facts['sessions']} session{'s' if facts['sessions'] != 1 else ''}"
+    sessions = counted(facts["sessions"], "sessions")
     extent = " x ".join(f"{metres:.0f}" for metres in facts["extent_m"])
     rows = [
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),

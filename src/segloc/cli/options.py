@@ -19,19 +19,20 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 
 Recording = Annotated[
-    Path, typer.Argument(metavar="SEQUENCE", help="A dataset's sequence, a bag, a folder of scans.")
+    Path,
+    typer.Argument(metavar="SEQUENCE", help="A dataset sequence, a bag, or a folder of scans."),
 ]
 Poses = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE", help="Its poses, TUM or KITTI; `none`: none.", show_default="its own"
+        metavar="FILE", help="Poses, TUM or KITTI; `none`: no poses.", show_default="its own"
     ),
 ]
 Topic = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Which of several topics, sensors or scenes.",
+        help="Topic, sensor or scene, where there are several.",
         show_default="the only one",
     ),
 ]
@@ -39,24 +40,26 @@ Deskew = Annotated[
     bool, typer.Option(help="Undo the motion during a scan, where points have times.")
 ]
 Odometry = Annotated[
-    bool, typer.Option("--odometry", help="Poses from the scans alone (`segloc odometry`).")
+    bool, typer.Option("--odometry", help="Compute poses from the scans (`segloc odometry`).")
 ]
 Level = Annotated[
     bool, typer.Option("--level", help="Turn the poses so that z is up, by walls in the scans.")
 ]
 Method = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="How segments are described.", show_default="profile"),
+    typer.Option(metavar="NAME", help="Descriptor of segments.", show_default="profile"),
 ]
 Select = Annotated[
     str | None,
-    typer.Option(metavar="A:B[,C:D]", help="Only scans with these numbers.", show_default="all"),
+    typer.Option(
+        metavar="A:B[,C:D]", help="Use only scans with these numbers.", show_default="all"
+    ),
 ]
 PosesOfEach = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="FILE",
-        help="TUM or KITTI, one for all or one a sequence.",
+        help="Poses, TUM or KITTI: one file for all, or one per sequence.",
         show_default="their own",
     ),
 ]
@@ -64,17 +67,17 @@ SelectOfEach = Annotated[
     list[str] | None,
     typer.Option(
         metavar="A:B[,C:D]",
-        help="Only these scans: one for all, or one a sequence.",
+        help="Use only these scans: one list for all, or one per sequence.",
         show_default="all",
     ),
 ]
 Sample = Annotated[
-    int, typer.Option(min=1, metavar="COUNT", help="How many scans to read, spread over it all.")
+    int, typer.Option(min=1, metavar="COUNT", help="Number of scans to read, spread evenly.")
 ]
 Every = Annotated[
     float | None,
     typer.Option(
-        metavar="METRES", help="One for so many metres of travel.", show_default="every scan"
+        metavar="METRES", help="Use one scan every METRES of travel.", show_default="every scan"
     ),
 ]
 ConfigFile = Annotated[
@@ -82,13 +85,15 @@ ConfigFile = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="YAML; `segloc config` prints all of it.",
+        help="YAML file; `segloc config` prints one.",
         show_default="the map's, or that of the method",
     ),
 ]
 Threads = Annotated[
     int,
-    typer.Option(min=0, metavar="COUNT", help="0: all cores. Results do not depend on it."),
+    typer.Option(
+        min=0, metavar="COUNT", help="Threads; 0: all cores. Results do not depend on it."
+    ),
 ]
 Workers = Annotated[
     int, typer.Option(min=1, metavar="COUNT", help="Processes, with one thread each.")
@@ -97,13 +102,13 @@ Cluster = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Do it on a Dask cluster, tcp://host:8786, whose workers see the same files.",
+        help="Run on a Dask cluster, tcp://host:8786; its workers need the same files.",
         show_default="here",
     ),
 ]
 MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The map to write.")]
 Elsewhere = Annotated[
-    bool, typer.Option("--elsewhere", help="What is added may be of another place in the frame.")
+    bool, typer.Option("--elsewhere", help="Allow a session of another place in the same frame.")
 ]
 Weights = Annotated[
     Path | None,
@@ -118,31 +123,32 @@ Near = Annotated[
     str | None,
     typer.Option(
         metavar="X,Y[,Z]",
-        help="All scans were taken near here: metres, in the map's frame.",
+        help="Search near this position only [m], in the map's frame.",
         show_default="anywhere",
     ),
 ]
-Radius = Annotated[float, typer.Option(metavar="METRES", help="No farther from --near than this.")]
+Radius = Annotated[float, typer.Option(metavar="METRES", help="Search radius around --near.")]
 Anywhere = Annotated[
-    bool, typer.Option("--anywhere", help="Search all of the map for what is not found near.")
+    bool,
+    typer.Option("--anywhere", help="Search the whole map for queries not found near the prior."),
 ]
 
 Gnss = Annotated[
     bool,
-    typer.Option("--gnss", help="Look where the bag's NavSatFix says first, then everywhere."),
+    typer.Option("--gnss", help="Search near the bag's NavSatFix first, then everywhere."),
 ]
 Epsg = Annotated[
     int | None,
     typer.Option(
         min=1,
         metavar="CODE",
-        help="Of the projected frame that the map lies in.",
+        help="EPSG code of the map's projected frame.",
         show_default="not said",
     ),
 ]
 Origin = Annotated[
     str | None,
-    typer.Option(metavar="E,N[,H]", help="The map's origin in that frame.", show_default="0,0,0"),
+    typer.Option(metavar="E,N[,H]", help="Map origin in that frame.", show_default="0,0,0"),
 ]
 
 Truth = Annotated[
@@ -153,8 +159,12 @@ Truth = Annotated[
         show_default="not known",
     ),
 ]
-Metres = Annotated[float, typer.Option(min=0, metavar="METRES", help="Farther off is false.")]
-Degrees = Annotated[float, typer.Option(min=0, metavar="DEGREES", help="Turned further is false.")]
+Metres = Annotated[
+    float, typer.Option(min=0, metavar="METRES", help="Position error above this counts as false.")
+]
+Degrees = Annotated[
+    float, typer.Option(min=0, metavar="DEGREES", help="Heading error above this counts as false.")
+]
 
 
 def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | None:
@@ -166,7 +176,7 @@ def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | Non
     try:
         position = [float(part) for part in near.split(",")]
     except ValueError as error:
-        raise ConfigError(f"--near is X,Y or X,Y,Z in metres, not {near!r:.60}") from error
+        raise ConfigError(f"--near expects X,Y or X,Y,Z in metres, not {near!r:.60}") from error
     return Prior(position, radius, anywhere)
 
 

@@ -151,9 +151,9 @@ def _add_missing(app: typer.Typer, name: str) -> None:
 
 def root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option(VERSION, help="Print it.")] = False,
+    version: Annotated[bool, typer.Option(VERSION, help="Show the version and exit.")] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", help="With --version: all that a report of a fault needs.")
+        bool, typer.Option("--verbose", help="With --version: also print what a bug report needs.")
     ] = False,
 ) -> None:
     if version:

@@ -77,7 +77,7 @@ def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
         fault, count = _small_unit(clouds, reach)
         return Finding(
             fault,
-            f"half of the points are farther than {reach:.0f} m: they are in {fault}",
+            f"half of the points are beyond {reach:.0f} m, so they are probably in {fault}",
             f"divide them by {count}",
         )
     return None

@@ -51,7 +51,7 @@ def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
     )
     parts = [(f"{part.log_odds:+.1f}", part.words) for part in trace.parts]
     if parts:
-        parts.insert(0, (f"{trace.constant:+.1f}", "to begin with: most poses are wrong"))
+        parts.insert(0, (f"{trace.constant:+.1f}", "prior"))
     noted = "".join(f"<p>{escape(line)}</p>" for line in findings)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8">'

@@ -18,6 +18,7 @@ from ..pipeline import Search, answer
 from ..prior import Prior
 from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
+from ..system.text import counted
 from ..types import Float32, Int64, LocalCloud, Pose, Segments
 
 Bools = NDArray[np.bool_]
@@ -25,14 +26,14 @@ Bools = NDArray[np.bool_]
 _BEYOND_M = 2.0  # around a query, of the map's points that it is compared with
 _NOWHERE = 0.1
 _ADVICE = {
-    Reason.NO_POINTS: "no point lies around the sensor: are they in metres, in the sensor's frame?",
-    Reason.UNKNOWN_ATTITUDE: "how the sensor stands is not known: give gravity or a pose",
-    Reason.NO_SEGMENTS: "nothing stands in view that could be recognised; drive on, and accumulate",
+    Reason.NO_POINTS: "no point within range: are they in metres, in the sensor's frame?",
+    Reason.UNKNOWN_ATTITUDE: "roll and pitch are unknown: give gravity or a pose",
+    Reason.NO_SEGMENTS: "nothing above the ground is in view; drive on and accumulate scans",
     Reason.NO_MATCHES: "the map has no segments to compare with",
     Reason.NO_CONSISTENT_MATCHES: "no two segments lie to each other as any two of the map do: "
     "the place is not in the map, or too little of it is in view",
     Reason.TOO_FEW_INLIERS: "fewer segments agree than the configuration asks for (min_inliers)",
-    Reason.TOO_LITTLE_OVERLAP: "the cloud does not lie on the map anywhere",
+    Reason.TOO_LITTLE_OVERLAP: "the cloud overlaps the map nowhere",
     Reason.AMBIGUOUS: "two places explain the scan about as well: more scans of the way tell them "
     "apart (poses, or a tracker), or a look from elsewhere",
 }
@@ -201,7 +202,7 @@ def _measured(evidence: Evidence) -> dict[str, str]:
     lies = f"{score.overlap:.0%} of the cloud lies on the map"
     return {
         "in_view": f"{score.judged} points of the map are in view",
-        "inliers": f"{score.inliers} segments agree",
+        "inliers": counted(score.inliers, "segments", "agree"),
         "inliers_over_rival": f"{evidence.inlier_ratio:.1f} times as many as elsewhere",
         "overlap_over_rival": f"{lies}, {_elsewhere(overlaps)}",
         "seen_over_rival": f"{seen}, {_elsewhere(rivals_seen)}",
@@ -221,7 +222,7 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
     counts = result.counts
     tilt = math.degrees(math.acos(float(np.clip(trace.T_local_sensor[2, 2], -1.0, 1.0))))
     smallest = f", of {sizes.min()} to {sizes.max()} points" if len(sizes) else ""
-    scans = "1 scan" if counts["scans"] == 1 else f"{counts['scans']} scans"
+    scans = counted(counts["scans"], "scans")
     found = [
         ("cloud", f"{counts['points']} points of {scans}; tilt {tilt:.1f} deg, {result.attitude}"),
         ("ground", f"{len(trace.structure)} voxels stand above the ground"),
@@ -230,18 +231,18 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
         ("poses", _poses(trace)),
     ]
     if trace.T_map_local is not None:
-        share = f"{trace.on_map.mean():.0%}" if len(trace.on_map) else "nothing"
-        found.append(("overlap", f"{share} of what stands lies on the map there"))
+        found.append(("overlap", f"{result.overlap:.0%} of the cloud lies on the map there"))
     other = result.runner_up
     if other is not None and trace.T_map_local is not None:
         T = trace.T_map_local @ trace.T_local_sensor
         away = float(np.linalg.norm(other.T_map_sensor[:3, 3] - T[:3, 3]))
         turn = math.degrees(geometry.rotation_angle(geometry.inverse(T) @ other.T_map_sensor))
+        agree = counted(other.inliers, "segments", "agree")
         found.append(
             (
                 "runner-up",
-                f"{away:.1f} m away, turned by {turn:.0f} deg: {other.inliers} segments agree, "
-                f"overlap {other.overlap:.0%}",
+                f"{away:.1f} m away, turned by {turn:.0f} deg: {agree}, "
+                f"overlap {other.overlap:.0%} before alignment",
             )
         )
     return found
@@ -252,8 +253,9 @@ def _poses(trace: Trace) -> str:
     if not count or trace.T_map_local is None:
         return "no pose on which matches agree"
     x, y, z = trace.T_map_local[:3, 3]
-    agree = f"{trace.result.inliers} segments agree with the best, at {x:.1f}, {y:.1f}, {z:.1f} m"
-    return f"{count} candidate{'s' if count > 1 else ''}; {agree}"
+    agree = counted(trace.result.inliers, "segments", "agree")
+    best = f"best at {x:.1f}, {y:.1f}, {z:.1f} m, proposed by {trace.result.proposer}: {agree}"
+    return f"{counted(count, 'candidates')}; {best}"
 
 
 def verdict(trace: Trace) -> str:
@@ -261,10 +263,9 @@ def verdict(trace: Trace) -> str:
     result = trace.result
     if result.localized:
         x, y, z = result.T_map_sensor[:3, 3]
-        sure = "surely" if result.confidence >= 0.95 else "probably"
         yaw = math.degrees(geometry.heading(result.T_map_sensor))
         return (
-            f"localized: the sensor was {sure} at x {x:.2f}, y {y:.2f}, z {z:.2f} m, "
+            f"localized at x {x:.2f}, y {y:.2f}, z {z:.2f} m, "
             f"yaw {yaw:.1f} deg (confidence {result.confidence:.2f})"
         )
     assert result.reason is not None
@@ -277,7 +278,9 @@ def _uncertain(trace: Trace) -> str:
     if not trace.parts:
         return "too little speaks for any pose"
     if trace.result.confidence < _NOWHERE:
-        return "no place of the map fits; it was probably taken elsewhere, or shows too little"
+        return (
+            "nothing in the map fits: the scan is probably from somewhere else or sees too little"
+        )
     measured = [part for part in trace.parts if part.name != BEYOND]
     least = min(measured, key=lambda part: part.log_odds)
     return f"a place may fit, but more scans of the way must tell; weakest is: {least.words}"

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import MissingDependency, SeglocError
 from ..map.segment_map import SegmentMap
+from ..system.text import counted
 from ..types import Float64
 from .following import Moment, draw_moments, newest_points, read_moments
 from .pictures import DARK, GREEN, ORANGE, RED
@@ -281,7 +282,8 @@ def _map_in_view(server: Any, prior_map: SegmentMap, query: Shown | None = None)
 def _add_layers(server: Any, scene: MapScene, layers: Sequence[str]) -> None:
     with server.gui.add_folder("shown"):
         for layer in layers:
-            box = server.gui.add_checkbox(layer, True)
+            box = server.gui.add_checkbox(layer, layer not in OF_QUERY)
+            scene.show(layer, bool(box.value))
 
             def change(_: Any, box: Any = box, layer: str = layer) -> None:
                 scene.show(layer, bool(box.value))
@@ -393,7 +395,9 @@ def with_states(page: str, states: Sequence[str]) -> str:
         f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
         for state, count in Counter(states).most_common()
     )
-    told = f"<b>{len(states)} scans</b><table>{rows}</table><small>{ROBOT_LEGEND}</small>"
+    told = (
+        f"<b>{counted(len(states), 'scans')}</b><table>{rows}</table><small>{ROBOT_LEGEND}</small>"
+    )
     return _with(page, f'<div id="segloc">{told}</div>')
 
 

@@ -112,7 +112,8 @@ def test_odometry_of_an_unknown_body_is_not_used(tmp_path: Path) -> None:
     sequence = opened(bag.write(tmp_path / "drive"))
     assert sequence.poses is None
     assert sequence.notes == (
-        "/odom has poses of 'base_link', and nothing says where 'lidar' is in it: not used",
+        "no transform base_link -> lidar in the bag, so /odom is not used: record /tf_static, or "
+        "set local_cloud.mount",
     )
     bag = clouds(BagWriter("sqlite3"))
     for time in times():

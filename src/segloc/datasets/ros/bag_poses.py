@@ -63,8 +63,8 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
                 return Tracks(clean_track(topic, stamps, poses @ T_body_sensor), None, remarks)
             base = base or clean_track(topic, stamps, poses)
             remarks.append(
-                f"{topic} has poses of {body!r}, and nothing says where {frame!r} is in it: not "
-                "used"
+                f"no transform {body} -> {frame} in the bag, so {topic} is not used: record "
+                "/tf_static, or set local_cloud.mount"
             )
     track: Track | None = None
     with optional("tf", remarks):
