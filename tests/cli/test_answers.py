@@ -136,3 +136,17 @@ def test_lines_are_whole_where_stdout_is_no_terminal(
     note(str(path))
     out, err = capsys.readouterr()
     assert out.count(str(path)) == 2 and str(path) in err
+
+
+def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from segloc.cli import console
+
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress("Training") as update:
+        for done in range(7):
+            update(done, 6)
+            now[0] += 0.6 * console.SECONDS_A_LINE
+    assert capsys.readouterr().err == "Training: 2 of 6\nTraining: 4 of 6\n"

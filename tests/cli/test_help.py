@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from samples.walk import run
 
 from segloc.cli import ORDER, app
+from segloc.cli.verbs import first_sentence
 from segloc.config import Config
 from segloc.errors import ConfigError
 
@@ -153,3 +154,15 @@ def test_every_key_of_the_configuration_has_a_comment_and_a_unit() -> None:
         if isinstance(value, float):
             told = re.search(r"metre|degree|second|voxel edge", comment) or PURE.search(comment)
             assert told, f"{key}: {comment}: which unit?"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("Is it so? (Fig. 5)", "Is it so? (Fig. 5)"),
+        ("Do this. Then that.\n\nAnd more.", "Do this."),
+        ("Do this on\n    two lines.\n\nMore.", "Do this on two lines."),
+    ],
+)
+def test_lists_of_verbs_show_whole_sentences(text: str, shown: str) -> None:
+    assert first_sentence(text) == shown

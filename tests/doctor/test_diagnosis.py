@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from segloc import geometry
 from segloc.config import Config
 from segloc.datasets import open_sequence
+from segloc.datasets.signature import signature
 from segloc.doctor import Fault, examine, first_fault, pose_findings, scan_findings
 from segloc.frontend.local_cloud import LocalCloudConfig
 from segloc.types import Float64, Recording, Reposed, Scan
@@ -320,7 +321,10 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     site, poses = tmp_path / "site.segmap", ["--poses", "poses.tum"]
     assert run("doctor", good, *poses) == 0
     assert "no problems found" in capsys.readouterr().out
-    for folder, said in [(bad, "problem: the poses are inverse"), (down, "problem: the ground lies")]:
+    for folder, said in [
+        (bad, "problem: the poses are inverse"),
+        (down, "problem: the ground lies"),
+    ]:
         assert run("doctor", folder, *poses) == 1
         assert capsys.readouterr().out.splitlines()[1].startswith(said)
         assert run("info", folder, *poses) == 0
@@ -345,3 +349,26 @@ def test_the_configuration_knows_how_to_say_a_mounting() -> None:
     for rpy in ([180, 0, 0], [-90, 0, -90]):
         made = Config.model_validate({"local_cloud": {"mount": {"rpy_deg": rpy}}})
         assert made.local_cloud.mount.T_base_sensor is not None
+
+
+def corridor(beams: int = 16) -> np.ndarray:
+    """Return what a spinning sensor sees in a corridor of 60 x 3 x 2.6 m, (N, 3)."""
+    up, turn = np.meshgrid(
+        np.radians(np.linspace(-15, 15, beams)), np.radians(np.arange(0, 360, 0.4))
+    )
+    rays = np.stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)], axis=-1)
+    rays = rays.reshape(-1, 3)
+    low, high = np.array([-20.0, -1.4, -1.2]), np.array([40.0, 1.6, 1.4])
+    reach = (np.where(rays > 0, high, low) / np.where(rays == 0, 1e-9, rays)).min(axis=1)
+    return rays * reach[:, None] * np.random.default_rng(0).normal(1.0, 1e-3, (len(rays), 1))
+
+
+@pytest.mark.parametrize("fault", [None, Fault.CAMERA_AXES])
+def test_beams_tell_exchanged_axes_where_floor_and_walls_are_alike(fault: Fault | None) -> None:
+    points = corridor()
+    if fault is not None:
+        points = geometry.transform(T_CAMERA_SENSOR, points)
+    found = scan_findings([Scan(points)])
+    assert [each.fault for each in found if each.wrong] == ([fault] if fault else [])
+    seen = signature(points)
+    assert seen is not None and seen.beams == 16

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 _UNWRAPPED = 10_000  # columns
+SECONDS_A_LINE = 10.0
+"""Shortest time between two lines of progress where stderr is no terminal [s]."""
 
 Update = Callable[[int, int], None]
 
 
 @contextmanager
 def progress(label: str) -> Iterator[Update]:
-    """A bar on stderr that is moved by calling ``update(done, total)``; none without a terminal."""
+    """Show a bar on stderr that is moved by calling ``update(done, total)``.
+
+    Without a terminal, show a line every ``SECONDS_A_LINE`` at most.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _lines(label)
+        return
     count = TextColumn("{task.fields[count]}", style="progress.download")  # once it is known
     with Progress(
         TextColumn("{task.description}"),
@@ -26,7 +35,6 @@ def progress(label: str) -> Iterator[Update]:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
     ) as bars:
         task = bars.add_task(label, total=None, count="")
 
@@ -34,6 +42,19 @@ def progress(label: str) -> Iterator[Update]:
             bars.update(task, completed=done, total=total, count=f"{done}/{total}")
 
         yield update
+
+
+def _lines(label: str) -> Update:
+    last = time.monotonic()
+
+    def update(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= SECONDS_A_LINE and done < total:
+            last = now
+            say(f"{label}: {done} of {total}")
+
+    return update
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import cache
 from importlib import import_module
@@ -13,7 +14,6 @@ from typer.core import TyperGroup
 from ..errors import SeglocError
 
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
-_WHOLE = 10_000
 ORDER = (
     "demo",
     "sample",
@@ -39,12 +39,18 @@ VERSION = "--version"
 """Needs no verb."""
 
 
+def first_sentence(text: str) -> str:
+    """Return the first sentence of a help text. "Fig. 5" does not end it."""
+    paragraph = " ".join(text.strip().split("\n\n")[0].split())
+    return re.split(r"(?<=[.?!])\s+(?=[A-Z])", paragraph, maxsplit=1)[0]
+
+
 class Listed(TyperGroup):
     """Lists its verbs each with its whole first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         verbs = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        rows = [(name, verb.get_short_help_str(_WHOLE)) for name, verb in verbs if verb]
+        rows = [(name, first_sentence(verb.help or "")) for name, verb in verbs if verb]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 

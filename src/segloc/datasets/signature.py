@@ -12,6 +12,9 @@ from ..types import Float64, Recording
 
 PUSH_BROOM = "a sweep of one plane"
 _BIN_DEG = 0.02
+_WIDE_DEG, _AROUND = 0.05, 61  # bins by which axes are told apart, and how many are averaged
+_SHARP, _SHARPER = 3.0, 2.0
+_FEWEST_POINTS = 2000  # by which axes are told apart
 _MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
 _OTHER_BEAMS = 1.5  # times as many
 _OTHER_DEG = 4.0  # between the lowest beams, which meet the ground in every scan
@@ -105,11 +108,43 @@ def sensor_of(recording: Recording, sample: int = 5) -> str:
     return "many beams" if found.many else "few beams"
 
 
-def beams(cloud: Float64) -> tuple[int, float, float]:
-    """How many separate elevation angles points lie at, the lowest and the highest, degrees."""
+def beam_axis(points: NDArray[np.floating]) -> int:
+    """Return the axis about which the beams turn: 0, 1 or 2 for x, y or z.
+
+    It is z, unless points lie at far more distinct elevations about another axis.
+    """
+    cloud = points.astype(np.float64)
+    if len(cloud) < _FEWEST_POINTS:
+        return 2
+    sharp = [_sharpness(_elevations(cloud, axis)) for axis in range(3)]
+    other = int(np.argmax(sharp[:2]))
+    return other if sharp[other] > max(_SHARP, _SHARPER * sharp[2]) else 2
+
+
+def _sharpness(angles: Float64) -> float:
+    """How distinct elevations are; about 1 where they are spread evenly, at any number of them.
+
+    16 or 32 beams have 13 to 30 about their own axis and at most 1.5 about others.
+    """
+    counts, _ = np.histogram(angles, bins=np.arange(-90.0, 90.0 + _WIDE_DEG, _WIDE_DEG))
+    around = np.convolve(counts, np.full(_AROUND, 1.0 / _AROUND), "same")
+    return float((counts * (counts - 1.0)).sum() / max(1.0, float(counts @ around)))
+
+
+def _elevations(cloud: Float64, axis: int = 2) -> Float64:
+    """Elevation angles about an axis [deg], of points that are not too near."""
     reach = np.linalg.norm(cloud, axis=1)
     far = cloud[reach > np.median(reach) / 4]  # near points suffer from where beams start
-    angles = np.degrees(np.arctan2(far[:, 2], np.hypot(far[:, 0], far[:, 1])))
+    across = np.delete(far, axis, axis=1)
+    return np.asarray(np.degrees(np.arctan2(far[:, axis], np.hypot(*across.T))))
+
+
+def beams(cloud: Float64) -> tuple[int, float, float]:
+    """How many separate elevation angles points lie at, the lowest and the highest, degrees.
+
+    They are those about the axis of the beams.
+    """
+    angles = _elevations(cloud, beam_axis(cloud))
     counts, _ = np.histogram(angles, bins=np.arange(-90.0, 90.0 + _BIN_DEG, _BIN_DEG))
     weights = np.exp(-0.5 * (np.arange(-4, 5) / 1.5) ** 2)
     smooth = np.convolve(counts, weights / weights.sum(), "same")

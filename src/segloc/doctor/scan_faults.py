@@ -8,7 +8,7 @@ from statistics import median
 import numpy as np
 
 from .. import geometry
-from ..datasets.signature import signature
+from ..datasets.signature import beam_axis, signature
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
 from ..frontend.reach import BEYOND_M, is_far_blob, median_range
 from ..frontend.segmentation import Segmentation, Segmenter
@@ -24,6 +24,7 @@ _LOWEST_M = 0.3
 _SMALL_UNITS = ((Fault.MILLIMETRES, 1000), (Fault.CENTIMETRES, 100))
 _USUAL_RANGE_MM = 2500.0
 _STEEP_DEG = 35.0
+_MOUNT = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
 _FEW_BEAMS = 16
 _FEWEST_SEGMENTS, _STANDING = 2, 0.02
 
@@ -97,17 +98,38 @@ def _axes(clouds: list[Float32]) -> Finding | None:
     """Axes of which z is not the one that points up."""
     found = [each for points in clouds if (each := floors(points)) is not None]
     if not found:
-        return None
+        return _beams_about(clouds)
     shares = np.median([each.shares for each in found], axis=0)
     axis, side = (int(k) for k in np.unravel_index(shares.argmax(), shares.shape))
     share, metres = shares[axis, side], [each.metres[axis, side] for each in found]
     other = max(shares[axis, 1 - side], shares[2].max() if axis != 2 else 0.0)
-    upright = (axis, side) == (2, 0)
-    if upright or share < _GROUND or other > _LITTLE * share or np.nanmedian(metres) > _LOW_M:
+    if (axis, side) == (2, 0):
         return None
+    if share < _GROUND or other > _LITTLE * share or np.nanmedian(metres) > _LOW_M:
+        return _beams_about(clouds)
     if (axis, side) == (2, 1) and any(_looks_up(points) for points in clouds):
         return _CEILING
     return _turned("xyz"[axis], "-+"[side])
+
+
+def _beams_about(clouds: list[Float32]) -> Finding | None:
+    """Axes of which z is not the one that the beams turn about: where floors do not tell."""
+    axes = [beam_axis(points) for points in clouds]
+    axis = int(median(axes))
+    if axis == 2 or axes.count(axis) <= len(axes) / 2:
+        return None
+    what = f"the beams turn about the {'xy'[axis]} axis, not about z"
+    if axis == 1:
+        return _camera_axes(what)
+    return Finding(Fault.TILT, what, "name how it is mounted, `local_cloud: {mount: ...}`")
+
+
+def _camera_axes(what: str) -> Finding:
+    return Finding(
+        Fault.CAMERA_AXES,
+        f"{what}: the axes are a camera's (x right, y down, z forward)",
+        f"write z, -x, -y in place of x, y, z, {_MOUNT}[-90, 0, -90]}}}}`",
+    )
 
 
 def _looks_up(points: Float32) -> bool:
@@ -126,14 +148,11 @@ _CEILING = Finding(
 
 def _turned(axis: str, sign: str) -> Finding:
     what = f"the ground lies towards {sign}{axis}"
-    mount = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
     if (axis, sign) == ("z", "+"):
         what = f"{what}: the z axis points down"
-        return Finding(Fault.Z_DOWN, what, f"change the signs of y and z, {mount}[180, 0, 0]}}}}`")
+        return Finding(Fault.Z_DOWN, what, f"change the signs of y and z, {_MOUNT}[180, 0, 0]}}}}`")
     if (axis, sign) == ("y", "+"):
-        what = f"{what}: the axes are a camera's (x right, y down, z forward)"
-        remedy = f"write z, -x, -y in place of x, y, z, {mount}[-90, 0, -90]}}}}`"
-        return Finding(Fault.CAMERA_AXES, what, remedy)
+        return _camera_axes(what)
     what = f"{what}, not towards -z: the sensor is tilted by about 90 degrees"
     return Finding(Fault.TILT, what, "name how it is mounted, `local_cloud: {mount: ...}`")
 

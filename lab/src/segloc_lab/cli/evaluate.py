@@ -28,12 +28,14 @@ _POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
 _LONG_ROWS = 40
 
 Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="The folder of all results.", show_default=False)
+    Path, typer.Option(metavar="DIR", help="Folder of all results.", show_default=False)
 ]
 Methods = Annotated[
     str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.", show_default="all")
 ]
-Threads = Annotated[int, typer.Option(min=0, metavar="COUNT", help="Of the engine; 0: all cores.")]
+Threads = Annotated[
+    int, typer.Option(min=0, metavar="COUNT", help="Threads of the engine; 0: all cores.")
+]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes.")]
 MapPoses = Annotated[
     Path | None,
@@ -67,13 +69,11 @@ Topic = Annotated[
         metavar="NAME", help="Which of several topics or sensors.", show_default="the only one"
     ),
 ]
-Every = Annotated[
-    float, typer.Option(metavar="METRES", help="One query in so many metres of travel.")
-]
+Every = Annotated[float, typer.Option(metavar="METRES", help="Distance between queries.")]
 
 app = group(
-    "Compare the methods on two recordings, and see at which stage queries fail. Results are "
-    "stored in DIR as they are finished, so that a run that was cut off goes on where it stopped; "
+    "Compare the methods on two recordings, and find the stage at which queries fail. Results are "
+    "stored in DIR as they are computed, so an interrupted run resumes. "
     "DIR/report.html shows them.",
 )
 evaluate_failures.register(app)
@@ -81,7 +81,7 @@ evaluate_failures.register(app)
 
 @app.command("report")
 def report(out: Out = OUT) -> None:
-    """Draw again what is stored."""
+    """Redraw the report from stored results."""
     from segloc.cli.results import check_folder
 
     check_folder(out)

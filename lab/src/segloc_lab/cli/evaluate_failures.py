@@ -32,12 +32,12 @@ def failures(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     truth: Annotated[Path, typer.Option(metavar="FILE", help="True poses in the map's frame.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")],
     poses: Poses = None,
     select: Select = None,
     every: Every = None,
     pictures: Annotated[
-        int, typer.Option(min=0, metavar="COUNT", help="Draw so many of the worst cases.")
+        int, typer.Option(min=0, metavar="COUNT", help="Number of worst cases to draw.")
     ] = 5,
     config: ConfigFile = None,
     weights: Weights = None,

@@ -18,7 +18,7 @@ Commit = Annotated[
     str | None,
     typer.Option(
         metavar="HASH",
-        help="Of the sources that train; goes into the file.",
+        help="Commit of the training sources; stored in the file.",
         show_default="not said",
     ),
 ]
@@ -33,7 +33,7 @@ train.command("pairs")(pairs)
 @train.command("score")
 def score(
     weights: Annotated[
-        str, typer.Argument(metavar="WEIGHTS", help="A weights file, or a descriptor's name.")
+        str, typer.Argument(metavar="WEIGHTS", help="A weights file, or the name of a descriptor.")
     ],
     dataset: Dataset,
     distractors: Annotated[
@@ -50,11 +50,13 @@ def score(
             min=1, metavar="COUNT", help="Segments in the pool.", show_default="all there are"
         ),
     ] = None,
-    threads: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Of the engine.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
+    threads: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")
+    ] = 1,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
 ) -> None:
-    """ROC area and recall among the k nearest, of each session against the others."""
-    from segloc.cli.console import busy, table
+    """Score a descriptor: ROC area, and recall of each session's segments among the others."""
+    from segloc.cli.console import busy, note, table
 
     from ..training.scoring import KS, load_descriptor, score_descriptor
     from ..training.shards import load_dataset
@@ -69,7 +71,12 @@ def score(
             seed=seed,
             threads=threads,
         )
-    rows = [(f"{size:,}", *(f"{recall:.4f}" for recall in found)) for size, found in report.recalls]
+    if not report.queries:
+        note(f"{dataset}: no recall: it needs objects of two sessions")
+    rows = [
+        (f"{size:,}", *(f"{recall:.4f}" if report.queries else "-" for recall in found))
+        for size, found in report.recalls
+    ]
     title = f"{weights} on {dataset}: {report.queries:,} queries, AUC {report.auc}"
     table(title, ("pool", *(f"recall@{k}" for k in KS)), rows)
 
@@ -81,14 +88,16 @@ def forest(
     ],
     dataset: Dataset,
     out: Annotated[Path, typer.Option(metavar="FOREST.safetensors", help="The result.")],
-    threads: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Of the engine.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
+    threads: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")
+    ] = 1,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
     licence: Annotated[
-        str, typer.Option(metavar="NAME", help="Of the forest; goes into the file.")
+        str, typer.Option(metavar="NAME", help="Licence of the forest; stored in the file.")
     ] = "MIT",
     commit: Commit = None,
 ) -> None:
-    """A random forest that tells right candidates from wrong ones (SegMatch, NSM)."""
+    """Train a random forest that prunes matches (SegMatch, NSM)."""
     from segloc.system.files import checked_target
 
     from ..training.grow_forest import ForestConfig, train_forest
@@ -111,10 +120,10 @@ def _card(dataset: Path, licence: str, commit: str | None) -> dict[str, Any]:
 
 
 _EXPLAINED = {
-    "dsm": "DSM, 16 numbers from 160 down to 4 points.",
-    "esm": "ESM, DSM's predecessor with more points.",
-    "segmap": "SegMap's network over a grid of voxels, 64 numbers.",
-    "profile": "Profile, segloc's own: metric shape profiles, 32 numbers.",
+    "dsm": "Train DSM: 16 numbers, an X-conv network over 160 to 4 points.",
+    "esm": "Train ESM: 16 numbers, DSM's predecessor with more points.",
+    "segmap": "Train SegMap: 64 numbers, a network over a voxel grid.",
+    "profile": "Train profile, segloc's own: 32 numbers, metric shape profiles.",
 }
 
 
@@ -126,20 +135,21 @@ def _add(network: str, help_text: str) -> None:
             Path | None,
             typer.Option(
                 metavar="FILE",
-                help="YAML of a TrainConfig; options come on top.",
+                help="YAML of a TrainConfig; options override it.",
                 show_default="none",
             ),
         ] = None,
         steps: Annotated[
             int | None,
-            typer.Option(min=1, metavar="COUNT", help="Of training.", show_default="3000"),
+            typer.Option(min=1, metavar="COUNT", help="Training steps.", show_default="3000"),
         ] = None,
         minutes: Annotated[
             float | None,
-            typer.Option(metavar="MINUTES", help="Stop after so long.", show_default="never"),
+            typer.Option(metavar="MINUTES", help="Stop after this time.", show_default="never"),
         ] = None,
         threads: Annotated[
-            int | None, typer.Option(min=1, metavar="COUNT", help="Of PyTorch.", show_default="1")
+            int | None,
+            typer.Option(min=1, metavar="COUNT", help="Threads of PyTorch.", show_default="1"),
         ] = None,
         device: Annotated[
             str | None, typer.Option(metavar="NAME", help="cpu or cuda.", show_default="cpu")
@@ -154,10 +164,10 @@ def _add(network: str, help_text: str) -> None:
         ] = None,
         seed: Annotated[
             int | None,
-            typer.Option(min=0, metavar="NUMBER", help="Of all random draws.", show_default="0"),
+            typer.Option(min=0, metavar="NUMBER", help="Random seed.", show_default="0"),
         ] = None,
         licence: Annotated[
-            str, typer.Option(metavar="NAME", help="Of the weights; goes into the file.")
+            str, typer.Option(metavar="NAME", help="Licence of the weights; stored in the file.")
         ] = "MIT",
         commit: Commit = None,
     ) -> None:
@@ -191,7 +201,7 @@ def _train(
     settings = load_train_config(config, given)
     checked_target(out)
     scores = run(load_dataset(dataset), out, settings, card, say)
-    typer.echo(f"{out}: auc {scores.auc:.4f}, recall@25 {scores.recall:.4f}")
+    typer.echo(f"{out}: {scores}")
 
 
 for _name, _text in _EXPLAINED.items():

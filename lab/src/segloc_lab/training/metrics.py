@@ -26,16 +26,22 @@ class Scores:
     auc : float
         Chance that a random matching pair (of different sessions where there are several) is nearer
         than a random pair of different objects.
-    recall : float
+    recall : float or None
         Share of segments with another session's view in the set, of which one is among the 25
-        nearest descriptors of other sessions.
-    recall_first : float
+        nearest descriptors of other sessions. None if no object is in two sessions.
+    recall_first : float or None
         The same for the nearest alone.
     """
 
     auc: float
-    recall: float
-    recall_first: float
+    recall: float | None
+    recall_first: float | None
+
+    def __str__(self) -> str:
+        if self.recall is None or self.recall_first is None:
+            return f"auc {self.auc:.4f}; no recall: it needs objects of two sessions"
+        recalls = f"recall@25 {self.recall:.4f}, recall@1 {self.recall_first:.4f}"
+        return f"auc {self.auc:.4f}, {recalls}"
 
 
 def score(
@@ -44,8 +50,8 @@ def score(
     """Score descriptors (P, dim) of all segments of a dataset."""
     ranks = _ranks(vectors, dataset, k, threads)
     ranks = ranks[ranks >= 0]
-    recall = float((ranks < k).mean()) if len(ranks) else 0.0
-    first = float((ranks == 0).mean()) if len(ranks) else 0.0
+    recall = float((ranks < k).mean()) if len(ranks) else None
+    first = float((ranks == 0).mean()) if len(ranks) else None
     return Scores(_auc(vectors, dataset, np.random.default_rng(seed)), recall, first)
 
 

@@ -87,7 +87,7 @@ def train(
                 "steps": run.best_step,
                 "training segments": len(training),
                 "validation segments": len(validation),
-                **{f"validation {k}": round(v, 4) for k, v in asdict(run.best).items()},
+                **{f"validation {k}": v and round(v, 4) for k, v in asdict(run.best).items()},
             }
             settings = config.model_dump(mode="json", exclude={"max_minutes", "threads"})
             made = {"torch": torch.__version__, "figures": figures, "config": settings}
@@ -145,7 +145,8 @@ class _Run:
                 scores = self._validate()
                 loss = float(torch.stack(losses).mean())
                 progress(
-                    f"step {self.step} loss {loss:.3f} {_text(scores)} {self.seconds / 60:.1f} min"
+                    f"step {self.step} loss {loss:.3f} validation {scores}, "
+                    f"{self.seconds / 60:.1f} min"
                 )
                 losses = []
                 waited = (self.step - self.best_step) / config.validate_every
@@ -217,7 +218,7 @@ class _Run:
         self.group.average_buffers(self.model)
         vectors = self._describe(self.model, self.validation)
         scores = score(vectors, self.validation, threads=self.config.threads)
-        if scores.recall + scores.auc > self.best.recall + self.best.auc:
+        if (scores.recall or 0.0) + scores.auc > (self.best.recall or 0.0) + self.best.auc:
             self.best, self.best_step = scores, self.step
             self.best_state = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.group.leads:
@@ -280,13 +281,6 @@ def _agrees(saved: str, config: TrainConfig) -> bool:
     except ValidationError:
         return False
     return before.model_dump(exclude=_MAY_CHANGE) == config.model_dump(exclude=_MAY_CHANGE)
-
-
-def _text(scores: Scores) -> str:
-    return (
-        f"validation auc {scores.auc:.4f} recall@25 {scores.recall:.4f} "
-        f"recall@1 {scores.recall_first:.4f}"
-    )
 
 
 def _schedule(step: int, config: TrainConfig) -> float:
