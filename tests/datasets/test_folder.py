@@ -101,7 +101,7 @@ def test_a_kitti_file_is_keyed_by_row_if_it_reaches_else_by_position(tmp_path: P
     assert first.indices.tolist() == [2, 4]
     assert [note.split(": ")[-1] for note in first.notes] == [
         "2 rows, taken as the poses of the first 2 scans",
-        f"no pose in {tmp_path / 'poses.txt'}",
+        f"no pose in {tmp_path / 'poses.txt'}; the other 2 are used (--select A:B,C:D uses fewer)",
     ]
 
 
@@ -111,7 +111,7 @@ def test_scans_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
     whole = open_sequence(folder, tmp_path / "poses.tum")
     assert whole.indices.tolist() == [2, 3, 4]
     left_out = f"5 of 8 scans left out: no pose in {tmp_path / 'poses.tum'}"
-    assert whole.notes == (left_out,)
+    assert whole.notes == (f"{left_out}; the other 3 are used (--select A:B,C:D uses fewer)",)
     part = open_sequence(folder, tmp_path / "poses.tum", "2:4")
     assert part.indices.tolist() == [2, 3, 4]
     assert part.notes == ()

@@ -212,6 +212,11 @@ def map_settings(
     from ..config import Config, map_config
 
     config = map_config(prior_map) if path is None else Config.load(path, prior_map.descriptor)
+    if weights is None and config.weights is not None and not config.weights.exists():
+        raise ConfigError(
+            f"the weights that the map was built with are not at {config.weights}: "
+            "name the file by --weights"
+        )
     return _with(config, threads, weights)
 
 

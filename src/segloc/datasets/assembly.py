@@ -72,7 +72,8 @@ def assembled(
     lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
     if not known.any():
         raise DatasetError(lost)
-    return replace(sequence.part(known), notes=(*notes, lost))
+    used = f"the other {int(known.sum())} are used (--select A:B,C:D uses fewer)"
+    return replace(sequence.part(known), notes=(*notes, f"{lost}; {used}"))
 
 
 def _posed(
@@ -82,10 +83,12 @@ def _posed(
     stamps = found.stamps
     if poses is not None:
         track = _of_file(found, poses, T_base_sensor)
+        notes = [track.note] * bool(track.note)
         if stamps is None and track.clock == "seconds" and len(track.keys) == len(found.indices):
             stamps = track.keys
+            notes.append(f"{track.source}: poses by time, scans without: paired in their order")
         at_scans = track.at(found.indices, stamps)
-        return track, at_scans, stamps, [track.note] * bool(track.note)
+        return track, at_scans, stamps, notes
     if not own_poses:
         return None, None, stamps, []
     try:

@@ -6,7 +6,7 @@ Three places are mapped and queried by single scans without poses: the sample of
 a forest and an office floor from the simulator. Queries are scans of a later session along the
 mapped way, and scans of another place of the same kind. Each query is answered from segments alone,
 with stems added, and with occupancy added (all there is); by each descriptor; and without any
-segment match. All descriptors see the same clouds and segments. About five minutes of one core.
+segment match. All descriptors see the same clouds and segments. About three minutes of one core.
 """
 
 from __future__ import annotations
