@@ -12,10 +12,11 @@ from .options import Method
 def config(
     method: Method = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Also what the confidence was fitted under.")
+        bool,
+        typer.Option("--all", help="Also print the settings that the confidence was fitted under."),
     ] = False,
 ) -> None:
-    """Print the configuration as YAML, with what each key means beside its default."""
+    """Print the configuration as YAML, with defaults and the meaning of each key."""
     from ..config import Config
 
     print(Config.load(None, method).explained(every), end="")

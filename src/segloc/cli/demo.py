@@ -21,9 +21,7 @@ FAR_AWAY_M = 1e5
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")] = Path(
-        "demo"
-    ),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("demo"),
 ) -> None:
     """Map the recorded sample, then localize a drive of another day, and one in another town.
 

@@ -12,28 +12,29 @@ def export(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="MAP_OR_RESULTS", help="A map, or what `localize`, `live` or `align` wrote."
+            metavar="MAP_OR_RESULTS",
+            help="A map, or a results folder of `localize`, `live` or `align`.",
         ),
     ],
     to: Annotated[
         str,
         typer.Option(
             metavar="FORMAT",
-            help="Of a map: pcd, ply, laz, autoware. Of `align`: g2o, loops. Of any: tum, geojson.",
+            help="Format. Maps: pcd, ply, laz, autoware; `align`: g2o, loops; any: tum, geojson.",
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FILE_OR_DIR", help="The file; for autoware the folder.")
+        Path, typer.Option(metavar="FILE_OR_DIR", help="Output file; for autoware a folder.")
     ],
     tile: Annotated[
-        float, typer.Option(min=1, metavar="METRES", help="Edge of Autoware's tiles.")
+        float, typer.Option(min=1, metavar="METRES", help="Edge of the Autoware tiles.")
     ] = 20.0,
     epsg: Annotated[
         int | None,
         typer.Option(
             min=1,
             metavar="CODE",
-            help="The map's frame, for GeoJSON to name.",
+            help="EPSG code of the map's frame, for GeoJSON.",
             show_default="not known",
         ),
     ] = None,
@@ -41,12 +42,12 @@ def export(
         str | None,
         typer.Option(
             metavar="LAT,LON",
-            help="Degrees, of the map's origin; x east: GeoJSON by it.",
+            help="Origin of the map [degrees], for GeoJSON; x points east.",
             show_default="not known",
         ),
     ] = None,
 ) -> None:
-    """Write a map or results in a format of others.
+    """Export a map or results to another format.
 
     pcd, ply, laz: the map's cloud. autoware: the same in tiles, with pointcloud_map_metadata.yaml.
     g2o: the scans of aligned sessions, with odometry and loops. loops: these loops as JSON lines.

@@ -19,7 +19,7 @@ def info(
     sample: Sample = 20,
     config: ConfigFile = None,
 ) -> None:
-    """Show what a recording is and what is wrong with it."""
+    """Show the facts of a recording, and its problems."""
     from .doctor import examined, show_pose_files
 
     recording, found = examined(sequence, poses, select, topic, sample, config)

@@ -40,7 +40,7 @@ OdometryPoses = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="TUM or KITTI, in any frame: the odometry.",
+        help="Odometry, TUM or KITTI, in any frame.",
         show_default="the recording's",
     ),
 ]
@@ -50,7 +50,7 @@ Rate = Annotated[
     typer.Option(
         min=0,
         metavar="FACTOR",
-        help="1: as it was recorded, late scans are dropped. 0: as fast as every scan allows.",
+        help="Speed: 1 replays in real time and drops late scans; 0 waits for every scan.",
     ),
 ]
 _EVERY_S = 1.0
@@ -60,7 +60,7 @@ _VOXEL_M = 0.3
 def live(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write results to.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")],
     poses: OdometryPoses = None,
     select: Select = None,
     truth: Truth = None,
@@ -68,7 +68,7 @@ def live(
     tolerance_deg: Degrees = 10.0,
     rate: Rate = 0.0,
     every: Annotated[
-        float, typer.Option(min=0, metavar="METRES", help="A query for so much travel.")
+        float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
     ] = 10.0,
     topic: Topic = None,
     deskew: Deskew = True,
@@ -78,7 +78,7 @@ def live(
     weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
-    """Play a recording to what runs on a robot, and say where it is scan by scan.
+    """Replay a recording through the online localizer, scan by scan.
 
     Only the motion between poses is used, never where they are. Writes poses.tum, states.jsonl and
     summary.json; `segloc view MAP DIR` follows it meanwhile.

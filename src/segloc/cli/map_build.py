@@ -61,7 +61,9 @@ def build(
     origin: Origin = None,
     compact: Annotated[
         bool,
-        typer.Option("--compact", help="As small as it can be; docs/formats.md has its losses."),
+        typer.Option(
+            "--compact", help="Write the smallest map; docs/formats.md has what it loses."
+        ),
     ] = False,
     config: ConfigFile = None,
     weights: Weights = None,
@@ -69,7 +71,7 @@ def build(
     workers: Workers = 1,
     cluster: Cluster = None,
     unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Build it even where scans and poses do not fit.")
+        bool, typer.Option("--unchecked", help="Build the map even if scans and poses do not fit.")
     ] = False,
 ) -> None:
     """Build a map from recordings with poses.

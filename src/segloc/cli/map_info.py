@@ -17,9 +17,9 @@ _MOST_TEXT = 200
 
 def info(
     path: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
-    json: Annotated[bool, typer.Option("--json", help="All of it, for programs.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Say what a map holds; reading it also checks it for damage."""
+    """Show what a map holds, and check the file for damage."""
     from ..map.segment_map import SegmentMap
 
     prior_map = SegmentMap.load(path)

@@ -11,11 +11,14 @@ import typer
 def tile(
     prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     out: Annotated[
-        str, typer.Option(metavar="DIR_OR_URL", help="Where to; tiles that are the same stay.")
+        str,
+        typer.Option(
+            metavar="DIR_OR_URL", help="Folder or URL of the tiles; unchanged tiles are kept."
+        ),
     ],
-    size: Annotated[float, typer.Option(metavar="METRES", help="Edge of a tile's square.")] = 500.0,
+    size: Annotated[float, typer.Option(metavar="METRES", help="Edge of a tile.")] = 500.0,
     margin: Annotated[
-        float, typer.Option(metavar="METRES", help="So far around it a tile reaches.")
+        float, typer.Option(metavar="METRES", help="Overlap of a tile with its neighbours.")
     ] = 60.0,
 ) -> None:
     """Cut a map into overlapping tiles with an index, for maps too large to hold at once.

@@ -14,12 +14,14 @@ def odometry(
     sequence: Recording,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="POSES.tum", help="The file.", show_default="beside the recording"),
+        typer.Option(
+            metavar="POSES.tum", help="File of the poses.", show_default="beside the recording"
+        ),
     ] = None,
     select: Select = None,
     topic: Topic = None,
 ) -> None:
-    """Compute the poses of a recording from its scans alone, by kiss-icp.
+    """Compute the poses of a recording from its scans alone, by KISS-ICP.
 
     `--odometry` of other verbs takes the file beside a recording only where it holds all scans.
     """

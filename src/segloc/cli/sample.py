@@ -23,11 +23,11 @@ segloc view {out}/site.segmap {out}/results
 
 
 def sample(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the sample.")] = Path(
         "sample"
     ),
 ) -> None:
-    """Write a small recording to map, and scans to find in it: no data to download.
+    """Write a small recording to map, and scans to localize in it (no download).
 
     DIR/monday is a drive with an HDL-32E; DIR/tuesday are scans of another day by an OS1-64, in
     autumn, with other cars, partly off monday's way; DIR/elsewhere.npy is a scan of another town.

@@ -22,12 +22,13 @@ def view(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write one page that needs nothing else, and end.",
+            help="Write one self-contained page instead of serving.",
             show_default="none: a server",
         ),
     ] = None,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="NUMBER", help="Of the server, on localhost.")
+        int,
+        typer.Option(min=0, max=65535, metavar="NUMBER", help="Port of the server, on localhost."),
     ] = 8080,
 ) -> None:
     """Show a map and the queries in it in the browser.

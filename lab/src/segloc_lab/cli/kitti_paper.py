@@ -30,11 +30,11 @@ def kitti_paper(
     draws: Annotated[
         int | None,
         typer.Option(
-            min=1, metavar="COUNT", help="Samples of PROSAC at most.", show_default="2000000"
+            min=1, metavar="COUNT", help="Maximum number of PROSAC samples.", show_default="2000000"
         ),
     ] = None,
     stored: Annotated[
-        bool, typer.Option("--stored", help="Measure nothing: tables of what the folder has.")
+        bool, typer.Option("--stored", help="Only print the tables of stored results.")
     ] = False,
     report: Report = None,
 ) -> None:

@@ -33,7 +33,7 @@ Scene = Annotated[
     ),
 ]
 Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="The folder to write to.", show_default=False)
+    Path, typer.Option(metavar="DIR", help="Folder of the recordings.", show_default=False)
 ]
 Suite = Annotated[
     str | None,
@@ -41,9 +41,11 @@ Suite = Annotated[
         metavar="NAME", help="Instead of a scene: six named test sets.", show_default="none"
     ),
 ]
-Scale = Annotated[str, typer.Option(metavar="NAME", help="Of a suite: small, full or paper.")]
-Sensor = Annotated[str, typer.Option(metavar="NAME", help="What scans.")]
-Thin = Annotated[int, typer.Option(metavar="COUNT", help="Only one of so many firings.")]
+Scale = Annotated[
+    str, typer.Option(metavar="NAME", help="Size of the suite: small, full or paper.")
+]
+Sensor = Annotated[str, typer.Option(metavar="NAME", help="Sensor name.")]
+Thin = Annotated[int, typer.Option(metavar="COUNT", help="Keep every COUNT-th firing.")]
 Platform = Annotated[
     str | None,
     typer.Option(
@@ -58,13 +60,18 @@ Tilt = Annotated[
 ]
 Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
 Sessions = Annotated[
-    int, typer.Option(min=1, max=1001, metavar="COUNT", help="Session 0 is the one to map.")
+    int,
+    typer.Option(
+        min=1, max=1001, metavar="COUNT", help="Number of sessions; session 0 is the one to map."
+    ),
 ]
-Length = Annotated[float, typer.Option(metavar="METRES", help="Of each session.")]
+Length = Annotated[float, typer.Option(metavar="METRES", help="Length of each session.")]
 Spacing = Annotated[
     float | None,
     typer.Option(
-        metavar="METRES", help="Between scans.", show_default="2, or 0.2 for one that sweeps"
+        metavar="METRES",
+        help="Distance between scans.",
+        show_default="2, or 0.2 for one that sweeps",
     ),
 ]
 Size = Annotated[
@@ -72,14 +79,14 @@ Size = Annotated[
     typer.Option(metavar="METRES", help="Side of the world.", show_default="as the scene has it"),
 ]
 Storey = Annotated[
-    int, typer.Option(min=0, metavar="NUMBER", help="Of a building: which one is driven through.")
+    int, typer.Option(min=0, metavar="NUMBER", help="Storey of a building to drive through.")
 ]
-Seed = Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Another seed is another world.")]
+Seed = Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed of the world.")]
 Season = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Of later sessions: summer, autumn, winter or spring.",
+        help="Season of later sessions: summer, autumn, winter or spring.",
         show_default="as in session 0",
     ),
 ]
@@ -92,14 +99,19 @@ Foliage = Annotated[
     ),
 ]
 Replaced = Annotated[
-    float, typer.Option(metavar="SHARE", help="Of bins, benches, bushes and the like.")
+    float,
+    typer.Option(
+        metavar="SHARE", help="Share of bins, benches, bushes and the like that is replaced."
+    ),
 ]
-Scaffolding = Annotated[float, typer.Option(metavar="SHARE", help="Of buildings with scaffolding.")]
+Scaffolding = Annotated[
+    float, typer.Option(metavar="SHARE", help="Share of buildings with scaffolding.")
+]
 Swathe = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Gather the sweeps of a push-broom LiDAR.",
+        help="Accumulate the sweeps of a push-broom LiDAR over this distance.",
         show_default="they stay apart",
     ),
 ]
@@ -108,14 +120,14 @@ FileFormat = Annotated[
     typer.Option(
         "--format",
         metavar="SUFFIX",
-        help="Of scans: npy, npz, laz, bin, pcd or ply.",
+        help="Format of scans: npy, npz, laz, bin, pcd or ply.",
         show_default="npy, or npz with times",
     ),
 ]
 Objects = Annotated[
     bool, typer.Option("--objects", help="Also write which object each point lies on.")
 ]
-Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes that cast rays.")]
+Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Ray-casting processes.")]
 
 
 def simulate(

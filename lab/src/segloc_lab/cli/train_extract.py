@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from ..training.labels import LabelCounts
     from ..training.shards import Session
 
-Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="The folder to write to.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the dataset.")]
 Lengths = Annotated[
     list[float] | None,
     typer.Option(
         "--length",
         metavar="METRES",
-        help="Way a local cloud spans; 0: single scans.",
+        help="Path length of a local cloud; 0: single scans.",
         show_default="40, 16 and 0",
     ),
 ]
 
 Thin = Annotated[
-    int, typer.Option(min=1, metavar="COUNT", help="Simulate every so many firings only.")
+    int, typer.Option(min=1, metavar="COUNT", help="Keep every COUNT-th simulated firing.")
 ]
 Workers = Annotated[
     int,
@@ -40,7 +40,7 @@ Sequences = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="SEQUENCE",
-        help="Recordings of one place, one a session.",
+        help="Recordings of one place, one per session.",
         show_default="none: --simulate",
     ),
 ]
@@ -48,7 +48,9 @@ Sequences = Annotated[
 Simulate = Annotated[
     str | None,
     typer.Option(
-        metavar="SCENE:N,...", help="Draw worlds instead of recordings.", show_default="none"
+        metavar="SCENE:N,...",
+        help="Simulate worlds instead of reading recordings.",
+        show_default="none",
     ),
 ]
 
@@ -68,19 +70,23 @@ def extract(
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
     topic: Topic = None,
-    place: Annotated[str, typer.Option(metavar="NAME", help="Of the place.")] = "place",
-    sensor: Annotated[str, typer.Option(metavar="NAME", help="Of the sensor.")] = "unknown",
+    place: Annotated[str, typer.Option(metavar="NAME", help="Name of the place.")] = "place",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor name.")] = "unknown",
     register: Annotated[bool, typer.Option(help="Align each session with those before it.")] = True,
     simulate: Simulate = None,
     sensors: Sensors = None,
     thin: Thin = 1,
-    drive: Annotated[float, typer.Option(metavar="METRES", help="Of a simulated drive.")] = 500.0,
+    drive: Annotated[
+        float, typer.Option(metavar="METRES", help="Length of a simulated drive.")
+    ] = 500.0,
     length: Lengths = None,
-    every: Annotated[float, typer.Option(metavar="METRES", help="Between local clouds.")] = 10.0,
+    every: Annotated[
+        float, typer.Option(metavar="METRES", help="Distance between local clouds.")
+    ] = 10.0,
     centroids_only: Annotated[
         bool, typer.Option(help="Label by centroids alone, as the paper does.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of all random draws.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
     workers: Workers = 2,
     cluster: Cluster = None,
     config: ConfigFile = None,

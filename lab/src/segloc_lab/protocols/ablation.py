@@ -66,8 +66,9 @@ class Place:
 
 def sample_place() -> Place:
     """Return the sample of `segloc demo`."""
-    monday, tuesday, elsewhere = map(sample.load, ("monday", "tuesday", "elsewhere"))
-    return Place("sample", monday, Unposed(tuesday), tuesday.truth, Unposed(elsewhere))
+    tuesday, elsewhere = sample.load("tuesday"), sample.load("elsewhere")
+    truths, monday = tuesday.truth, sample.load("monday")
+    return Place("sample", monday, Unposed(tuesday), truths, Unposed(elsewhere))
 
 
 def simulated_place(kind: str, seed: int) -> Place:
