@@ -221,7 +221,13 @@ def _tell(
     if written and not json:
         print(f"{out} has {', '.join(written)}")
     with busy("Diagnosing failures"):
-        line = hint(asked, evaluation.results)
+        line = hint(
+            recording,
+            evaluation.results,
+            localizer.config.local_cloud,
+            prior_map=localizer.prior_map,
+            known=_excluded(asked, evaluation.results),
+        )
     if line:
         note(line)
 
@@ -386,23 +392,6 @@ def gnss_priors(
     return priors
 
 
-def hint(queries: Queries, results: Sequence[Localization]) -> str | None:
-    """Explain in one line why most queries fail; None if most succeed or no cause is known."""
-    found = sum(result.localized for result in results)
-    if found > _MOST * len(results):
-        return None
-    failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
-    cause = _excluded(queries, results) or _fault(queries)
-    if cause is not None:
-        return f"{failed} Likely cause: {cause}"
-    if found:
-        return None
-    return (
-        f"{failed} No problem found in the scans: were they taken within the map? "
-        "`segloc explain SCAN --map MAP` shows at which stage they fail"
-    )
-
-
 def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
     """Tell where the first query that a prior excludes is found without the prior."""
     from ..batch.run import each_prior, query_clouds
@@ -425,22 +414,3 @@ def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
         f"{x:.1f}, {y:.1f}, {away:.0f} m from its centre (confidence {anywhere.confidence:.2f}). "
         "Correct the position, widen --radius, or add --anywhere"
     )
-
-
-def _fault(queries: Queries) -> str | None:
-    """Name the first problem of the recording; if it has none, of the map's frame."""
-    from ..doctor import first_fault
-    from ..errors import SeglocError
-
-    try:
-        finding = first_fault(queries.recording, queries.localizer.config.local_cloud)
-    except SeglocError:
-        finding = None
-    frame = queries.localizer.prior_map.metadata.get("frame")
-    if (
-        frame
-        and not (finding is not None and finding.wrong)
-        and "T_map_odom" not in (queries.localizer.prior_map.metadata)
-    ):
-        return f"the map's frame is {frame}. Build the map with --level"
-    return None if finding is None else str(finding)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ..errors import SeglocError
 from ..frontend.local_cloud import LocalCloudConfig
 from ..localization import Localization
+from ..map.segment_map import SegmentMap
 from ..types import Scanned, as_recording
 from .recording import first_fault
 
@@ -14,32 +15,52 @@ _MOST = 0.5
 
 
 def hint(
-    scans: Scanned, results: Sequence[Localization], config: LocalCloudConfig | None = None
+    scans: Scanned,
+    results: Sequence[Localization],
+    config: LocalCloudConfig | None = None,
+    *,
+    prior_map: SegmentMap | None = None,
+    known: str | None = None,
 ) -> str | None:
-    """Say in one line why most queries fail; None where most do not, or no reason is known.
+    """Explain in one line why most queries fail; None if most succeed or no cause is known.
 
     Parameters
     ----------
     scans : Recording, or list of Scan or of (N, >=3) arrays
-        That the queries are from.
+        The scans of the queries.
     results : list of Localization
-        Their answers.
     config : LocalCloudConfig, optional
         How the sensor is mounted.
+    prior_map : SegmentMap, optional
+        The map; a frame that is not level is a cause, too.
+    known : str, optional
+        A cause that the caller knows; then no scan is examined.
     """
     found = sum(result.localized for result in results)
     if found > _MOST * len(results):
         return None
-    failed = f"{len(results) - found} of {len(results)} queries are not localized"
+    count = f"{len(results)} {'query' if len(results) == 1 else 'queries'}"
+    failed = f"{len(results) - found} of {count} failed."
+    cause = known or _fault(scans, config, {} if prior_map is None else prior_map.metadata)
+    if cause is not None:
+        return f"{failed} Likely cause: {cause}"
+    if found:
+        return None
+    return (
+        f"{failed} No problem found in the scans: were they taken within the map? "
+        "`segloc explain SCAN --map MAP` shows at which stage they fail"
+    )
+
+
+def _fault(
+    scans: Scanned, config: LocalCloudConfig | None, metadata: Mapping[str, str]
+) -> str | None:
+    """Name the first problem of the scans; if they have none, of the map's frame."""
     try:
         finding = first_fault(as_recording(scans), config)
     except SeglocError:
         finding = None
-    if finding is not None:
-        return f"{failed}, and this may be why: {finding}"
-    if found:
-        return None
-    return (
-        f"{failed}, and nothing wrong is found with the scans: were they taken within the map? "
-        "`segloc explain SCAN --map MAP` shows what is missing"
-    )
+    frame = None if "T_map_odom" in metadata else metadata.get("frame")
+    if frame and not (finding is not None and finding.wrong):
+        return f"the map's frame is {frame}. Build the map with --level"
+    return None if finding is None else str(finding)

@@ -134,7 +134,7 @@ def _rows(
         vectors = sampled_vectors(path, dataset, sampler)
         found = Described(vectors, None, pairs.first, pairs.second)
         area = roc(pair_scores(found), pairs, seed=workspace.seed).area
-        recall = score(vectors, dataset, k=K).recall
+        recall = score(vectors, dataset, k=K).recall or 0.0
         interval = f"{area.low:.3f} to {area.high:.3f}"
         name = sampler.replace("_", " ")
         rows.append((name, round(area.value, 4), interval, round(recall, 4)))
