@@ -129,7 +129,7 @@ def test_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    studies = pytest.importorskip("segloc_lab.studies.paper.studies")
+    studies = pytest.importorskip("segloc_lab.studies.paper.workspace")
     workspaces = importlib.import_module("segloc_lab.studies.paper.workspace")
     counting = loaded("lab/src/segloc_lab/studies/paper/counting.py", tmp_path)
     monkeypatch.setitem(sys.modules, "segloc_lab.studies.paper.counting", counting)
@@ -140,7 +140,7 @@ def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_study_has_a_module() -> None:
-    studies = pytest.importorskip("segloc_lab.studies.paper.studies")
+    studies = pytest.importorskip("segloc_lab.studies.paper.workspace")
     folder = ROOT / "lab" / "src" / "segloc_lab" / "studies" / "paper"
     missing = [name for name in studies.STUDIES if not (folder / f"{name}.py").is_file()]
     assert not missing

@@ -13,7 +13,7 @@ import matplotlib
 matplotlib.use("Agg")
 import numpy as np
 from matplotlib import pyplot
-from segloc_lab.script import parser
+from segloc_lab.report import parser
 from segloc_lab.simulation import SCENES, SENSORS, Conditions, LineLidar, SimulatedSequence
 from segloc_lab.simulation.drives import simulate_sessions
 

@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from segloc_lab.protocols import descriptor_scores  # noqa: E402
-from segloc_lab.training.scoring import load_descriptor, score_descriptor  # noqa: E402
+from segloc_lab.training.metrics import load_descriptor, score_descriptor  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import load_dataset  # noqa: E402
 

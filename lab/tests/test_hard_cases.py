@@ -7,15 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.protocols import (
-    change,
-    reliability,
-    simulation_queries,
-    wrong_maps,
-)
-from segloc_lab.protocols.simulation_scenarios import scenarios
+from segloc_lab.calibration import reliability
+from segloc_lab.protocols import change, simulation_queries, wrong_maps
+from segloc_lab.protocols.simulation_queries import scenarios
 from segloc_lab.recordings import kept
-from segloc_lab.script import keep
+from segloc_lab.report import keep
 from segloc_lab.simulation import Conditions, building, simulate_sessions, vlp16
 
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from segloc_lab.evaluation.intervals import mcnemar, share
-from segloc_lab.studies.kitti_paper import counting, pieces, places, protocol, tables
-from segloc_lab.studies.kitti_paper.answers import ESTIMATORS, VERIFIED
+from segloc_lab.report import mcnemar, share
+from segloc_lab.studies import kitti_paper as protocol
+from segloc_lab.studies.kitti_paper import ESTIMATORS, VERIFIED
 
 from segloc.batch.score import distances_to_path
 
@@ -39,15 +39,15 @@ def test_k_is_that_which_finds_most_with_no_negative_accepted() -> None:
         row(50.0, votes_25=[80.0, 5.0, 6], votes_50=[90.0, 5.0, 15]),
         row(25.0, votes_25=[0.5, 1.0, 40], votes_50=[0.5, 1.0, 40]),  # right, from afar
     ]
-    assert counting.threshold(training, "votes 50") == 16
-    assert counting.chosen(training, "votes", (25, 50)) == 25  # two each: the smaller
-    assert counting.outcomes(training, "votes 25", 7) == "+x--+"
-    assert counting.outcomes([{"distance": 1.0, "everything": None}], "everything") == "-"
+    assert protocol.threshold(training, "votes 50") == 16
+    assert protocol.chosen(training, "votes", (25, 50)) == 25  # two each: the smaller
+    assert protocol.outcomes(training, "votes 25", 7) == "+x--+"
+    assert protocol.outcomes([{"distance": 1.0, "everything": None}], "everything") == "-"
 
 
 @pytest.mark.data
 def test_the_parts_are_the_papers_and_training_knows_no_query(kitti: Path) -> None:
-    test, training = places.test_part(kitti), places.training_part(kitti)
+    test, training = protocol.test_part(kitti), protocol.training_part(kitti)
     assert len(test.positions) == 133 and (test.distances <= 3.0).sum() == 49
     first = test.queried.indices[0]
     for recording in (test.mapped, training.mapped, training.queried):
@@ -55,18 +55,18 @@ def test_the_parts_are_the_papers_and_training_knows_no_query(kitti: Path) -> No
     assert (training.distances <= 3.0).sum() > 30 < (training.distances > 20.0).sum()
 
 
-def walks(data: Path) -> places.Part:
+def walks(data: Path) -> protocol.Part:
     """A part made of two walks over one plaza, in place of a drive."""
     mapped, queried = PlazaSequence(Plaza(1), steps=6), PlazaSequence(Plaza(1), steps=4)
     positions = np.array([1, 3])
     distances = distances_to_path(queried.poses[positions], mapped.poses)
-    return places.Part(mapped, queried, positions, distances)
+    return protocol.Part(mapped, queried, positions, distances)
 
 
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     """The protocol on two walks."""
-    monkeypatch.setattr(places, "PARTS", {"test": walks, "training": walks})
+    monkeypatch.setattr(protocol, "PARTS", {"test": walks, "training": walks})
 
 
 METHODS = ("geo", "segmatch-eigen")
@@ -77,17 +77,17 @@ def test_pieces_that_were_cut_off_and_put_together_are_one_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = protocol.answers_of(METHODS, tmp_path, tmp_path / "one", say=str)
-    every = pieces.queries
+    every = protocol.queries
 
     def cut_off(*arguments: Any) -> Any:
         yield next(every(*arguments))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pieces, "queries", cut_off)
+    monkeypatch.setattr(protocol, "queries", cut_off)
     with pytest.raises(KeyboardInterrupt):
         protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str)
-    monkeypatch.setattr(pieces, "queries", every)
-    monkeypatch.setattr(pieces, "QUERIES", 1)  # the row that is there is a piece by now
+    monkeypatch.setattr(protocol, "queries", every)
+    monkeypatch.setattr(protocol, "QUERIES", 1)  # the row that is there is a piece by now
     asked: list[str] = []
     for method in METHODS:
         protocol.answers_of((method,), tmp_path, tmp_path / "two", asked.append, workers=1)
@@ -103,10 +103,10 @@ def test_tables_are_made_of_the_answers_that_a_folder_has(tmp_path: Path) -> Non
     found = protocol.answers_of(METHODS, tmp_path, folder, say=str)
     for answers in found.values():
         assert set(answers["neighbours"]) == set(ESTIMATORS)
-        assert set(tables.outcomes_of(answers)) == {*ESTIMATORS, *VERIFIED}
-        assert all(letters == "++" for letters in tables.outcomes_of(answers).values())
+        assert set(protocol.outcomes_of(answers)) == {*ESTIMATORS, *VERIFIED}
+        assert all(letters == "++" for letters in protocol.outcomes_of(answers).values())
     import_module("segloc.cli")  # first: it loads the verbs that others add
-    from segloc_lab.cli.kitti_paper import kitti_paper
+    from segloc_lab.cli.studies import kitti_paper
 
     kitti_paper(out=tmp_path, stored=True, report=tmp_path / "report")
     (table,) = json.loads((tmp_path / "report" / "rows.json").read_text())

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
 from segloc_lab.protocols import kidnapping, live_streams
-from segloc_lab.protocols.followed import there_and_back
-from segloc_lab.protocols.kidnapped import Trial
+from segloc_lab.protocols.kidnapping import Trial
+from segloc_lab.protocols.live_streams import there_and_back
 
 from segloc import geometry
 from segloc.loops.graph import Edges

@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from segloc_lab.report import Table, publish, write
-from segloc_lab.script import reporting
+from segloc_lab.report import Table, publish, reporting, write
 
 from segloc.errors import ConfigError
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from segloc_lab.calibration import landmarks as calibration
-from segloc_lab.evaluation.intervals import wilson
+from segloc_lab.calibration.landmarks import Detector, planted, pose_at, surveyed, wild
 from segloc_lab.protocols import trees
-from segloc_lab.stems import Detector, planted, pose_at, surveyed, wild
+from segloc_lab.report import wilson
 
 
 def test_wilsons_interval_is_the_published_one() -> None:

@@ -23,11 +23,11 @@ from segloc.errors import WeightsError
 from segloc.types import Segments
 
 torch = pytest.importorskip("torch")
-export = pytest.importorskip("segloc_lab.training.export")
+export = pytest.importorskip("segloc_lab.training.models")
 models = pytest.importorskip("segloc_lab.training.models")
 
 from segloc_lab.training.config import HeadKind  # noqa: E402
-from segloc_lab.training.pair_heads import PairHead  # noqa: E402
+from segloc_lab.training.pair_fitting import PairHead  # noqa: E402
 
 torch.set_num_threads(1)  # small problems: more threads only wait for each other
 

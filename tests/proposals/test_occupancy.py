@@ -9,7 +9,7 @@ import pytest
 from samples.maps import occupancy
 from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
-from segloc_lab.evaluation.negative_maps import mirrored
+from segloc_lab.padding import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
 from segloc.datasets import open_sequence

@@ -16,7 +16,7 @@ from segloc.system.files import replacing
 from segloc.types import Derived, Float64, Pose, Recording, Scan, stamp_at
 
 from .simulation import SimulatedSequence
-from .simulation.motion.paths import on_ground
+from .simulation.motion.platforms import on_ground
 
 LOWEST_DEG, HIGHEST_DEG, BEAMS = -24.9, 2.0, 64
 """Elevations of an HDL-64E."""

@@ -11,15 +11,125 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
+
+from scipy.stats import binomtest
 
 from segloc.errors import ConfigError
 from segloc.system.files import write_text
 from segloc.system.machine import processor
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's score interval of a share at 95 %; (0, 1) of no trials."""
+    if not trials:
+        return 0.0, 1.0
+    interval = binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def share(successes: int, trials: int) -> str:
+    """A count with its interval in percent, as "8 of 10 (49 to 94 %)"."""
+    low, high = wilson(successes, trials)
+    digits = 0 if trials < 200 else 1
+    interval = f" ({100 * low:.{digits}f} to {100 * high:.{digits}f} %)" if trials else ""
+    return f"{successes} of {trials}{interval}"
+
+
+def apart(a: Sequence[bool], b: Sequence[bool]) -> tuple[int, int]:
+    """How often the first alone succeeded, and the second alone, of the same queries.
+
+    Raises
+    ------
+    ValueError
+        If they are not of the same queries.
+    """
+    pairs = list(zip(a, b, strict=True))
+    return sum(x and not y for x, y in pairs), sum(y and not x for x, y in pairs)
+
+
+def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
+    """McNemar's exact test: how likely two methods that are equally good differ so much.
+
+    Parameters
+    ----------
+    a, b : sequences of bool
+        Whether each method succeeded, query by query, in the same order.
+
+    Returns
+    -------
+    float
+        Two-sided p-value; 1 where no query tells them apart.
+
+    Raises
+    ------
+    ValueError
+        If they are not of the same queries.
+    """
+    only_a, only_b = apart(a, b)
+    if not only_a + only_b:
+        return 1.0
+    return float(binomtest(only_a, only_a + only_b, 0.5).pvalue)
+
+
+def parser(doc: str | None) -> argparse.ArgumentParser:
+    """Make a parser that shows a module's docstring as its help."""
+    return argparse.ArgumentParser(
+        description=(doc or "").strip(), formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def reporting(doc: str | None) -> argparse.ArgumentParser:
+    """Make a parser with an option for the folder of the report."""
+    options = parser(doc)
+    options.add_argument(
+        "--report", type=new_folder, metavar="FOLDER", help="new folder for a dated report"
+    )
+    return options
+
+
+def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
+    """Make the parser of a run that goes on from its file, and that adds up files of others."""
+    options = reporting(doc)
+    options.add_argument("--out", type=Path, default=Path(out))
+    options.add_argument(
+        "--add", type=Path, nargs="+", metavar="FILE", help="add up files of earlier runs, only"
+    )
+    return options
+
+
+def entries(path: Path) -> list[dict[str, Any]]:
+    """Read the lines of JSON that a run has kept, in order."""
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def keep(path: Path, entry: Mapping[str, Any]) -> None:
+    """Append a line of JSON to a file, which need not exist."""
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(entry) + "\n")
+
+
+def head(*columns: str) -> str:
+    """Format the head of a Markdown table."""
+    return f"{row(*columns)}\n{row(*('---' for _ in columns))}"
+
+
+def row(*cells: object) -> str:
+    """Format a row of a Markdown table."""
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def show(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a Markdown table, row by row."""
+    print(head(*columns))
+    for cells in rows:
+        print(row(*cells), flush=True)
+
 
 Cell = str | int | float | None
 _BEGAN = time.monotonic()

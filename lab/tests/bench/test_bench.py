@@ -8,17 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.bench import (
-    fps,
-    geometric,
-    harness,
-    inputs,
-    network,
-    query,
-    rows,
-    stream,
-    suite,
-)
+from segloc_lab.bench import fps, geometric, harness, inputs, network, query, stream
+from segloc_lab.bench import harness as rows
+from segloc_lab.cli import bench as suite
 from segloc_lab.padding import padded_with_copies
 from typer.testing import CliRunner
 
@@ -173,7 +165,7 @@ def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
 
 def test_pytorch_runs_in_its_own_forms():
     pytest.importorskip("torch", reason="the training framework needs PyTorch")
-    from segloc_lab.training import ops
+    from segloc_lab.training import models as ops
 
     assert ops._is_native()
     with ops.torch_forms():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from segloc_lab.evaluation.report.study import Study
-from segloc_lab.studies.paper import studies
+from segloc_lab.studies.paper import workspace as studies
 
 from segloc.cli import app
 from segloc.errors import ConfigError, DatasetError, MissingDependency

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.simulation import Route, simulate_session, town, vlp16
+from segloc_lab.training.collect import draw_worlds
 from segloc_lab.training.extract import ExtractConfig, extract_session
 from segloc_lab.training.labels import LabelConfig
 from segloc_lab.training.shards import INDEX, Session, finish, load_dataset, write_shard
-from segloc_lab.training.worlds import draw_worlds
 from typer.testing import CliRunner
 
 from segloc.cli import app

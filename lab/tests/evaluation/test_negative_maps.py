@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
 from scipy.spatial import cKDTree
-from segloc_lab.evaluation.negative_maps import mirrored, shuffled
+from segloc_lab.padding import mirrored, shuffled
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc.datasets import open_sequence

@@ -27,7 +27,7 @@ from segloc_lab.simulation import (
     wheeled,
 )
 from segloc_lab.simulation.drives import lane
-from segloc_lab.simulation.objects.identity import SESSION_IDS
+from segloc_lab.simulation.objects.mesh import SESSION_IDS
 from segloc_lab.simulation.worlds.interior import Interior
 from segloc_lab.simulation.worlds.mine import skin
 

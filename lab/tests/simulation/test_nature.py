@@ -25,12 +25,9 @@ from segloc_lab.simulation import (
     park,
     simulate_session,
 )
-from segloc_lab.simulation.objects.identity import Objects
-from segloc_lab.simulation.objects.mesh import LEAF, SOLID, Mesh, triangles
-from segloc_lab.simulation.objects.scene import Hits
-from segloc_lab.simulation.objects.species import EVERGREEN, SPECIES
-from segloc_lab.simulation.objects.terrain import Terrain
-from segloc_lab.simulation.objects.trees import grow
+from segloc_lab.simulation.objects.mesh import LEAF, SOLID, Mesh, Objects, triangles
+from segloc_lab.simulation.objects.scene import Hits, Terrain
+from segloc_lab.simulation.objects.vegetation import EVERGREEN, SPECIES, grow
 
 from segloc.errors import ConfigError
 from segloc.frontend.local_cloud import Accumulator

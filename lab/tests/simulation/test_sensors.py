@@ -41,9 +41,8 @@ from segloc_lab.simulation import (
     town,
     vlp16,
 )
-from segloc_lab.simulation.objects.identity import Objects
-from segloc_lab.simulation.objects.mesh import boxes
-from segloc_lab.simulation.objects.terrain import Terrain
+from segloc_lab.simulation.objects.mesh import Objects, boxes
+from segloc_lab.simulation.objects.scene import Terrain
 
 from segloc.datasets import open_sequence, parse_select, swathes
 from segloc.errors import ConfigError, DatasetError, InvalidScan, MissingDependency

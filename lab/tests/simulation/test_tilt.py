@@ -27,7 +27,7 @@ from segloc_lab.simulation import (
     warehouse,
     wheeled,
 )
-from segloc_lab.simulation.objects.terrain import Terrain
+from segloc_lab.simulation.objects.scene import Terrain
 
 from segloc.errors import ConfigError
 from segloc.types import Float64

@@ -25,10 +25,9 @@ from segloc_lab.simulation import (
     town,
     vlp16,
 )
-from segloc_lab.simulation.objects.identity import SESSION_IDS, Objects
-from segloc_lab.simulation.objects.mesh import boxes, glass, quads
-from segloc_lab.simulation.objects.plant import lying_tank
-from segloc_lab.simulation.objects.terrain import Terrain
+from segloc_lab.simulation.objects.mesh import SESSION_IDS, Objects, boxes, glass, quads
+from segloc_lab.simulation.objects.scene import Terrain
+from segloc_lab.simulation.objects.works import lying_tank
 from segloc_lab.simulation.worlds.world import World
 
 from segloc.datasets import open_sequence

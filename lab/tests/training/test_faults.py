@@ -13,14 +13,11 @@ from segloc.errors import ConfigError, DatasetError, SeglocError, WeightsError
 
 torch = pytest.importorskip("torch")
 
-from segloc_lab.training.config import (  # noqa: E402
-    TrainConfig,
-    load_train_config,
-)
+from segloc_lab.training.config import TrainConfig, load_train_config  # noqa: E402
 from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
 from segloc_lab.training.extract import Extract  # noqa: E402
 from segloc_lab.training.labels import LabelConfig  # noqa: E402
-from segloc_lab.training.scoring import load_descriptor  # noqa: E402
+from segloc_lab.training.metrics import load_descriptor  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import INDEX, Session, load_dataset, write_shard  # noqa: E402
 from segloc_lab.training.shards import finish as finish_dataset  # noqa: E402

@@ -9,7 +9,7 @@ from segloc import _native
 
 torch = pytest.importorskip("torch")
 
-from segloc_lab.training.ops import column_maps, elu_norm, gather, xconv_apply  # noqa: E402
+from segloc_lab.training.models import column_maps, elu_norm, gather, xconv_apply  # noqa: E402
 
 torch.set_num_threads(1)
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 from segloc_lab.training.dataset import SegmentDataset
-from segloc_lab.training.metrics import auc_interval, recall_at_k
-from segloc_lab.training.scoring import load_descriptor, score_descriptor
+from segloc_lab.training.metrics import auc_interval, load_descriptor, recall_at_k, score_descriptor
 from segloc_lab.training.session_registration import Registration
 
 from segloc import geometry
@@ -16,12 +15,7 @@ from segloc.errors import WeightsError
 
 torch = pytest.importorskip("torch")
 
-from segloc_lab.training.losses import (  # noqa: E402
-    hard_triplet,
-    info_nce,
-    multi_similarity,
-    ratio_triplet,
-)
+from segloc_lab.training.losses import hard_triplet, info_nce, multi_similarity, ratio_triplet  # noqa: E402
 
 # Two objects of two views each on a line: 0, 1 and 3, 5.
 X = torch.tensor([[0.0], [1.0], [3.0], [5.0]])

@@ -9,11 +9,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from segloc_lab.training.batches import Batches  # noqa: E402
 from segloc_lab.training.config import TrainConfig  # noqa: E402
 from segloc_lab.training.segmap import SegMapNetwork  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.tasks import create_task  # noqa: E402
+from segloc_lab.training.train import Batches  # noqa: E402
 
 from segloc.descriptors.segmap import SegMapDescriptor  # noqa: E402
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from samples import stems
 from scipy.spatial import cKDTree
-from segloc_lab.evaluation.negative_maps import mirrored
+from segloc_lab.padding import mirrored
 
 from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.localization import Reason

@@ -22,11 +22,9 @@ from segloc.system.machine import processor
 from segloc.types import LocalCloud, stamp_at
 
 from .. import kitti00
-from ..report import publish
-from ..script import reporting
-from .harness import Row, in_process
+from ..report import publish, reporting
+from .harness import Row, in_process, query_table, show
 from .query import Scene, query_row
-from .rows import query_table, show
 
 NEAR_M, FAR_M = 3.0, 60.0
 """Within map coverage, and farther off than a query sees."""

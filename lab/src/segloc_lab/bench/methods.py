@@ -15,11 +15,9 @@ from segloc.descriptors import available, create
 from segloc.proposals.matching import Matcher
 from segloc.types import Descriptors, Segments
 
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting
 from ..training.shapes import shapes_dataset
-from .harness import in_process, interleaved
-from .rows import rounded
+from .harness import in_process, interleaved, rounded
 
 COLUMNS = (
     "method",

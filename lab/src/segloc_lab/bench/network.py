@@ -132,8 +132,7 @@ def random_tensors(layers: Sequence[Layer], seed: int = 0) -> dict[str, Float32]
 
 
 def _torch_model(torch: Any, threads: int) -> tuple[Any, dict[str, Float32]]:
-    from ..training.export import folded
-    from ..training.models import DescriptorNetwork
+    from ..training.models import DescriptorNetwork, folded
 
     torch.manual_seed(0)
     torch.set_num_threads(threads)
@@ -151,7 +150,7 @@ def _chunks(torch: Any, model: Any, prepared: Float32, size: int) -> list[tuple[
 
 
 def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
-    from ..training.ops import torch_forms
+    from ..training.models import torch_forms
 
     chunks = _chunks(torch, model, prepared, size)
 
@@ -166,7 +165,7 @@ def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
 def _onnx_run(
     modules: tuple[Any, Any], model: Any, prepared: Float32, size: int, threads: int
 ) -> Any:
-    from ..training.ops import torch_forms
+    from ..training.models import torch_forms
 
     """Export the model to ONNX Runtime, and run it over chunks of the segments."""
 

@@ -37,9 +37,8 @@ from segloc.proposals.proposer import Query
 from segloc.system.stage_times import StageTimes
 from segloc.types import Pose
 
-from ..evaluation.negative_maps import mirrored
-from ..padding import padded
-from ..script import parser
+from ..padding import mirrored, padded
+from ..report import parser
 from ..simulation import (
     SCENES,
     SENSORS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,8 +10,51 @@ import typer
 
 from segloc.errors import ConfigError
 
+from ..bench.fps import fps
+from ..bench.geometric import clustering, icp, knn, pose
+from ..bench.harness import Row, in_process
+from ..bench.network import dsm_vs_esm, network
+from ..bench.query import query
+from ..bench.stream import stream, stream_os1_128, stream_vlp16
+
 if TYPE_CHECKING:
     from ..bench.harness import Row
+
+
+Benchmark = Callable[[int, int], Row]
+
+BENCHMARKS: dict[str, Benchmark] = {
+    "fps": fps,
+    "network": network,
+    "dsm_vs_esm": dsm_vs_esm,
+    "clustering": clustering,
+    "knn": knn,
+    "pose": pose,
+    "icp": icp,
+    "query": query,
+    "stream": stream,
+    "stream_os1_128": stream_os1_128,
+    "stream_vlp16": stream_vlp16,
+}
+"""Functions of (threads, repeats)."""
+
+
+def run(names: Sequence[str], threads: Sequence[int], repeats: int) -> Iterator[Row]:
+    """Run benchmarks one after another, each in a process of its own.
+
+    Raises
+    ------
+    ConfigError
+        If there is no benchmark of a name, or a number is below 1.
+    """
+    for name in names:
+        if name not in BENCHMARKS:
+            raise ConfigError(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
+    if repeats < 1 or min(threads, default=0) < 1:
+        raise ConfigError("threads and repeats must be at least 1")
+    return (
+        in_process(count, BENCHMARKS[name], count, repeats) for name in names for count in threads
+    )
 
 
 def bench(
@@ -34,8 +78,7 @@ def bench(
     from segloc.cli.console import busy, note
     from segloc.system.machine import processor
 
-    from ..bench.rows import tables
-    from ..bench.suite import BENCHMARKS, run
+    from ..bench.harness import tables
     from ..report import require_new, write
 
     require_new(report)
@@ -76,7 +119,7 @@ def _numbers(text: str) -> list[int]:
 def _show(rows: list[Row], title: str) -> None:
     from segloc.cli.console import table
 
-    from ..bench.rows import table_rows
+    from ..bench.harness import table_rows
 
     lines = [line for row in rows for line in table_rows(row)]
     table(title, ("", "ms", "ratio"), lines)

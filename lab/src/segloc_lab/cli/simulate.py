@@ -303,7 +303,7 @@ def _described(drive: SimulatedSequence, scans: int) -> dict[str, Any]:
 
 def _kinds(drives: list[SimulatedSequence]) -> dict[str, str]:
     """What every object id of the sessions stands for."""
-    from ..simulation.objects.identity import GROUND_ID
+    from ..simulation.objects.mesh import GROUND_ID
 
     found = {GROUND_ID: "ground"}
     for drive in drives:

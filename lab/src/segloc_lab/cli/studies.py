@@ -6,19 +6,84 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from segloc.cli.console import note, progress, say
-from segloc.errors import ConfigError, MissingDependency
+from segloc.errors import ConfigError, DatasetError, MissingDependency
 
 from . import evaluate as own
-from .kitti_paper import Report, kitti_paper
 
 if TYPE_CHECKING:
     from ..evaluation.report.study import Study
     from ..studies.paper.workspace import Workspace
+
+
+Report = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
+]
+
+
+def kitti_paper(
+    kitti: Annotated[
+        Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes and their poses.")
+    ] = None,
+    out: own.Out = own.OUT,
+    methods: own.Methods = None,
+    verify: Annotated[
+        bool, typer.Option(help="Also with our verification, which takes three times as long.")
+    ] = True,
+    workers: own.Workers = 2,
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="COUNT", help="Maximum number of PROSAC samples.", show_default="2000000"
+        ),
+    ] = None,
+    stored: Annotated[
+        bool, typer.Option("--stored", help="Only print the tables of stored results.")
+    ] = False,
+    report: Report = None,
+) -> None:
+    """The paper's own protocol on KITTI 00, with and without our verification. (Table II)
+
+    Everything before the last 1300 m is mapped, and a cloud every 9.7 m of the rest is localized.
+    K is chosen for each method at other places, and so is the number of inliers that is believed.
+    """
+    from ..report import publish, require_new
+    from ..studies.kitti_paper import counts, differences
+    from ..studies.kitti_paper import stored as read
+
+    require_new(report)
+    folder = out / "kitti-paper"
+    answers = read(folder) if stored else _measured(kitti, folder, methods, verify, workers, draws)
+    tables = [counts(answers)]
+    if "dsm" in answers:
+        tables.append(differences(answers))
+    publish(report, "The paper's protocol on KITTI 00", *tables)
+
+
+def _measured(
+    kitti: Path | None,
+    folder: Path,
+    methods: str | None,
+    verify: bool,
+    workers: int,
+    draws: int | None,
+) -> dict[str, Any]:
+    from ..evaluation.methods import ready
+    from ..studies.kitti_paper import DRAWS, answers_of
+
+    if kitti is None:
+        raise ConfigError("which recording is to be localized? --kitti DATA")
+    if not (kitti / "keyframes").is_dir():
+        raise DatasetError(f"{kitti / 'keyframes'}: no such folder; --kitti needs keyframes")
+    chosen = ready(own.chosen(methods))
+    if chosen.left_out:
+        note(chosen.note())
+    return answers_of(chosen.names, kitti, folder, say, verify, workers, draws or DRAWS)
+
 
 _EXPLAINED = {
     "roc": "How well does each descriptor tell objects apart? (Fig. 5)",
@@ -143,7 +208,7 @@ def _workspace(
 
 def _run(study: str, workspace: Workspace, report: Path | None) -> None:
     from ..report import require_new
-    from ..studies.paper import studies
+    from ..studies.paper import workspace as studies
 
     require_new(report)
     if study == "all":
@@ -159,7 +224,7 @@ def _run(study: str, workspace: Workspace, report: Path | None) -> None:
 
 def _run_all(workspace: Workspace) -> Iterator[Study]:
     """Run every study; one whose packages are missing is left out with a remark."""
-    from ..studies.paper import studies
+    from ..studies.paper import workspace as studies
 
     for name in studies.STUDIES:
         say(f"segloc evaluate {name}")

@@ -18,8 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting
 from .exchange import Answers, Clouds
 
 LABELS = {

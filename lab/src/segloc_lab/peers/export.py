@@ -24,7 +24,7 @@ from segloc.types import Float64, LocalCloud
 
 from .. import kitti00
 from ..recordings import beside, has_room
-from ..script import parser
+from ..report import parser
 from ..simulation import (
     SCENES,
     Conditions,

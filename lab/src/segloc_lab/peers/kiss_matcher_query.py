@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from segloc import geometry
 
-from ..script import parser
+from ..report import parser
 from .exchange import Answers, Clouds, run
-from .scan_context import ScanContexts, sideways
-from .verification import Places, Query, near
+from .scan_context import Places, Query, ScanContexts, near, sideways
 
 RADIUS_M = 60.0
 

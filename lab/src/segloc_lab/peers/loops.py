@@ -26,8 +26,7 @@ from segloc.motion import odometry_covariance
 from segloc.types import Float64
 
 from ..kitti00 import keyframes, poses_of
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting
 
 FALSE_M = 5.0
 LOOP_M, LOOP_DEG = 0.5, 0.5

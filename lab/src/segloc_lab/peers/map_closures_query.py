@@ -16,7 +16,7 @@ from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
 from numpy.typing import NDArray
 
-from ..script import parser
+from ..report import parser
 from .exchange import Answers, Clouds, run
 
 RADIUS_M = 50.0

@@ -26,7 +26,7 @@ from segloc.frontend.segmentation import Segmenter
 from segloc.map.build import View, add_view, empty_map
 from segloc.types import LocalCloud, Scan
 
-from ..script import parser
+from ..report import parser
 from .exchange import Answers, Clouds, run
 
 

@@ -24,8 +24,7 @@ from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..kitti00 import PROTOCOLS, query_set
-from ..report import Table, publish
-from ..script import reporting
+from ..report import Table, publish, reporting
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
 FARTHEST_M, AGREE_M = 2.5, 0.05

@@ -27,8 +27,7 @@ from segloc.frontend.local_cloud import Accumulator, window
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.types import Float32, Float64, Int64, Pose
 
-from ..report import Table, publish
-from ..script import reporting
+from ..report import Table, publish, reporting
 from ..simulation import OdometryNoise
 from ..training.session_registration import Registration
 

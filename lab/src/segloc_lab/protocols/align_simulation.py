@@ -18,7 +18,7 @@ from segloc import Config, geometry
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.types import Float64
 
-from ..script import reporting
+from ..report import reporting
 from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
 from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, Errors, tell, timed
 

@@ -32,12 +32,10 @@ from segloc.descriptors import Descriptor, create
 from segloc.errors import ConfigError
 
 from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
-from ..evaluation.intervals import mcnemar, share
 from ..evaluation.scenario import QuerySet
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept
-from ..report import Cell, Table, publish
-from ..script import entries, keep, resumed
+from ..report import Cell, Table, entries, keep, mcnemar, publish, resumed, share
 from ..simulation import (
     SCENES,
     SENSORS,

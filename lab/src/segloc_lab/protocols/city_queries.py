@@ -24,9 +24,8 @@ from segloc.system.stage_times import StageTimes
 from segloc.tiles import TiledMap
 
 from ..city import opened, queries
-from ..memory import held_mb, highest_mb
-from ..script import parser
-from ..stages import processor_clock
+from ..report import parser
+from ..stages import held_mb, highest_mb, processor_clock
 
 WIDE = "ten times as wide"
 WAYS = (

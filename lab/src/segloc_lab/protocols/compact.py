@@ -25,9 +25,7 @@ from segloc.map.voxel_cloud import VoxelCloud
 from segloc.proposals.proposer import Query
 from segloc.types import Float64
 
-from ..evaluation.intervals import share
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting, share
 from .real import maps, outcome, queries
 
 REPEATS = 5

@@ -13,10 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting
 from ..training.dataset import SegmentDataset
-from ..training.scoring import KS, Report, load_descriptor, score_descriptor
+from ..training.metrics import KS, Report, load_descriptor, score_descriptor
 from ..training.shards import load_dataset
 
 AMONG = 25

@@ -30,8 +30,7 @@ from segloc.system.processes import executing
 from segloc.tiles import TiledMap, cut_tiles, update_tiles
 
 from ..evaluation.scenario import folder_size
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting
 from ..simulation import SENSORS, Conditions, record, simulate_sessions, town
 
 Value = TypeVar("Value")

@@ -26,11 +26,9 @@ from segloc.frontend.local_cloud import Accumulator
 from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 from segloc.types import Pose
 
-from ..evaluation.intervals import share, wilson
-from ..evaluation.negative_maps import mirrored
+from ..padding import mirrored
 from ..recordings import beside, has_room, kept
-from ..report import Table, publish
-from ..script import reporting
+from ..report import Table, publish, reporting, share, wilson
 from ..simulation import SCENES, Conditions, World
 from .change import SIZES_M, SPINNING, drives, mapped_drive, query_sets, sensor_of
 

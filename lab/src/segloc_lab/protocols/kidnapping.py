@@ -17,20 +17,261 @@ extra ``sim``.
 from __future__ import annotations
 
 import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import time
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..evaluation.intervals import share
-from ..report import Cell, Table, publish
-from ..script import entries, keep, resumed
-from .kidnapped import HELD_M, KINDS, NOTICED_M, RECOVERED_M, WAYS, Trial, World
+from segloc import Config, Localizer, Scan, build_map, geometry
+from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
+from segloc.datasets import Selection
+from segloc.live.replay import Replay, pose_errors, replay
+from segloc.tracking.views import Status
+from segloc.types import Derived, Float64, Int64, Recording
+
+from ..report import Cell, Table, entries, keep, publish, resumed, share
+from ..simulation import (
+    PLATFORMS,
+    SCENES,
+    SENSORS,
+    Conditions,
+    OdometryNoise,
+    SimulatedSequence,
+    simulate_sessions,
+)
+
+BEFORE_M, AFTER_M, AWAY_M, OUTSIDE_M = 40.0, 100.0, 20.0, 20.0
+TURN_DEG = (40.0, 180.0)
+OFF_M, OFF_DEG = 2.0, 10.0
+NOTICED_M, RECOVERED_M, HELD_M = 30.0, 60.0, 5.0
+MAPPED_SHARE = 0.6
+DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
+WAYS = ("street", "turn", "outside")
+"""Where robots find themselves."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of world, and what drives through it."""
+
+    scene: str
+    sensor: str
+    size_m: float = 330.0
+    length_m: float = 500.0
+    spacing_m: float = 2.0
+    platform: str | None = None
+
+
+KINDS = (
+    Kind("town", "hdl64e"),
+    Kind("industrial", "vlp16", 250.0),
+    Kind("park", "os1-64", 250.0),
+    Kind("offices", "os1-64", 80.0, 220.0, 0.5, "wheeled"),
+    Kind("town", "vlp16"),
+    Kind("industrial", "os1-64", 250.0),
+    Kind("park", "hdl64e", 250.0),
+    Kind("warehouse", "vlp16", 80.0, 220.0, 0.5, "wheeled"),
+)
+"""They take turns."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of one; metres, None where it did not happen."""
+
+    seed: int
+    number: int
+    scene: str
+    sensor: str
+    way: str
+    known: bool  # before it was carried
+    noticed: float | None
+    recovered: float | None
+    held: float
+    carried_on: float  # degraded, with a pose farther off than that
+
+
+@dataclass(frozen=True)
+class Carried(Derived[Recording]):
+    """Parts of a drive one after another, with odometry that goes on between them.
+
+    Attributes
+    ----------
+    positions : (N,) int64
+        In the drive.
+    poses : (N, 4, 4) float64
+        By odometry.
+    turns : (N, 4, 4) float64
+        T_drive_sensor: how the robot stands where the drive stood.
+    clock : (N,) float64 or None
+        Seconds.
+    first : int
+        Scan at its new place.
+    """
+
+    positions: Int64
+    poses: Float64
+    turns: Float64
+    clock: Float64 | None
+    first: int
+
+    @property
+    def indices(self) -> Int64:
+        return np.arange(len(self.positions), dtype=np.int64)
+
+    @property
+    def stamps(self) -> Float64 | None:
+        return self.clock
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def scan(self, i: int) -> Scan:
+        points = self.source.scan(int(self.positions[i])).points
+        return Scan(geometry.transform(geometry.inverse(self.turns[i]), points))
+
+
+class Drive(Derived[SimulatedSequence]):
+    """A drive whose scans are cast once."""
+
+    poses: Float64
+    _scans: dict[int, Scan]
+
+    def __init__(self, drive: SimulatedSequence) -> None:
+        super().__init__(drive)
+        object.__setattr__(self, "poses", drive.truth)
+        object.__setattr__(self, "_scans", {})
+
+    def scan(self, i: int) -> Scan:
+        if i not in self._scans:
+            self._scans[i] = Scan(self.source.scan(i).points)
+        return self._scans[i]
+
+
+class World:
+    """A map, and a drive that robots are carried about in.
+
+    Attributes
+    ----------
+    known : (K,) int64
+        Positions of the drive up to which it has been along the map for some scans.
+    """
+
+    def __init__(self, kind: Kind, seed: int) -> None:
+        self.kind, self.seed = kind, seed
+        sensor = SENSORS[kind.sensor]()
+        mapped, driven = simulate_sessions(
+            SCENES[kind.scene](seed, size_m=kind.size_m),
+            sensor.thinned(4 if kind.sensor == "hdl64e" else 2),
+            [Conditions(), Conditions(replaced=0.1)],
+            length_m=kind.length_m,
+            spacing_m=kind.spacing_m,
+            seed=seed,
+            platform=PLATFORMS[kind.platform]() if kind.platform else None,
+        )
+        ends = mapped.indices[[int((1.0 - MAPPED_SHARE) * len(mapped)), -1]].tolist()
+        config = Config(threads=1)
+        prior_map = build_map(mapped.select(Selection((tuple(ends),))), config)
+        self.localizer, self.drive = Localizer(prior_map, config), Drive(driven)
+        self._beside = distances_to_path(self.drive.poses, prior_map.trajectory)
+        self._inside = inside = self._beside <= COVERAGE_RADIUS_M
+        self.known = np.array(
+            [k for k in np.flatnonzero(inside) if inside[max(0, k - 10) : k].all()], dtype=np.int64
+        )
+
+    def trial(self, number: int) -> Trial:
+        """One robot; the same for the same number."""
+        rng = np.random.default_rng([self.seed, number])
+        way = WAYS[number % len(WAYS)]
+        taken, put, way = self._places(way, rng)
+        degrees = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0])) if way == "turn" else 0.0
+        carried = self._carried(taken, put, np.radians(degrees), rng)
+        truths = self.drive.poses[carried.positions] @ carried.turns
+        played = replay(self.localizer, carried)
+        return self._judged(number, way, played, carried, truths)
+
+    def _places(self, way: str, rng: np.random.Generator) -> tuple[int, int, str]:
+        """Where a robot is taken from and put to; where there is no such place, to another."""
+        spacing, truths = self.kind.spacing_m, self.drive.poses
+        before = int(BEFORE_M / spacing)
+        inside, known = self._inside, self.known
+        taken = int(rng.choice(known[known >= before] if (known >= before).any() else known))
+        if way == "turn":
+            return taken, taken, way
+        if way == "outside":
+            beyond = self._whole(self._beside > OUTSIDE_M, NOTICED_M)
+            if len(beyond):
+                return taken, int(rng.choice(beyond)), way
+        for metres in (RECOVERED_M, RECOVERED_M / 2):
+            whole = self._whole(inside, metres)
+            away = np.linalg.norm(truths[whole, :2, 3] - truths[taken, :2, 3], axis=1)
+            if (away >= AWAY_M).any():
+                return taken, int(rng.choice(whole[away >= AWAY_M])), "street"
+        return taken, taken, "turn"
+
+    def _whole(self, where: NDArray[np.bool_], metres: float) -> Int64:
+        """Positions from which on so much of the drive is there."""
+        count = int(metres / self.kind.spacing_m)
+        return np.array(
+            [k for k in range(len(where) - count + 1) if where[k : k + count].all()], dtype=np.int64
+        )
+
+    def _carried(self, taken: int, put: int, turn: float, rng: np.random.Generator) -> Carried:
+        """The scans up to a place and from another on."""
+        spacing, truths = self.kind.spacing_m, self.drive.poses
+        first = np.arange(max(0, taken - int(BEFORE_M / spacing)), taken + 1)
+        second = np.arange(put, min(put + int(AFTER_M / spacing), len(truths)))
+        turns = np.tile(np.eye(4), (len(first) + len(second), 1, 1))
+        turns[len(first) :] = geometry.yaw_transform(turn)
+        there = truths[second] @ turns[len(first) :]
+        T = truths[taken] @ geometry.inverse(there[0])  # as if it had gone on from there
+        moved = np.concatenate([truths[first], T @ there])
+        positions = np.concatenate([first, second])
+        clock = self._clock(first, second)
+        return Carried(self.drive, positions, DRIFT.odometry(moved, rng), turns, clock, len(first))
+
+    def _clock(self, first: Int64, second: Int64) -> Float64 | None:
+        """As in the drive, with a second between its parts."""
+        stamps = self.drive.stamps
+        if stamps is None:
+            return None
+        later = stamps[second] - stamps[second[0]] + stamps[first[-1]] + 1.0
+        return np.concatenate([stamps[first], later])
+
+    def _judged(
+        self, number: int, way: str, played: Replay, carried: Carried, truths: Float64
+    ) -> Trial:
+        metres, degrees = pose_errors(played, truths)
+        kinds = [played.states[int(k)].status for k in played.positions]
+        sure = np.array([kind is Status.LOCALIZED for kind in kinds])
+        carried_on = np.array([kind is Status.DEGRADED for kind in kinds])
+        off = ~((metres <= OFF_M) & (degrees <= OFF_DEG))
+        right, false, n = sure & ~off, sure & off, carried.first
+        path = geometry.travelled(truths[n:])
+        spacing = self.kind.spacing_m
+
+        def first(found: NDArray[np.bool_]) -> float | None:
+            return round(float(path[int(found.argmax())]), 1) if found.any() else None
+
+        return Trial(
+            self.seed,
+            number,
+            self.kind.scene,
+            self.kind.sensor,
+            way,
+            bool(right[n - 1]),
+            first(~false[n:]),
+            first(right[n:]),
+            spacing * int(false.sum()),
+            spacing * int((carried_on & off).sum()),
+        )
+
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 COLUMNS = (
     "world",

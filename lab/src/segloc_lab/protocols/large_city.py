@@ -41,9 +41,7 @@ from segloc.system.processes import all_of, executing, single_threaded_pool
 from segloc.tiles import cut_tiles
 
 from ..city import Piece, done, widened
-from ..evaluation.intervals import share
-from ..report import Table, publish
-from ..script import reporting
+from ..report import Table, publish, reporting, share
 from . import city_queries
 from .city_queries import WAYS, WIDE
 

@@ -27,11 +27,9 @@ from segloc.pipeline import answer
 from segloc.types import Float64, Int64, Pose, Recording
 
 from .. import kitti00
-from ..evaluation.intervals import share, wilson
-from ..evaluation.negative_maps import mirrored
+from ..padding import mirrored
 from ..recordings import FewerBeams, Files, Turned
-from ..report import Table, publish
-from ..script import reporting, show
+from ..report import Table, publish, reporting, share, show, wilson
 
 OUT, BACK = "0:74", "82:104"
 """The scans of the corridor that are mapped, and those on the way back."""

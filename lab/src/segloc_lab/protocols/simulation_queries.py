@@ -12,25 +12,271 @@ trust. Times are processor time of one thread.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
+from segloc.batch.score import distances_to_path
 from segloc.map.build import build_map
 from segloc.system.files import replacing
 from segloc.system.stage_times import StageTimes
 from segloc.types import Candidate, Pose
 
-from ..evaluation.intervals import share
+from ..calibration.confidence import first_half
 from ..recordings import kept
-from ..report import Cell, Table, publish
-from ..script import reporting, row
-from ..simulation import SimulatedSequence
+from ..report import Cell, Table, publish, reporting, row, share
+from ..simulation import (
+    PLATFORMS,
+    SCENES,
+    SENSORS,
+    Conditions,
+    SimulatedSequence,
+    building,
+    simulate_sessions,
+    warehouse,
+)
+from ..simulation.motion.platforms import Flight, Platform
+from ..simulation.sensors.ranging import Lidar
+from ..simulation.worlds.world import World
 from ..stages import processor_clock
-from .simulation_scenarios import Scenario, scenarios, tilt_deg, within_a_second
+
+STOREYS = 5
+COVERED_M = 1.5
+"""Indoors a path this near is on the same side of a wall."""
+JUNCTION_M, BARE_M = 6.0, 12.0
+"""A mine's query this near a junction is at one; that far from any it is on a stretch."""
+
+Make = Callable[[int], World]
+
+
+@dataclass(frozen=True)
+class Side:
+    """What records: a sensor, its carrier, and how many scans in a row make one cloud."""
+
+    sensor: str
+    carrier: str
+    scans: int = 1
+
+    def lidar(self) -> Lidar:
+        lidar = SENSORS[self.sensor]()
+        return lidar.thinned(2) if self.sensor in ("hdl64e", "os0-128") else lidar
+
+    def platform(self) -> Platform:
+        if self.carrier == "drone at 20 m":
+            return replace(PLATFORMS["drone"](), flight=Flight(low_m=18.0, high_m=22.0))
+        return PLATFORMS[self.carrier]()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A map, and queries in it.
+
+    Attributes
+    ----------
+    map_name : str
+        Scenarios that share a map have the same.
+    world, query_world : callable
+        Of a seed.
+    mapped, asked : Side
+        Who maps, and who queries.
+    expected : str
+        "found", "ambiguous", "refused", or "any": right or refused.
+    seeds : tuple of int
+    storeys, query_storeys : tuple of int
+    halved : bool
+        Whether of each drive of the map only the first half is.
+    """
+
+    map_name: str
+    world: Make
+    mapped: Side
+    asked: Side
+    expected: str = "found"
+    seeds: tuple[int, ...] = (11, 12, 13, 14)
+    query_world: Make | None = None
+    storeys: tuple[int, ...] = (0,)
+    query_storeys: tuple[int, ...] = (0,)
+    length_m: float = 200.0
+    halved: bool = False
+
+    def map_drives(self, seed: int) -> list[SimulatedSequence]:
+        """What the map is made of, a drive a storey."""
+        drives = [self._drives(self.world, seed, self.mapped, k)[0] for k in self.storeys]
+        return [first_half(drive) for drive in drives] if self.halved else drives
+
+    def queries(self, seed: int, count: int) -> list[tuple[SimulatedSequence, str]]:
+        """Clouds of later sessions, each a drive of its scans of which the last is the query.
+
+        Returns
+        -------
+        list of (drive, where)
+            Where it is: "" or, in mines, "junction", "stretch" or "between".
+        """
+        found = []
+        for nth, storey in enumerate(self.query_storeys):
+            make = self.query_world or self.world
+            mapped, later = self._drives(make, seed, self.asked, storey)
+            ends = np.arange(len(later))
+            if make is self.world:
+                away = distances_to_path(later.truth, mapped.truth)
+                ends = ends[away < COVERED_M]
+            share = -(-count // len(self.query_storeys))
+            shift = (nth + 1) / (len(self.query_storeys) + 1)  # other places on each storey
+            chosen = ends[((np.arange(share) + shift) / share * len(ends)).astype(int)]
+            found += [(_ending(later, i, self.asked.scans), _where(later, i)) for i in chosen]
+        return found
+
+    def _drives(self, make: Make, seed: int, side: Side, storey: int) -> list[SimulatedSequence]:
+        return simulate_sessions(
+            make(seed),
+            side.lidar(),
+            [Conditions(), Conditions(replaced=0.05)],
+            length_m=self.length_m,
+            spacing_m=1.5,
+            seed=seed,
+            platform=side.platform(),
+            storey=storey,
+        )
+
+
+def _ending(drive: SimulatedSequence, i: int, scans: int) -> SimulatedSequence:
+    """So many scans at the sensor's rate, the last of them at position i."""
+    assert drive.motion is not None and drive.stamps is not None
+    stamps = drive.stamps[i] + np.arange(1 - scans, 1) / drive.sensor.rate_hz
+    stamps = np.maximum(stamps, drive.stamps[0])
+    truth = drive.motion.at(stamps)
+    indices = int(drive.indices[i]) * 100 + np.arange(scans, dtype=np.int64)
+    return replace(drive, indices=indices, truth=truth, poses=truth, stamps=stamps, _last=None)
+
+
+def _where(drive: SimulatedSequence, i: int) -> str:
+    if not drive.world.name.startswith("mine"):
+        return ""
+    roads = drive.world.roads
+    junctions = [n for k, n in enumerate(roads.nodes) if len(roads.neighbours(k)) > 2]
+    nearest = np.linalg.norm(np.array(junctions) - drive.truth[i, :2, 3], axis=1).min()
+    return "junction" if nearest < JUNCTION_M else "stretch" if nearest > BARE_M else "between"
+
+
+def within_a_second(drive: SimulatedSequence, noisy: bool = True) -> SimulatedSequence:
+    """The scans with poses as odometry has them within a second."""
+    return drive.with_odometry() if noisy and len(drive) > 1 else drive
+
+
+def tilt_deg(T: np.ndarray) -> float:
+    """Of the sensor's z axis from the vertical."""
+    return float(np.degrees(geometry.rotation_angle(T @ np.linalg.inv(geometry.levelled(T)))))
+
+
+def _storeys(differ: float) -> Make:
+    return lambda seed: building(seed, storeys=STOREYS, differ=differ)
+
+
+def _divided(seed: int) -> World:
+    return building(seed, storeys=STOREYS, own_rooms=True)
+
+
+def _bare(seed: int) -> World:
+    return warehouse(seed, repetitive=True)
+
+
+_OS0 = Side("os0-128", "wheeled")
+_HANDHELD, _QUADRUPED = Side("os0-128", "handheld"), Side("os0-128", "quadruped")
+_CAR = Side("hdl64e", "car")
+_ALL = tuple(range(STOREYS))
+
+
+def _outdoors(asked: Side, length_m: float = 200.0) -> dict[str, Scenario]:
+    scenes = {"town": (41, 44), "park": (42,), "industrial": (43,), "forest": (45,)}
+    return {
+        scene: Scenario(scene, SCENES[scene], _CAR, asked, seeds=seeds, length_m=length_m)
+        for scene, seeds in scenes.items()
+    }
+
+
+def _floors(differ: float, expected: str, asked: Side = _QUADRUPED) -> Scenario:
+    name = f"building-{differ:g}"
+    seeds = (21, 22) if differ > 0.3 else (21,)
+    five = {"storeys": _ALL, "query_storeys": _ALL, "seeds": seeds, "length_m": 140.0}
+    return Scenario(name, _storeys(differ), _OS0, asked, expected, **five)  # type: ignore[arg-type]
+
+
+def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
+    return replace(_floors(0.5, "found", asked), map_name="building-rooms", world=_divided)
+
+
+def _partly(five: Scenario, name: str, mapped: tuple[int, ...]) -> Scenario:
+    """Some storeys are mapped, and queries are from the others."""
+    others = tuple(storey for storey in _ALL if storey not in mapped)
+    name = five.map_name.replace("building", name)
+    return replace(five, expected="refused", map_name=name, storeys=mapped, query_storeys=others)
+
+
+def _one_floor(five: Scenario) -> Scenario:
+    return _partly(five, "storey", (0,))
+
+
+def _four_floors(five: Scenario) -> Scenario:
+    return _partly(five, "four", (0, 1, 3, 4))
+
+
+def _half_of_each(five: Scenario) -> Scenario:
+    """Every storey is mapped by half, and queries are from all of it."""
+    name = five.map_name.replace("building", "half")
+    return replace(five, expected="any", map_name=name, halved=True)
+
+
+def scenarios() -> dict[str, Scenario]:
+    """All of them; a line of the table is what stands before the colon."""
+    halls, rooms, pits = SCENES["warehouse"], SCENES["offices"], SCENES["mine"]
+    found = {
+        "halls, handheld OS0-128": Scenario("halls", halls, _OS0, _HANDHELD),
+        "halls, handheld Mid-360, 1 s": Scenario(
+            "halls", halls, _OS0, Side("mid360", "handheld", 10)
+        ),
+        "bare halls, handheld OS0-128": Scenario("bare", _bare, _OS0, _HANDHELD),
+        "five storeys with rooms of their own": _own_rooms(),
+        "five storeys with rooms of their own, handheld Mid-360, 1 s": _own_rooms(
+            Side("mid360", "handheld", 10)
+        ),
+        "one storey, asked on others: rooms of their own": _one_floor(_own_rooms()),
+        "four storeys, asked on the fifth: rooms of their own": _four_floors(_own_rooms()),
+        "half of five storeys: rooms of their own": _half_of_each(_own_rooms()),
+        "five storeys that differ": _floors(0.5, "found"),
+        "five storeys that differ, handheld Mid-360, 1 s": _floors(
+            0.5, "found", Side("mid360", "handheld", 10)
+        ),
+        "five storeys that differ a little": _floors(0.15, "found"),
+        "five equal storeys": _floors(0.0, "ambiguous"),
+        "one storey, asked on others: differ": _one_floor(_floors(0.5, "found")),
+        "one storey, asked on others: differ a little": _one_floor(_floors(0.15, "found")),
+        "four storeys, asked on the fifth: differ": _four_floors(_floors(0.5, "found")),
+        "four storeys, asked on the fifth: differ a little": _four_floors(_floors(0.15, "found")),
+        "mine, quadruped OS0-128": Scenario("mine", pits, _OS0, _QUADRUPED, "any"),
+        "low ceilings: OS0-128 in a VLP-16 map": Scenario(
+            "low", rooms, Side("vlp16", "wheeled"), _HANDHELD
+        ),
+        "low ceilings: halls in a map of offices": Scenario(
+            "offices", rooms, _OS0, _HANDHELD, "refused", query_world=halls
+        ),
+        "low ceilings: offices in a map of halls": Scenario(
+            "halls", halls, _OS0, _HANDHELD, "refused", query_world=rooms
+        ),
+    }
+    others = {
+        "Mid-360, 1 s": Side("mid360", "wheeled", 10),
+        "Avia, 1 s": Side("avia", "wheeled", 10),
+    }
+    others |= {"VLP-16": Side("vlp16", "wheeled"), "OS1-64": Side("os1-64", "wheeled")}
+    others["drone at 20 m, OS0-128"] = Side("os0-128", "drone at 20 m")
+    for name, side in others.items():
+        found |= {f"{name}: {scene}": each for scene, each in _outdoors(side).items()}
+    return found
+
 
 METRES, DEGREES, HEIGHT_M = 3.0, 5.0, 1.5
 SCANS = "scans"

@@ -9,10 +9,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..evaluation.intervals import share
 from ..evaluation.methods import METHODS
-from ..report import Table, publish
-from ..script import reporting
+from ..report import Table, publish, reporting, share
 
 COLUMNS = ("run", "queries", "found within map coverage", "false", "error m, median / 95 %", "deg")
 PROTOCOLS = ("accumulated", "single", "sparse")

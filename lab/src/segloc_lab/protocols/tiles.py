@@ -23,9 +23,7 @@ from segloc.tiles import TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 
 from .. import kitti00
-from ..evaluation.intervals import share
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting, share
 from .real import outcome
 
 RADIUS_M, FAR_M = 50.0, 80.0

@@ -20,8 +20,7 @@ from segloc.tracker import Tracker
 from segloc.types import Float64
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
-from ..report import Table, publish
-from ..script import reporting
+from ..report import Table, publish, reporting
 
 DRIVES = (
     (FIRST_HALF, SECOND_HALF),

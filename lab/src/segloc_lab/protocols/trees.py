@@ -26,10 +26,8 @@ from segloc.io import read_trajectory
 from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
-from ..evaluation.intervals import share, wilson
-from ..report import Cell, Table, publish
-from ..script import entries, keep, resumed
-from ..stems import mirrored as mirror_image
+from ..calibration.landmarks import mirrored as mirror_image
+from ..report import Cell, Table, entries, keep, publish, resumed, share, wilson
 
 BEHIND_M = 50.0
 REVISIT_M = 3.0

@@ -30,10 +30,8 @@ from segloc.proposals.proposer import Query
 from segloc.types import Pose
 
 from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
-from ..evaluation.intervals import wilson
-from ..evaluation.negative_maps import mirrored
-from ..report import Table, publish
-from ..script import entries, keep, resumed
+from ..padding import mirrored
+from ..report import Table, entries, keep, publish, resumed, wilson
 
 RIGHT_M = 2.0
 HOME = {-2: "own", -1: "half"}

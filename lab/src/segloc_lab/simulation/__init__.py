@@ -10,6 +10,7 @@ from .motion.platforms import (
     Flight,
     Gait,
     Platform,
+    Route,
     car,
     carried,
     drone,
@@ -18,15 +19,27 @@ from .motion.platforms import (
     quadruped,
     wheeled,
 )
-from .motion.route import Route
 from .motion.traversal import OdometryNoise, SimulatedSequence, simulate_session
 from .objects.scene import Scene
 from .record import record
 from .sensors import SENSORS
-from .sensors.lidar import SpinningLidar, hdl32e, hdl64e, os0_128, os1_64, os1_128, vlp16
-from .sensors.linescan import LineLidar, lms151
+from .sensors.lidar import (
+    LineLidar,
+    RosetteLidar,
+    SpinningLidar,
+    SwirlLidar,
+    avia,
+    hdl32e,
+    hdl64e,
+    lms151,
+    mid360,
+    os0_128,
+    os1_64,
+    os1_128,
+    solid_state,
+    vlp16,
+)
 from .sensors.ranging import Lidar, Rays, Returns
-from .sensors.rosette import RosetteLidar, SwirlLidar, avia, mid360, solid_state
 from .worlds import SCENES
 from .worlds.forest import forest
 from .worlds.industrial import industrial

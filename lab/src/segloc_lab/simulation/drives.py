@@ -8,8 +8,7 @@ import numpy as np
 
 from segloc.errors import ConfigError
 
-from .motion.platforms import Platform
-from .motion.route import Route
+from .motion.platforms import Platform, Route
 from .motion.traversal import SimulatedSequence, simulate_session
 from .sensors.lidar import hdl64e
 from .sensors.ranging import Lidar

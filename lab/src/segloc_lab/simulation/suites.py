@@ -10,7 +10,7 @@ from segloc.errors import ConfigError
 from .drives import simulate_sessions
 from .motion.platforms import PLATFORMS
 from .sensors import SENSORS
-from .sensors.linescan import LineLidar
+from .sensors.lidar import LineLidar
 from .sensors.ranging import Lidar
 from .worlds import SCENES
 from .worlds.world import Conditions

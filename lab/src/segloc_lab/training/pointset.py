@@ -15,16 +15,12 @@ from segloc import _native
 from segloc.descriptors.pointset import POINTS
 from segloc.types import Float32
 
-from .augment import augment, reorder
-from .config import TrainConfig
+from .config import TrainConfig, augment, reorder
 from .dataset import SegmentDataset, packed
-from .export import export, folded
 from .losses import LOSSES
-from .models import LAYERS, DescriptorNetwork, neighbors_of
-from .pair_fitting import fit_pair_head
-from .pair_heads import pair_loss
-from .quality import fit_logistic, judged
-from .tasks import Batch, Inputs, Task
+from .models import LAYERS, DescriptorNetwork, export, folded, neighbors_of
+from .pair_fitting import fit_pair_head, pair_loss
+from .tasks import Batch, Inputs, Task, fit_logistic, judged
 
 
 class PointSetTask(Task):

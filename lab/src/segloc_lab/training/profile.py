@@ -26,12 +26,10 @@ from segloc.descriptors.profile import (
 from segloc.descriptors.weightfile import write_weights
 from segloc.types import Float32
 
-from .augment import augment
-from .config import TrainConfig
+from .config import TrainConfig, augment
 from .dataset import SegmentDataset, packed
 from .losses import LOSSES
-from .quality import fit_logistic, judged
-from .tasks import Batch, Inputs, Task
+from .tasks import Batch, Inputs, Task, fit_logistic, judged
 
 DIM = 32
 WIDTHS = (384, 256)

@@ -16,8 +16,7 @@ from segloc import _native
 from segloc.descriptors.segmap import VoxelShapes, prepare, save_weights
 from segloc.types import Float32, Segments
 
-from .augment import augment
-from .config import TrainConfig
+from .config import TrainConfig, augment
 from .dataset import SegmentDataset, packed
 from .tasks import Batch, Inputs, Task
 

@@ -14,14 +14,13 @@ from samples.executors import processes
 from samples.tiny_suite import TINY
 from segloc_lab.evaluation import comparison, comparison_study
 from segloc_lab.evaluation.comparison import shared_config
-from segloc_lab.evaluation.comparison_study import answered
-from segloc_lab.evaluation.comparison_tables import summaries
+from segloc_lab.evaluation.comparison_study import answered, summaries
 from segloc_lab.evaluation.methods import METHODS, fingerprint, ready
 from segloc_lab.evaluation.report.study import Study, Table
 from segloc_lab.evaluation.scenario import QuerySet
 from segloc_lab.simulation.suites import SUITES
 from segloc_lab.studies.paper import localization
-from segloc_lab.studies.paper.scenarios import KittiScenario, SuiteScenario, scenarios
+from segloc_lab.studies.paper.localization import KittiScenario, SuiteScenario, scenarios
 from segloc_lab.studies.paper.workspace import Workspace
 
 from segloc import Localizer, build_map

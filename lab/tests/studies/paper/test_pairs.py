@@ -17,7 +17,6 @@ pytest.importorskip("sklearn")
 
 from segloc_lab.bench.harness import Row  # noqa: E402
 from segloc_lab.evaluation.report.study import Study, Table  # noqa: E402
-from segloc_lab.studies.paper import domain_segments as making  # noqa: E402
 from segloc_lab.studies.paper import (  # noqa: E402
     domains,
     generalization,
@@ -28,9 +27,13 @@ from segloc_lab.studies.paper import (  # noqa: E402
     sampling,
     transfer,
 )
+from segloc_lab.studies.paper import domains as making  # noqa: E402
 from segloc_lab.studies.paper import pairs as pair_module  # noqa: E402
-from segloc_lab.studies.paper.domain_segments import SIMULATED, DomainSize  # noqa: E402
-from segloc_lab.studies.paper.domains import Domains  # noqa: E402
+from segloc_lab.studies.paper.domains import (  # noqa: E402
+    SIMULATED,
+    Domains,
+    DomainSize,
+)
 from segloc_lab.studies.paper.learning import Effort, Training, load_method, trained  # noqa: E402
 from segloc_lab.studies.paper.pairs import labelled_pairs  # noqa: E402
 from segloc_lab.studies.paper.transfer import SHIPPED, TITLES  # noqa: E402

@@ -14,9 +14,156 @@ from segloc.geometry import arc_length
 from segloc.motion import Motion
 from segloc.types import Float64
 
-from ..objects.terrain import Terrain
+from ..objects.scene import Terrain
 from ..worlds.roads import along
-from .paths import Footprint, on_ground
+from ..worlds.world import World
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Where a vehicle touches the ground: the corners of a rectangle, metres."""
+
+    wheelbase_m: float = 2.6
+    track_m: float = 1.5
+
+
+def driven_line(centre: Float64, offset: float, rounding_m: float = 2.5) -> Float64:
+    """A lane beside a centre line, corners rounded as a vehicle drives them."""
+    arc = arc_length(centre)
+    s = np.arange(0.0, arc[-1], 0.25)
+    even = np.stack([np.interp(s, arc, centre[:, k]) for k in (0, 1)], axis=1)
+    smooth = gaussian_filter1d(even, rounding_m / 0.25, axis=0, mode="nearest")
+    tangent = gaussian_filter1d(
+        np.gradient(smooth, axis=0), 0.4 * rounding_m / 0.25, axis=0, mode="nearest"
+    )
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return np.asarray(smooth + offset * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1))
+
+
+def on_ground(
+    terrain: Terrain,
+    xy: Float64,
+    yaw: Float64,
+    height: float,
+    feet: Footprint | None = None,
+    ride: float = 0.0,
+) -> Float64:
+    """Poses (N, 4, 4) of a sensor ``height`` above a vehicle's footprint on the ground.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    xy, yaw : (N, 2) and (N,) float64
+        Where the vehicle is and where it heads, in order.
+    height : float
+        Metres.
+    feet : Footprint
+        Pitch and roll are those of the ground under it; a car's by default.
+    ride : float
+        How many neighbouring poses its springs smooth the ground over.
+    """
+    feet = feet or Footprint()
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    wheel = [
+        terrain.height(*(xy + a * feet.wheelbase_m / 2 * ahead + b * feet.track_m / 2 * left).T)
+        for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    ]
+    if ride > 0:
+        wheel = [gaussian_filter1d(heights, ride, mode="nearest") for heights in wheel]
+    rise = (wheel[0] + wheel[1] - wheel[2] - wheel[3]) / (2 * feet.wheelbase_m)
+    bank = (wheel[0] + wheel[2] - wheel[1] - wheel[3]) / (2 * feet.track_m)
+    x = np.column_stack([ahead, rise])
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    y = np.column_stack([left, bank])
+    y -= x * np.sum(x * y, axis=1, keepdims=True)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    z = np.cross(x, y)
+    T = np.tile(np.eye(4), (len(xy), 1, 1))
+    T[:, :3, :3] = np.stack([x, y, z], axis=2)
+    T[:, :3, 3] = np.column_stack([xy, np.mean(wheel, axis=0)]) + height * z
+    return T
+
+
+@dataclass(frozen=True)
+class Route:
+    """Where a vehicle drives.
+
+    Attributes
+    ----------
+    junctions : tuple of int
+        Nodes of the road network, in driving order, neighbours joined by streets.
+    lane_offset_m : float
+        To the right of the centre line.
+    spacing_m : float
+        Distance between scans.
+    length_m : float or None
+        Where to stop; None for the whole way.
+    storey : int
+        Of a building, from 0.
+    """
+
+    junctions: tuple[int, ...]
+    lane_offset_m: float = 1.1
+    spacing_m: float = 2.0
+    length_m: float | None = None
+    storey: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.spacing_m > 0:
+            raise ConfigError(f"spacing_m must be positive, not {self.spacing_m}")
+        if self.length_m is not None and not self.length_m > 0:
+            raise ConfigError(f"length_m must be positive, not {self.length_m}")
+        if abs(self.lane_offset_m) > 2.0:
+            raise ConfigError(f"lane_offset_m must be within -2..2, not {self.lane_offset_m}")
+
+    def poses(self, world: World, mount_height_m: float) -> Float64:
+        """Poses (N, 4, 4) T_world_sensor of a sensor on a vehicle that follows the route.
+
+        Pitch and roll are those of the ground under the wheels.
+
+        Raises
+        ------
+        ConfigError
+            If the junctions are not a way through the world's road network.
+        """
+        line = self._line(world)
+        xy, yaw = along(line, np.arange(0.0, self._stop(line), self.spacing_m))
+        return on_ground(world.floor(self.storey), xy, yaw, mount_height_m)
+
+    def drive(
+        self,
+        world: World,
+        platform: Platform,
+        rng: np.random.Generator,
+        rate_hz: float | None = None,
+    ) -> tuple[Motion, Float64]:
+        """How a platform moves along the route, and when scans start, (N,) seconds.
+
+        Scans start ``spacing_m`` of way apart, or ``rate_hz`` of them a second; ``rng`` decides
+        the platform's sway.
+
+        Raises
+        ------
+        ConfigError
+            If the junctions are not a way through the world's road network.
+        """
+        line = self._line(world)
+        motion = platform.motion(world.floor(self.storey), line, rng)
+        stop = self._stop(line)
+        if rate_hz is None:
+            return motion, motion.times_of(np.arange(0.0, stop, self.spacing_m))
+        end = motion.times_of(np.array([stop]))[0]
+        return motion, np.arange(int(end * rate_hz)) / rate_hz
+
+    def _line(self, world: World) -> Float64:
+        centre = world.roads.centre_line(list(self.junctions))
+        return driven_line(centre, self.lane_offset_m, world.roads.rounding_m)
+
+    def _stop(self, line: Float64) -> float:
+        total = float(arc_length(line)[-1])
+        return total if self.length_m is None else min(total, self.length_m)
+
 
 _KNOT_S = 0.025  # fine enough for steps of three hertz
 _KNOT_M = 0.25

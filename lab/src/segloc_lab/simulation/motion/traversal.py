@@ -12,11 +12,10 @@ from segloc.errors import ConfigError, DatasetError
 from segloc.motion import Motion
 from segloc.types import Float64, Int64, Scan, stamp_at
 
-from ..objects.identity import Int32
+from ..objects.mesh import Int32
 from ..sensors.ranging import Lidar, PosesAt, Returns
 from ..worlds.world import Conditions, World
-from .platforms import Platform, car
-from .route import Route
+from .platforms import Platform, Route, car
 
 
 @dataclass

@@ -5,9 +5,236 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .facades import FacadeStyle, facade
-from .mesh import Mesh, boxes, join, quads, triangles
+from segloc.types import Float64
+
+from .mesh import Mesh, above, boxes, glass, join, quads, triangles, tubes
+
+_TRIM, _WOOD, _STEEL, _CURTAIN = 0.6, 0.4, 0.3, 0.45
+
+
+@dataclass(frozen=True)
+class FacadeStyle:
+    """What the facades of one house share; lengths in metres."""
+
+    floor_height: float
+    base: float
+    pitch: float
+    window: tuple[float, float]
+    sill: float
+    recess: float
+    blank: float
+    balconies: float
+    shutters: bool
+    reflectance: float
+
+    @staticmethod
+    def draw(rng: np.random.Generator, *, flats: bool) -> FacadeStyle:
+        """A style at random; ``flats`` for blocks of flats rather than houses."""
+        pitch = float(rng.uniform(2.4, 4.2))
+        wide = float(rng.uniform(0.35, 0.62)) * pitch
+        return FacadeStyle(
+            floor_height=float(rng.uniform(2.6, 3.1)),
+            base=float(rng.uniform(0.1, 0.9)),
+            pitch=pitch,
+            window=(wide, float(rng.uniform(1.05, 1.6))),
+            sill=float(rng.uniform(0.65, 0.95)),
+            recess=float(rng.uniform(0.1, 0.32)),
+            blank=float(rng.uniform(0.05, 0.3)),
+            balconies=float(rng.choice([0.0, 0.35, 0.8]) if flats else rng.choice([0.0, 0.12])),
+            shutters=bool(rng.random() < 0.25),
+            reflectance=float(rng.uniform(0.3, 0.75)),
+        )
+
+
+def facade(
+    rng: np.random.Generator, style: FacadeStyle, width: float, floors: int, *, front: bool
+) -> Mesh:
+    """One facade of a house with ``floors`` storeys; the front one has a door and more relief."""
+    columns = max(1, int(width / style.pitch))
+    u = np.linspace(0, width, columns + 1)
+    z = style.base + style.floor_height * np.arange(floors + 1)
+    cell = np.stack(np.meshgrid(np.arange(columns), np.arange(floors)), axis=-1).reshape(-1, 2)
+    rect = np.stack([u[cell[:, 0]], u[cell[:, 0] + 1], z[cell[:, 1]], z[cell[:, 1] + 1]], axis=1)
+    blank = rng.random(len(cell)) < (style.blank if front else min(0.8, style.blank + 0.25))
+    hole = _openings(rng, style, rect)
+    parts: list[Mesh] = []
+    if front:
+        door = int(rng.integers(columns))
+        blank[door] = False
+        middle = rect[door, :2].mean()
+        hole[door] = [middle - 0.55, middle + 0.55, z[0], z[0] + rng.uniform(2.0, 2.3)]
+        parts.append(_entrance(rng, style, float(middle), width))
+    parts.append(quads(_rect(0, width, -0.8, style.base, 0.0), style.reflectance))
+    parts.append(quads(_rect_rows(rect[blank], 0.0), style.reflectance))
+    clear = rng.random(len(cell)) < 0.45
+    if front:
+        clear[door] = False
+    parts.append(_wall_with_holes(style, rect[~blank], hole[~blank], clear[~blank]))
+    if style.shutters:
+        parts.append(_shutters(hole[~blank & (hole[:, 2] > z[0])]))
+    upper = ~blank & (cell[:, 1] > 0) & (rng.random(len(cell)) < style.balconies)
+    if front and upper.any():
+        parts.append(_balconies(rng, rect[upper]))
+    if front and width > 7 and rng.random() < 0.3:
+        parts.append(_bay(rng, style, width, floors))
+    return join(parts)
+
+
+def _openings(rng: np.random.Generator, style: FacadeStyle, rect: Float64) -> Float64:
+    """Window openings (n, 4) u0, u1, z0, z1 in cells (n, 4)."""
+    n = len(rect)
+    wide = np.minimum(
+        style.window[0] * rng.choice([1.0, 1.0, 0.6, 1.3], n), rect[:, 1] - rect[:, 0] - 0.3
+    )
+    middle = rect[:, :2].mean(axis=1) + rng.normal(0, 0.06, n)
+    low = rect[:, 2] + style.sill * rng.choice([1.0, 1.0, 1.0, 0.15], n)
+    high = np.minimum(rect[:, 2] + style.sill + style.window[1], rect[:, 3] - 0.15)
+    return np.stack([middle - wide / 2, middle + wide / 2, low, high], axis=1)
+
+
+def _rect(u0: float, u1: float, z0: float, z1: float, y: float) -> Float64:
+    return np.array([[u0, y, z0], [u1, y, z0], [u1, y, z1], [u0, y, z1]], dtype=float)
+
+
+def _rect_rows(rect: NDArray[np.float64], y: float) -> Float64:
+    u0, u1, z0, z1 = rect.T
+    depth = np.full(len(rect), y)
+    corners = [(u0, z0), (u1, z0), (u1, z1), (u0, z1)]
+    return np.stack([np.stack([u, depth, z], axis=1) for u, z in corners], axis=1)
+
+
+def _wall_with_holes(
+    style: FacadeStyle, rect: Float64, hole: Float64, clear: NDArray[np.bool_]
+) -> Mesh:
+    """Wall about openings; behind those that are not ``clear``, a curtain or a door leaf."""
+    u0, u1, z0, z1 = rect.T
+    a0, a1, b0, b1 = hole.T
+    around = [(u0, a0, z0, z1), (a1, u1, z0, z1), (a0, a1, z0, b0), (a0, a1, b1, z1)]
+    wall = [quads(_rect_rows(np.stack(strip, axis=1), 0.0), style.reflectance) for strip in around]
+    face, pane = _rect_rows(hole, 0.0), _rect_rows(hole, style.recess)
+    reveal = np.stack([face, np.roll(face, -1, 1), np.roll(pane, -1, 1), pane], axis=2)
+    ledge = np.stack([(a0 + a1) / 2, np.full(len(hole), -0.04), b0 - 0.04], axis=1)
+    size = np.stack([a1 - a0 + 0.16, np.full(len(hole), 0.16), np.full(len(hole), 0.07)], axis=1)
+    bar = np.stack([(a0 + a1) / 2, np.full(len(hole), style.recess - 0.03), (b0 + b1) / 2], axis=1)
+    post = np.stack([np.full(len(hole), 0.07), np.full(len(hole), 0.06), b1 - b0], axis=1)
+    return join(
+        [
+            *wall,
+            quads(reveal, style.reflectance),
+            glass(quads(pane[clear], 0.0)),
+            quads(pane[~clear], _CURTAIN),
+            boxes(ledge, size, _TRIM),
+            boxes(bar, post, _TRIM),
+        ]
+    )
+
+
+def _shutters(hole: Float64) -> Mesh:
+    a0, a1, b0, b1 = hole.T
+    wide = 0.45 * (a1 - a0)
+    parts = []
+    for middle in (a0 - 0.55 * wide, a1 + 0.55 * wide):
+        center = np.stack([middle, np.full(len(hole), -0.04), (b0 + b1) / 2], axis=1)
+        size = np.stack([wide, np.full(len(hole), 0.06), b1 - b0], axis=1)
+        parts.append(boxes(center, size, _WOOD))
+    return join(parts)
+
+
+def _balconies(rng: np.random.Generator, rect: Float64) -> Mesh:
+    deep, high = rng.uniform([0.8, 0.85], [1.6, 1.1])
+    solid = rng.random() < 0.5
+    wide = (rect[:, 1] - rect[:, 0]) * rng.uniform(0.7, 0.98)
+    middle = rect[:, :2].mean(axis=1)
+    n = len(rect)
+
+    def row(
+        dx: Float64 | float, y: float, dz: float, size: tuple[Float64 | float, float, float]
+    ) -> Mesh:
+        center = np.stack([middle + dx, np.full(n, y), rect[:, 2] + dz], axis=1)
+        full = np.stack(
+            [np.broadcast_to(size[0], n), np.full(n, size[1]), np.full(n, size[2])], axis=1
+        )
+        return boxes(center, full, 0.5)
+
+    parts = [row(0.0, -deep / 2, 0.0, (wide, deep, 0.18))]
+    if solid:
+        parts.append(row(0.0, -deep, high / 2, (wide, 0.08, high)))
+        parts += [row(side * wide / 2, -deep / 2, high / 2, (0.08, deep, high)) for side in (-1, 1)]
+    else:
+        parts.append(row(0.0, -deep, high, (wide, 0.05, 0.06)))
+        parts += [
+            row(t * wide, -deep, high / 2, (0.03, 0.03, high)) for t in np.linspace(-0.5, 0.5, 12)
+        ]
+    return join(parts)
+
+
+def _bay(rng: np.random.Generator, style: FacadeStyle, width: float, floors: int) -> Mesh:
+    """A bay window with slanted cheeks, over one or more storeys."""
+    wide, deep = rng.uniform([1.8, 0.5], [3.4, 1.1])
+    middle = rng.uniform(wide / 2 + 0.3, width - wide / 2 - 0.3)
+    top = style.base + style.floor_height * int(rng.integers(1, floors + 1)) - 0.2
+    cheek = 0.28 * wide
+    plan = np.array(
+        [[-wide / 2, 0], [-wide / 2 + cheek, -deep], [wide / 2 - cheek, -deep], [wide / 2, 0]]
+    )
+    plan[:, 0] += middle
+    a, b = plan[:-1], plan[1:]
+
+    def band(low: float, high: float, reflectance: float, inward: float = 0.0) -> Mesh:
+        shift = np.array([0.0, inward])
+        foot = [
+            np.column_stack([p + shift, np.full(3, z)])
+            for p, z in ((a, low), (b, low), (b, high), (a, high))
+        ]
+        return quads(np.stack(foot, axis=1), reflectance)
+
+    parts, low = [], -0.8
+    for floor in range(round((top + 0.2 - style.base) / style.floor_height)):
+        sill = style.base + floor * style.floor_height + 0.75
+        parts.append(band(low, sill, style.reflectance))
+        parts.append(glass(band(sill, sill + 1.3, 0.0, 0.08)))
+        low = sill + 1.3
+    parts.append(band(low, top, style.reflectance))
+    roof = np.column_stack([plan, np.full(4, top)])
+    parts.append(quads(roof, 0.35))
+    return join(parts)
+
+
+def _entrance(rng: np.random.Generator, style: FacadeStyle, middle: float, width: float) -> Mesh:
+    """Steps up to the door, and a canopy or a porch over it."""
+    rise = style.base
+    steps = max(1, int(np.ceil(rise / 0.18)))
+    k = np.arange(steps)
+    center = np.column_stack(
+        [np.full(steps, middle), -0.15 - 0.15 * k, rise / 2 * (1 - k / steps) - 0.3]
+    )
+    size = np.column_stack([np.full(steps, 1.6), 0.3 + 0.3 * k, rise * (1 - k / steps) + 0.6])
+    parts = [boxes(center, size, 0.45)]
+    kind = rng.choice(["none", "canopy", "porch"], p=[0.35, 0.35, 0.3])
+    deep, wide, high = rng.uniform([0.7, 1.4, 2.4], [1.9, 3.0, 2.8])
+    if kind != "none":
+        parts.append(boxes([middle, -deep / 2, rise + high], [wide, deep, 0.15], 0.4))
+    if kind == "porch":
+        foot = np.array([[middle + s * 0.45 * wide, -deep + 0.1, -0.4] for s in (-1, 1)])
+        radius = rng.uniform(0.06, 0.16)
+        parts.append(tubes(foot, foot + above(rise + high + 0.4), [radius, radius], _TRIM))
+        ridge = np.array([[middle, -deep, rise + high + 0.9], [middle, 0, rise + high + 0.9]])
+        for s in (-1, 1):
+            eave = np.array(
+                [
+                    [middle + s * wide / 2, 0, rise + high],
+                    [middle + s * wide / 2, -deep, rise + high],
+                ]
+            )
+            parts.append(quads(np.concatenate([ridge, eave]), 0.35))
+    if width > 6 and rng.random() < 0.7:
+        pipe = np.array([[rng.choice([0.25, width - 0.25]), -0.09, -0.4]])
+        top = style.base + style.floor_height
+        parts.append(tubes(pipe, pipe + above(top + 2.0), [0.05, 0.05], _STEEL, sides=6))
+    return join(parts)
+
 
 _TILE, _FLAT = 0.35, 0.25
 

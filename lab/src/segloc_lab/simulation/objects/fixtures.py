@@ -2,13 +2,250 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
 
 from segloc.types import Float64
 
-from .mesh import Mesh, above, boxes, ellipsoid, join, loft, scraps, tubes
-from .street import person
-from .undergrowth import boulder
+from .mesh import Mesh, above, boxes, ellipsoid, glass, join, loft, polygon, quads, scraps, tubes
+from .vegetation import boulder, wall_along
+
+_STEEL, _WOOD, _PAINT, _STONE = 0.3, 0.4, 0.6, 0.45
+_SIGN = 0.95
+
+
+def lamp(rng: np.random.Generator) -> Mesh:
+    """A street lamp, 3.5 to 9 m, with its arm along +x."""
+    tall = rng.uniform(3.5, 9.0)
+    foot = tubes([[0, 0, -0.2]], [[0, 0, rng.uniform(0.6, 1.3)]], rng.uniform(0.08, 0.13), _STEEL)
+    mast = tubes([[0, 0, 0]], [[0, 0, tall]], [0.075, 0.045], _STEEL)
+    if tall < 5:
+        size = rng.uniform(0.2, 0.32)
+        return join(
+            [foot, mast, ellipsoid([0, 0, tall + 0.1], [size, size, rng.uniform(0.2, 0.4)], _PAINT)]
+        )
+    reach = rng.uniform(0.4, 2.2)
+    tip = [reach, 0, tall + rng.uniform(0, 0.6)]
+    arm = tubes([[0, 0, tall]], [tip], [0.045, 0.035], _STEEL, sides=5)
+    head = boxes(
+        [tip[0] + 0.2, 0, tip[2]], rng.uniform([0.5, 0.15, 0.08], [0.9, 0.32, 0.18]), _PAINT
+    )
+    return join([foot, mast, arm, head])
+
+
+def utility_pole(rng: np.random.Generator) -> Mesh:
+    """A wooden pole with a cross-arm or two."""
+    tall = rng.uniform(6.5, 9.5)
+    pole = tubes([[0, 0, -0.3]], [[0, 0, tall]], [rng.uniform(0.12, 0.18), 0.09], _WOOD)
+    count = int(rng.integers(1, 4))
+    heights = tall - rng.uniform(0.2, 1.6, count)
+    arms = boxes(
+        np.column_stack([np.zeros((count, 2)), heights]), [0.1, rng.uniform(0.8, 2.2), 0.1], _WOOD
+    )
+    parts = [pole, arms]
+    if rng.random() < 0.4:
+        parts.append(tubes([[0.3, 0, tall - 2.4]], [[0.3, 0, tall - 1.5]], 0.24, _STEEL))
+    return join(parts).leaning(*rng.normal(0, 0.015, 2))
+
+
+def traffic_sign(rng: np.random.Generator) -> Mesh:
+    """A post with one to three plates that face +x."""
+    tall = rng.uniform(2.0, 3.3)
+    parts = [tubes([[0, 0, -0.2]], [[0, 0, tall]], rng.uniform(0.025, 0.045), _STEEL, sides=6)]
+    top = tall
+    for _ in range(int(rng.integers(1, 4))):
+        sides = int(rng.choice([3, 4, 8, 16]))
+        size = rng.uniform(0.28, 0.45)
+        angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides - np.pi / 2
+        flat = rng.uniform(0.5, 1.0) if sides == 4 else 1.0
+        y, z = size * np.cos(angle), size * flat * np.sin(angle)
+        parts.append(polygon(np.column_stack([np.full(sides, 0.05), y, z + top - size]), _SIGN))
+        top -= 2.1 * size * flat
+        if top < 1.4:
+            break
+    return join(parts).moved([0, 0, 0], float(rng.normal(0, 0.12)))
+
+
+def name_sign(rng: np.random.Generator) -> Mesh:
+    """A wide board on two posts, facing +x."""
+    wide, high, top = rng.uniform([1.0, 0.4, 1.2], [2.6, 1.4, 3.2])
+    foot = np.array([[0, -0.4 * wide, -0.2], [0, 0.4 * wide, -0.2]])
+    posts = tubes(foot, foot + above(top + 0.2), 0.04, _STEEL, sides=6)
+    return join([posts, boxes([0.06, 0, top - high / 2], [0.04, wide, high], _SIGN)])
+
+
+def traffic_light(rng: np.random.Generator) -> Mesh:
+    """A mast with signal heads, sometimes one on an arm over the road (+x)."""
+    tall = rng.uniform(3.0, 3.6)
+    mast = tubes([[0, 0, -0.2]], [[0, 0, tall]], 0.07, _STEEL)
+    parts = [mast, boxes([0.16, 0, tall - 0.5], [0.22, 0.3, 0.95], _STEEL)]
+    if rng.random() < 0.5:
+        high, reach = rng.uniform(5.2, 6.2), rng.uniform(2.0, 4.5)
+        parts.append(
+            tubes([[0, 0, tall], [0, 0, high]], [[0, 0, high], [reach, 0, high]], 0.06, _STEEL)
+        )
+        parts.append(boxes([reach, 0, high - 0.2], [0.25, 0.35, 1.0], _STEEL))
+    return join(parts)
+
+
+def cabinet(rng: np.random.Generator) -> Mesh:
+    """A utility cabinet, or two side by side."""
+    size = rng.uniform([0.3, 0.5, 0.8], [0.55, 1.5, 1.7])
+    parts = [boxes([0, 0, size[2] / 2 - 0.1], size + above(0.2), 0.5)]
+    parts.append(boxes([0, 0, size[2] + 0.02], size * [1.12, 1.06, 0] + [0, 0, 0.06], 0.5))
+    if rng.random() < 0.35:
+        small = size * rng.uniform(0.5, 0.9)
+        parts.append(boxes([0, (size[1] + small[1]) / 2 + 0.1, small[2] / 2 - 0.1], small, 0.5))
+    return join(parts)
+
+
+def wheelie_bin(rng: np.random.Generator) -> Mesh:
+    """A wheeled bin with a sloping lid."""
+    wide, deep, high = rng.uniform([0.45, 0.5, 0.9], [0.75, 0.8, 1.15])
+    levels = [(0.05, 0.78), (0.85 * high, 1.0), (0.9 * high, 1.12), (high, 0.85)]
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    sections = [np.column_stack([square * k * [deep, wide], np.full(4, z)]) for z, k in levels]
+    return loft(sections, 0.3)
+
+
+def skip_container(rng: np.random.Generator) -> Mesh:
+    """A large bin for glass, paper or rubble."""
+    long, wide, high = rng.uniform([1.2, 1.0, 1.0], [3.4, 1.8, 1.9])
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * [wide, long]
+    flare = rng.uniform(0.75, 1.0)
+    sections = [
+        np.column_stack([square * k, np.full(4, z)]) for z, k in ((0.0, flare), (high, 1.0))
+    ]
+    return loft(sections, 0.35)
+
+
+def litter_bin(rng: np.random.Generator) -> Mesh:
+    """A round bin on a short post."""
+    r, low, high = rng.uniform([0.18, 0.1, 0.7], [0.28, 0.4, 1.1])
+    return tubes(
+        [[0, 0, -0.1], [0, 0, low]], [[0, 0, low], [0, 0, high]], [[0.04, 0.04], [r, r]], 0.3
+    )
+
+
+def bollards(rng: np.random.Generator) -> Mesh:
+    """A row of two to five bollards along y."""
+    count = int(rng.integers(2, 6))
+    foot = np.column_stack(
+        [
+            np.zeros(count),
+            (np.arange(count) - count / 2) * rng.uniform(1.2, 2.0),
+            np.full(count, -0.2),
+        ]
+    )
+    radius = rng.uniform(0.05, 0.14)
+    return tubes(foot, foot + above(rng.uniform(0.8, 1.3)), [radius, radius], 0.4)
+
+
+def bench(rng: np.random.Generator) -> Mesh:
+    """A bench that faces +x."""
+    long, high = rng.uniform([1.4, 0.42], [2.2, 0.5])
+    slats = [[0, 0, high], [-0.26, 0, high + 0.25], [-0.29, 0, high + 0.42]]
+    sizes = [[0.42, long, 0.06], [0.05, long, 0.12], [0.05, long, 0.12]]
+    legs = [[0, side * 0.4 * long, high / 2] for side in (-1, 1)]
+    return join([boxes(slats, sizes, _WOOD), boxes(legs, [0.4, 0.08, high], _STEEL)])
+
+
+def bus_shelter(rng: np.random.Generator) -> Mesh:
+    """A shelter open towards +x: posts, roof, glass back that mostly loses the beam."""
+    long, deep, high = rng.uniform([2.6, 1.2, 2.2], [4.8, 1.7, 2.6])
+    foot = np.array([[x, y, -0.1] for x in (-deep / 2, deep / 3) for y in (-long / 2, 0, long / 2)])
+    posts = tubes(foot, foot + above(high), 0.05, _STEEL, sides=6)
+    roof = boxes([0, 0, high + 0.05], [deep + 0.5, long + 0.3, 0.14], _STEEL)
+    back = glass(boxes([-deep / 2, 0, high / 2 + 0.1], [0.03, long, high - 0.5], 0.0))
+    end = boxes([0, long / 2, high / 2], [deep * 0.8, 0.1, high - 0.4], 0.5)
+    seat = boxes([-deep / 3, 0, 0.5], [0.3, 0.7 * long, 0.06], _WOOD)
+    return join([posts, roof, back, end, seat])
+
+
+def person(rng: np.random.Generator) -> Mesh:
+    """Somebody who stands or walks towards +x."""
+    tall = rng.normal(1.7, 0.1)
+    stride, swing = rng.uniform(0.02, 0.32), rng.uniform(0.05, 0.3)
+    hip, shoulder = 0.5 * tall, 0.82 * tall
+    starts = [[stride, 0.1, 0], [-stride, -0.1, 0], [0, 0.22, shoulder], [0, -0.22, shoulder]]
+    ends = [
+        [0, 0.09, hip],
+        [0, -0.09, hip],
+        [-swing, 0.27, 0.47 * tall],
+        [swing, -0.27, 0.47 * tall],
+    ]
+    limbs = tubes(
+        starts, ends, [[0.06, 0.09], [0.06, 0.09], [0.06, 0.04], [0.06, 0.04]], 0.4, sides=6
+    )
+    torso = ellipsoid([0, 0, 0.66 * tall], [0.13, 0.22, 0.2 * tall], 0.4)
+    head = ellipsoid([0.02, 0, 0.93 * tall], [0.1, 0.08, 0.125], 0.5, rings=4)
+    return join([limbs, torso, head])
+
+
+def garden_wall(rng: np.random.Generator, line: Float64) -> Mesh:
+    """A wall over a (n, 3) ground line, with piers and sometimes a railing on top."""
+    high, thick = rng.uniform([0.5, 0.15], [1.9, 0.32])
+    piers = line[:: max(2, int(rng.integers(3, 7)))]
+    size = [thick + 0.16, thick + 0.16, high + rng.uniform(0.1, 0.35) + 0.3]
+    parts = [
+        wall_along(line, high, thick, _STONE),
+        boxes(piers + above(size[2] / 2 - 0.3), size, _STONE),
+    ]
+    if high < 0.9 and rng.random() < 0.5:
+        parts.append(_railing(rng, line + above(high), rng.uniform(0.4, 0.9)))
+    return join(parts)
+
+
+def fence(rng: np.random.Generator, line: Float64) -> Mesh:
+    """A fence over a (n, 3) ground line: boards with gaps, or posts with rails."""
+    high = rng.uniform(0.8, 1.9)
+    if rng.random() < 0.4:
+        return _railing(rng, line, high)
+    posts = tubes(line - above(0.2), line + above(high), 0.05, _WOOD, sides=5)
+    pitch = rng.uniform(0.1, 0.18)
+    board = rng.uniform(0.6, 1.0) * pitch
+    parts = [posts]
+    for a, b in pairwise(line):
+        t = (np.arange(max(1, int(np.linalg.norm(b - a) / pitch))) * pitch) / np.linalg.norm(b - a)
+        low = a + t[:, None] * (b - a) + above(0.08)
+        wide = (b - a) / np.linalg.norm(b - a) * board
+        up = np.zeros((len(low), 3))
+        up[:, 2] = high - 0.1 + rng.normal(0, 0.01, len(low))
+        corners = np.stack([low, low + wide, low + wide + up, low + up], axis=1)
+        parts.append(quads(corners, _WOOD))
+    return join(parts)
+
+
+def _railing(rng: np.random.Generator, line: Float64, high: float) -> Mesh:
+    posts = tubes(line - above(0.2), line + above(high), 0.035, _STEEL, sides=5)
+    a, b = line[:-1], line[1:]
+    rails = [
+        tubes(a + above(z), b + above(z), [0.025, 0.025], _STEEL, sides=4)
+        for z in (0.2 * high, 0.95 * high)
+    ]
+    t = np.linspace(0, 1, 12, endpoint=False)[None, :, None]
+    feet = (a[:, None] + t * (b - a)[:, None]).reshape(-1, 3)
+    thick = rng.uniform(0.01, 0.02)
+    bars = tubes(
+        feet + above(0.2 * high), feet + above(0.95 * high), [thick, thick], _STEEL, sides=3
+    )
+    return join([posts, *rails, bars])
+
+
+FURNITURE: tuple[tuple[str, Callable[[np.random.Generator], Mesh], float, float], ...] = (
+    ("traffic sign", traffic_sign, 0.34, 0.3),
+    ("cabinet", cabinet, 0.14, 0.6),
+    ("litter bin", litter_bin, 0.14, 0.4),
+    ("bollards", bollards, 0.08, 0.4),
+    ("bench", bench, 0.1, 0.8),
+    ("name sign", name_sign, 0.08, 0.5),
+    ("bus shelter", bus_shelter, 0.05, 1.6),
+    ("container", skip_container, 0.07, 1.4),
+)
+"""Kind, maker, share, and distance from the kerb of what stands on pavements."""
+
 
 _STONE, _STEEL, _WOOD, _LEAF = 0.45, 0.3, 0.4, 0.5
 

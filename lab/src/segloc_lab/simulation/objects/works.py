@@ -5,12 +5,409 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from segloc.types import Float64
 
 from .buildings import Building
-from .mesh import Mesh, above, boxes, glass, join, loft, quads, tubes
-from .plant import handrail
+from .mesh import Mesh, above, boxes, ellipsoid, glass, join, loft, quads, triangles, tubes
+
+_STEEL, _WOOD, _CONCRETE, _RUST = 0.3, 0.4, 0.45, 0.2
+_CORRUGATION = np.array([0.0, 0.0, 1.0, 1.0]) * 0.036
+
+
+def shipping_container(rng: np.random.Generator) -> Mesh:
+    """A container of 20 or 40 feet along x: corrugated, dented, its doors open or shut."""
+    long = 12.19 if rng.random() < 0.3 else 6.06
+    wide, high = 2.44, float(rng.choice([2.59, 2.59, 2.9]))
+    paint = float(rng.uniform(0.15, 0.6))
+    x = np.linspace(-long / 2 + 0.1, long / 2 - 0.1, int(long / 0.075))
+    fold = _CORRUGATION[np.arange(len(x)) % 4]
+    parts = []
+    for side in (-1, 1):
+        inward = fold + _dents(rng, x, high)
+        z = np.broadcast_to(np.linspace(0.12, high - 0.1, 7), inward.T.shape).T
+        y = side * (wide / 2 - 0.03 - inward)
+        sheet = np.stack([np.broadcast_to(x, z.shape), y, z], axis=-1)
+        parts.append(loft(sheet.transpose(1, 0, 2), paint, closed=False))
+    parts.append(_container_frame(long, wide, high, paint))
+    parts.append(boxes([-long / 2 + 0.06, 0, high / 2], [0.05, wide - 0.2, high - 0.2], paint))
+    parts.append(_container_doors(rng, long, wide, high, paint))
+    return join(parts).moved([0, 0, 0.05], np.pi * float(rng.integers(2)))
+
+
+def _dents(rng: np.random.Generator, x: Float64, high: float) -> Float64:
+    """How far the (7, n) points of a side wall are pushed in."""
+    z = np.linspace(0, high, 7)[:, None]
+    depth = np.zeros((7, len(x)))
+    for _ in range(int(rng.integers(0, 4))):
+        at = rng.uniform([x[0], 0.3], [x[-1], high - 0.3])
+        size = rng.uniform(0.2, 0.7)
+        away = (x - at[0]) ** 2 + (z - at[1]) ** 2
+        depth += rng.uniform(0.03, 0.14) * np.exp(-away / (2 * size**2))
+    return depth
+
+
+def _container_frame(long: float, wide: float, high: float, paint: float) -> Mesh:
+    corner = np.array([[sx * (long / 2 - 0.08), sy * (wide / 2 - 0.08)] for sx, sy in _SIGNS])
+    posts = boxes(np.column_stack([corner, np.full(4, high / 2)]), [0.16, 0.16, high], paint)
+    rails = [
+        boxes([0, side * (wide / 2 - 0.05), z], [long, 0.1, 0.14], paint)
+        for side in (-1, 1)
+        for z in (0.07, high - 0.06)
+    ]
+    sills = boxes(
+        [[side * (long / 2 - 0.05), 0, z] for side in (-1, 1) for z in (0.07, high - 0.06)],
+        [0.1, wide, 0.14],
+        paint,
+    )
+    decks = boxes([[0, 0, 0.12], [0, 0, high - 0.04]], [long - 0.1, wide - 0.1, 0.03], paint)
+    return join([posts, *rails, sills, decks])
+
+
+_SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def _container_doors(
+    rng: np.random.Generator, long: float, wide: float, high: float, paint: float
+) -> Mesh:
+    leaf = wide / 2 - 0.1
+    shut = rng.random() < 0.6
+    parts = []
+    for side in (-1, 1):
+        door = boxes([0, -side * leaf / 2, high / 2], [0.05, leaf, high - 0.25], paint)
+        y = -side * leaf * np.array([0.3, 0.7])
+        foot = np.column_stack([np.full(2, 0.06), y, np.full(2, 0.15)])
+        bars = tubes(foot, foot + above(high - 0.3), [0.02, 0.02], _STEEL, sides=5)
+        turn = 0.0 if shut else side * rng.uniform(0.3, 2.6) * (rng.random() < 0.85)
+        hinge = [long / 2 - 0.03, side * (wide / 2 - 0.1), 0.0]
+        parts.append(join([door, bars]).moved(hinge, float(turn)))
+    return join(parts)
+
+
+def container_stack(rng: np.random.Generator) -> Mesh:
+    """One to three containers on top of each other, not quite in line."""
+    count = int(rng.choice([1, 2, 3], p=[0.55, 0.33, 0.12]))
+    shift = np.column_stack([rng.normal(0, 0.12, count), rng.normal(0, 0.06, count)])
+    return join(
+        shipping_container(rng).moved([*shift[k], 2.65 * k], float(rng.normal(0, 0.01)))
+        for k in range(count)
+    )
+
+
+def pallets(rng: np.random.Generator) -> Mesh:
+    """A stack of one to twelve pallets, each a little turned; sometimes with a load."""
+    count = int(rng.integers(1, 13))
+    slat = np.linspace(-0.5, 0.5, 6)[:, None] * [0.0, 0.7, 0.0]
+    top = boxes(slat + above(0.135), [1.2, 0.1, 0.022], _WOOD)
+    blocks = [[x, y, 0.06] for x in (-0.52, 0, 0.52) for y in (-0.34, 0, 0.34)]
+    one = join([top, boxes(blocks, [0.14, 0.1, 0.11], _WOOD)])
+    parts = [
+        one.moved([*rng.normal(0, 0.02, 2), 0.145 * k], float(rng.normal(0, 0.04)))
+        for k in range(count)
+    ]
+    if count < 4 and rng.random() < 0.6:
+        size = rng.uniform([0.7, 0.5, 0.3], [1.2, 0.8, 1.6])
+        parts.append(boxes([0, 0, 0.145 * count + size[2] / 2], size, 0.4))
+    return join(parts)
+
+
+def drums(rng: np.random.Generator) -> Mesh:
+    """One to eight oil drums, standing close together, now and then one on its side."""
+    count = int(rng.integers(1, 9))
+    at = np.stack(np.meshgrid(np.arange(3), np.arange(3)), -1).reshape(-1, 2)[:count] * 0.64
+    foot = np.column_stack([at - at.mean(axis=0) + rng.normal(0, 0.02, at.shape), np.zeros(count)])
+    tip = foot + above(0.88)
+    if count > 1 and rng.random() < 0.3:
+        foot[-1], tip[-1] = foot[-1] + [0, 0.9, 0.3], foot[-1] + [0.88, 1.0, 0.3]
+    radius = rng.uniform(0.28, 0.3)
+    hoops = [(foot + (tip - foot) * t, foot + (tip - foot) * (t + 0.03)) for t in (0.33, 0.66)]
+    rims = [tubes(a, b, [radius + 0.012] * 2, _STEEL, sides=14) for a, b in hoops]
+    return join([tubes(foot, tip, [radius, radius], _STEEL, sides=14), *rims])
+
+
+def stores(rng: np.random.Generator) -> Mesh:
+    """What is left in a corner: drums, pallets, crates, or a coil of pipe."""
+    pick = rng.random()
+    if pick < 0.35:
+        return drums(rng)
+    if pick < 0.7:
+        return pallets(rng)
+    count = int(rng.integers(2, 6))
+    size = rng.uniform([0.4, 0.3, 0.3], [1.1, 0.7, 0.9], (count, 3))
+    at = rng.uniform(-0.6, 0.6, (count, 2))
+    return boxes(np.column_stack([at, size[:, 2] / 2]), size, _WOOD)
+
+
+def barriers(rng: np.random.Generator) -> Mesh:
+    """One to five concrete barriers end to end along x."""
+    high, wide = rng.uniform([0.75, 0.45], [1.1, 0.65])
+    long = rng.uniform(1.5, 3.0)
+    profile = np.array([[-0.5, 0], [-0.5, 0.1], [-0.2, 0.4], [-0.14, 1.0]])
+    ring = np.concatenate([profile, profile[::-1] * [-1, 1]]) * [wide, high]
+    one = loft([np.column_stack([np.full(8, x), ring]) for x in (-long / 2, long / 2)], _CONCRETE)
+    count = int(rng.integers(1, 6))
+    return join(
+        one.moved(
+            [(k - count / 2) * (long + 0.06), rng.normal(0, 0.05), -0.03], rng.normal(0, 0.03)
+        )
+        for k in range(count)
+    )
+
+
+def cones(rng: np.random.Generator) -> Mesh:
+    """A row of three to eight traffic cones along x."""
+    count = int(rng.integers(3, 9))
+    high = rng.uniform(0.5, 1.0)
+    at = np.zeros((count, 3))
+    at[:, 0] = (np.arange(count) - count / 2) * rng.uniform(0.8, 2.0)
+    at += rng.normal(0, 0.08, (count, 3)) * [1, 1, 0]
+    body = tubes(at, at + above(high), [0.3 * high, 0.04], 0.6)
+    return join([body, boxes(at + above(0.02), [0.5 * high, 0.5 * high, 0.05], 0.2)])
+
+
+def tumbled(
+    rng: np.random.Generator, centers: ArrayLike, sizes: ArrayLike, reflectance: float
+) -> Mesh:
+    """Boxes turned every which way: (n, 3) centers and sizes."""
+    middle = np.asarray(centers, dtype=float)
+    upright = boxes(np.zeros_like(middle), sizes, reflectance).triangles.reshape(len(middle), -1, 3)
+    R = Rotation.random(len(middle), random_state=rng).as_matrix()
+    return triangles(upright @ R + middle[:, None], reflectance)
+
+
+def rubble(rng: np.random.Generator) -> Mesh:
+    """A heap of broken concrete with beams sticking out, 2 to 7 m across."""
+    reach, high = rng.uniform([1.0, 0.6], [3.4, 2.4])
+    angle = np.linspace(0, 2 * np.pi, 13)[:-1]
+    wave = rng.uniform(0.75, 1.2, 12)
+    rings = [
+        np.column_stack(
+            [k * reach * wave * np.cos(angle), k * reach * wave * np.sin(angle), np.full(12, z)]
+        )
+        for k, z in ((1.0, -0.2), (0.7, 0.3 * high), (0.4, 0.65 * high), (0.1, 0.85 * high))
+    ]
+    count = int(30 * reach)
+    out = np.sqrt(rng.uniform(0, 1, count)) * reach
+    turn = rng.uniform(0, 2 * np.pi, count)
+    lift = 0.85 * high * np.clip(1 - out / reach, 0, 1)
+    center = np.column_stack([out * np.cos(turn), out * np.sin(turn), lift])
+    size = rng.uniform(0.1, 0.9, (count, 1)) * rng.uniform([0.5, 0.4, 0.15], [1.2, 1.0, 0.6])
+    beams = int(rng.integers(0, 5))
+    foot = center[:beams]
+    tip = foot + rng.normal(0, 1, (beams, 3)) * [1.0, 1.0, 0.4] + above(0.8)
+    return join(
+        [
+            loft(rings, _CONCRETE),
+            tumbled(rng, center, size, _CONCRETE),
+            tubes(foot, tip, [0.07, 0.07], _RUST, sides=4),
+        ]
+    )
+
+
+_STEEL, _CONCRETE, _CLAD = 0.3, 0.45, 0.55
+_RAIL = 1.1  # height of handrails, metres
+
+
+def handrail(corners: Float64) -> Mesh:
+    """Posts and two rails along a (n, 3) line."""
+    a, b = corners[:-1], corners[1:]
+    posts = tubes(corners, corners + above(_RAIL), [0.025, 0.025], _STEEL, sides=4)
+    rails = [
+        tubes(a + above(z), b + above(z), [0.022, 0.022], _STEEL, sides=4)
+        for z in (0.5 * _RAIL, _RAIL)
+    ]
+    return join([posts, *rails])
+
+
+def ladder(foot: Float64, high: float) -> Mesh:
+    """A ladder up from (3,) ``foot``, its stiles apart along y, with hoops above 2.5 m."""
+    stile = np.array([[0, -0.22, 0], [0, 0.22, 0]]) + foot
+    rung = np.arange(0.3, high, 0.3)[:, None] * [0, 0, 1]
+    parts = [
+        tubes(stile, stile + above(high), [0.025, 0.025], _STEEL, sides=4),
+        tubes(rung + stile[0], rung + stile[1], [0.015, 0.015], _STEEL, sides=4),
+    ]
+    angle = np.linspace(-1.9, 1.9, 7)
+    hoop = np.column_stack([0.38 + 0.38 * np.cos(angle), 0.38 * np.sin(angle), 0 * angle])
+    for z in np.arange(2.5, high, 0.9):
+        ring = foot + hoop + above(z)
+        parts.append(tubes(ring[:-1], ring[1:], [0.02, 0.02], _STEEL, sides=3))
+    return join(parts)
+
+
+def upright_tank(rng: np.random.Generator) -> Building:
+    """A tank with a conical roof, railing and ladder; sometimes within a bund wall."""
+    r, high = rng.uniform([1.1, 2.2], [4.2, 9.0])
+    paint = float(rng.uniform(0.3, 0.7))
+    rise = rng.uniform(0.05, 0.3) * r
+    shell = tubes(
+        [[0, 0, -0.4], [0, 0, high]], [[0, 0, high], [0, 0, high + rise]], [[r, r], [r, 0.05]],
+        paint, sides=28,
+    )  # fmt: skip
+    seams = np.arange(1.5, high, rng.uniform(1.2, 2.2))[:, None] * [0, 0, 1]
+    parts = [shell, tubes(seams, seams + above(0.06), [r + 0.03, r + 0.03], paint, sides=28)]
+    angle = np.linspace(0, 2 * np.pi, int(6 * r))
+    edge = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(len(angle), high)])
+    parts.append(handrail(edge * [0.95, 0.95, 1]))
+    parts.append(ladder(np.array([r + 0.08, 0, 0]), high + 0.9))
+    nozzle = np.array([[0, -r + 0.1, z] for z in rng.uniform(0.4, 1.2, 2)])
+    parts.append(tubes(nozzle, nozzle - [0, 0.6, 0], [0.12, 0.12], _STEEL))
+    size = 2 * r + 1.6
+    if rng.random() < 0.45:
+        size += rng.uniform(1.0, 3.0)
+        parts.append(_bund(size - 0.3, float(rng.uniform(0.5, 1.1))))
+    return Building(join(parts).moved([0, 0, 0], float(rng.uniform(0, 6))), size, size)
+
+
+def _bund(size: float, high: float) -> Mesh:
+    half = size / 2
+    middle = [[half, 0], [-half, 0], [0, half], [0, -half]]
+    long = [[0.2, size], [0.2, size], [size, 0.2], [size, 0.2]]
+    at = np.column_stack([middle, np.full(4, high / 2 - 0.2)])
+    return boxes(at, np.column_stack([long, np.full(4, high + 0.4)]), _CONCRETE)
+
+
+def lying_tank(rng: np.random.Generator) -> Building:
+    """A pressure vessel along x on saddles, with a walkway or valves on top."""
+    r, long = rng.uniform([0.6, 3.0], [1.6, 11.0])
+    long = max(long, 2 * r + 0.02)
+    z = r + rng.uniform(0.4, 1.6)
+    x = long / 2 - r
+    paint = float(rng.uniform(0.4, 0.75))
+    parts = [tubes([[-x, 0, z]], [[x, 0, z]], [r, r], paint, sides=20)]
+    parts += [ellipsoid([s * x, 0, z], [0.6 * r, r, r], paint, rings=7) for s in (-1, 1)]
+    saddles = [[s * 0.65 * x, 0, z / 2 - 0.3] for s in (-1, 1)]
+    parts.append(boxes(saddles, [0.4, 1.6 * r, z + 0.2], _CONCRETE))
+    top = np.column_stack([rng.uniform(-x, x, 4), np.zeros(4), np.full(4, z + r - 0.1)])
+    parts.append(tubes(top, top + above(0.5), [0.12, 0.12], _STEEL))
+    if rng.random() < 0.5:
+        edge = np.array([[-x, -0.4, z + r], [0, -0.4, z + r], [x, -0.4, z + r]])
+        parts += [handrail(edge), ladder(np.array([-x, r + 0.1, 0.0]), z + r)]
+    return Building(join(parts), long + 0.4, 2 * r + 1.0)
+
+
+def silos(rng: np.random.Generator) -> Building:
+    """One to four silos on legs in a row along x, with hoppers and a walkway above."""
+    count = int(rng.integers(1, 5))
+    r, high, leg = rng.uniform([0.9, 4.0, 1.5], [1.9, 9.0, 3.5])
+    pitch = 2 * r + rng.uniform(0.3, 1.0)
+    x = (np.arange(count) - (count - 1) / 2) * pitch
+    foot = np.column_stack([x, np.zeros((count, 2))])
+    paint = float(rng.uniform(0.4, 0.7))
+    parts = [
+        tubes(foot + above(leg), foot + above(leg + high), [r, r], paint, sides=20),
+        tubes(foot + above(leg - 0.7 * r), foot + above(leg), [0.2, r], paint, sides=20),
+        tubes(foot + above(leg + high), foot + above(leg + high + 0.4), [r, 0.1], paint, sides=20),
+    ]
+    turn = np.pi / 4 + np.arange(4) * np.pi / 2
+    around = np.column_stack([r * np.cos(turn), r * np.sin(turn), np.zeros(4)])
+    legs = (foot[:, None] + around).reshape(-1, 3)
+    parts.append(tubes(legs - above(0.3), legs + above(leg + 0.5), [0.1, 0.1], _STEEL))
+    cross = (foot[:, None] + np.roll(around, 1, 0)).reshape(-1, 3)
+    parts.append(tubes(legs, cross + above(leg), [0.03, 0.03], _STEEL, sides=4))
+    ends = np.array([[x[0] - r, 0, leg + high + 0.4], [x[-1] + r, 0, leg + high + 0.4]])
+    parts.append(handrail(ends))
+    parts.append(ladder(np.array([x[-1] + r + 0.1, 0, 0]), leg + high + 1.0))
+    return Building(join(parts), (count - 1) * pitch + 2 * r + 1.2, 2 * r + 0.6)
+
+
+def pipe_rack(rng: np.random.Generator) -> Building:
+    """Portal frames along x that carry pipes of many sizes on one or two levels."""
+    bays = int(rng.integers(2, 7))
+    pitch, wide, high = rng.uniform([3.5, 1.6, 2.6], [6.0, 4.0, 5.5])
+    long = bays * pitch
+    levels = [high] if rng.random() < 0.4 else [high, high + rng.uniform(1.0, 1.8)]
+    x = np.linspace(-long / 2, long / 2, bays + 1)
+    foot = np.array([[a, s * wide / 2, -0.3] for a in x for s in (-1, 1)])
+    parts = [boxes(foot + above((levels[-1] + 0.6) / 2), [0.2, 0.2, levels[-1] + 0.6], _STEEL)]
+    for z in levels:
+        beam = np.column_stack([x, np.zeros(len(x)), np.full(len(x), z)])
+        parts.append(boxes(beam, [0.18, wide + 0.2, 0.2], _STEEL))
+        count = int(rng.integers(2, 8))
+        y = np.sort(rng.uniform(-wide / 2 + 0.15, wide / 2 - 0.15, count))
+        r = rng.uniform(0.04, 0.2, count)
+        begin = np.column_stack([np.full(count, -long / 2 - 0.3), y, z + 0.1 + r])
+        end = begin * [-1, 1, 1]
+        drop = rng.random(count) < 0.3
+        end[drop, 0] = x[rng.integers(1, len(x), drop.sum())] - 0.5
+        parts.append(tubes(begin, end, np.column_stack([r, r]), _CLAD))
+        parts.append(tubes(end[drop], end[drop] * [1, 1, 0], np.column_stack([r, r])[drop], _CLAD))
+    if rng.random() < 0.6:
+        brace = foot[:2] + above(0.3)
+        parts.append(
+            tubes(brace, brace + [pitch, 0, levels[0] - 0.3], [0.05, 0.05], _STEEL, sides=4)
+        )
+    return Building(join(parts), long + 1.0, wide + 0.6)
+
+
+def gantry(rng: np.random.Generator) -> Building:
+    """A travelling crane: two portals, a girder along x, a trolley with a hook."""
+    span, high, deep = rng.uniform([7.0, 5.0, 2.5], [14.0, 9.0, 4.0])
+    feet = np.array([[s * span / 2, t * deep / 2, 0] for s in (-1, 1) for t in (-1, 1)])
+    tops = feet * [1, 0.3, 0] + above(high)
+    parts = [tubes(feet - above(0.2), tops, [0.18, 0.14], _STEEL)]
+    parts.append(boxes([[0, s * 0.15 * deep, high] for s in (-1, 1)], [span + 1, 0.3, 0.7], 0.6))
+    parts.append(boxes([[s * span / 2, 0, 0.25] for s in (-1, 1)], [0.5, deep + 0.8, 0.5], 0.6))
+    x = rng.uniform(-0.35, 0.35) * span
+    parts.append(boxes([x, 0, high + 0.6], [1.4, 0.4 * deep, 0.7], _STEEL))
+    hook = rng.uniform(1.0, 0.7 * high)
+    parts.append(tubes([[x, 0, hook]], [[x, 0, high]], [0.03, 0.03], _STEEL, sides=4))
+    parts.append(boxes([x, 0, hook], [0.3, 0.3, 0.5], _STEEL))
+    return Building(join(parts), span + 1.2, deep + 1.2)
+
+
+def stair_tower(rng: np.random.Generator) -> Building:
+    """A steel tower of two to six open floors, zigzag stairs on one side."""
+    floors = int(rng.integers(2, 7))
+    wide, deep, rise = rng.uniform([2.6, 3.2, 2.5], [5.5, 6.0, 3.1])
+    top = floors * rise
+    corner = np.array([[sx * wide / 2, sy * deep / 2, 0.0] for sx in (-1, 1) for sy in (-1, 1)])
+    roofed = rng.random() < 0.4
+    parts = [tubes(corner - above(0.3), corner + above(top + 2.4 * roofed), 0.11, _STEEL)]
+    levels = rise * np.arange(1, floors + 1)
+    decks = np.column_stack([np.zeros((floors, 2)), levels])
+    parts.append(boxes(decks, [wide, deep, 0.08], _STEEL))
+    edge = np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]]) * [wide / 2, deep / 2]
+    for z in levels:
+        parts.append(handrail(np.column_stack([edge, np.full(4, z)])))
+    stairs = 1.0
+    for k in range(floors):
+        t = np.linspace(0, 1, int(rise / 0.19))[:, None]
+        way = (1 - 2 * (k % 2)) * (t - 0.5) * (deep - 0.8)
+        step = np.hstack([np.full_like(t, wide / 2 + stairs / 2), way, (k + t) * rise])
+        parts.append(boxes(step, [stairs, 0.27, 0.05], _STEEL))
+        parts.append(handrail(step[[0, len(t) // 2, -1]] + [stairs / 2, 0, 0]))
+    a = corner[:2] + above(0.1)
+    for k in range(floors):
+        if rng.random() < 0.8:
+            low = a + above(k * rise)
+            parts.append(tubes(low, low[::-1] + above(rise), [0.04, 0.04], _STEEL, sides=4))
+    if roofed:
+        parts.append(boxes([0, 0, top + 2.4], [wide + 0.6, deep + 0.6, 0.12], _STEEL))
+    wall = np.array([[-1, -1], [-1, 1]]) * [wide / 2, deep / 2]
+    for z in levels[rng.random(floors) < 0.35]:
+        low = np.column_stack([wall, np.full(2, z - rise)])
+        parts.append(quads(np.concatenate([low, low[::-1] + above(rise)]), _CLAD))
+    return Building(join(parts).moved([-stairs / 2, 0, 0]), wide + stairs + 0.3, deep + 0.3)
+
+
+def light_mast(rng: np.random.Generator) -> Mesh:
+    """A mast of 8 to 18 m with floodlights on a crossbar along y."""
+    tall, wide = rng.uniform([8.0, 1.0], [18.0, 3.5])
+    parts = [
+        boxes([0, 0, 0.1], [0.8, 0.8, 0.5], _CONCRETE),
+        tubes([[0, 0, 0]], [[0, 0, tall]], [0.18, 0.07], _STEEL, sides=10),
+        boxes([0, 0, tall], [0.1, wide, 0.1], _STEEL),
+    ]
+    y = np.linspace(-wide / 2, wide / 2, int(rng.integers(2, 6)))
+    heads = np.column_stack([np.full(len(y), 0.25), y, np.full(len(y), tall - 0.2)])
+    parts.append(boxes(heads, rng.uniform([0.25, 0.3, 0.3], [0.4, 0.5, 0.5]), 0.6))
+    if tall > 12:
+        parts.append(ladder(np.array([0.2, 0, 0]), tall))
+    return join(parts)
+
 
 _CONCRETE, _STEEL, _DARK = 0.45, 0.3, 0.2
 

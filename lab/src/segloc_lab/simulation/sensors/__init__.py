@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .lidar import hdl32e, hdl64e, os0_128, os1_64, os1_128, vlp16
-from .linescan import lms151
+from .lidar import (
+    avia,
+    hdl32e,
+    hdl64e,
+    lms151,
+    mid360,
+    os0_128,
+    os1_64,
+    os1_128,
+    solid_state,
+    vlp16,
+)
 from .ranging import Lidar
-from .rosette import avia, mid360, solid_state
 
 SENSORS: dict[str, Callable[..., Lidar]] = {
     "hdl64e": hdl64e,

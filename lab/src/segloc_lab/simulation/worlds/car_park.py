@@ -7,10 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from ..objects.buildings import house
-from ..objects.identity import Objects
-from ..objects.street import bus_shelter, cabinet, lamp, traffic_sign
-from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
-from .planting import town_tree
+from ..objects.fixtures import bus_shelter, cabinet, lamp, traffic_sign
+from ..objects.mesh import Objects
+from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground, town_tree
 from .roads import street_network
 from .world import Catalogue, World
 

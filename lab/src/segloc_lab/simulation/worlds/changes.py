@@ -11,12 +11,11 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from segloc.types import Float32, Float64
 
-from ..objects.containers import barriers, cones
+from ..objects.fixtures import cabinet, traffic_sign
 from ..objects.mesh import SOLID, Mesh, above, boxes, join, scraps, tubes
-from ..objects.street import cabinet, traffic_sign
-from ..objects.terrain import Terrain
-from .interior import Interior
-from .replaceable import REPLACEABLE, Replaceable
+from ..objects.scene import Terrain
+from ..objects.works import barriers, cones
+from .interior import REPLACEABLE, Interior, Replaceable
 
 _CELL_M = 0.5
 

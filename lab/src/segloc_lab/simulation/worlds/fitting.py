@@ -10,12 +10,10 @@ import numpy as np
 
 from segloc.types import Float64
 
-from ..objects.identity import Objects
-from ..objects.mesh import Mesh
-from ..objects.terrain import Terrain, relief, roughness
-from .interior import Interior
+from ..objects.mesh import Mesh, Objects
+from ..objects.scene import Terrain, relief, roughness
+from .interior import NUMBER, Interior
 from .layout import Occupancy
-from .replaceable import NUMBER
 from .roads import RoadNetwork
 from .world import Spots, World
 

@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 
 from segloc.types import Float64
 
-from ..objects.street import bench, name_sign
-from ..objects.trees import grow
-from ..objects.undergrowth import (
+from ..objects.fixtures import bench, name_sign
+from ..objects.vegetation import (
     boulder,
     brushwood,
     fern,
+    grow,
     log,
     root_plate,
     stump,

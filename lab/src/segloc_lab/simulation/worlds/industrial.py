@@ -12,24 +12,27 @@ import numpy as np
 from segloc.types import Float64
 
 from ..objects.buildings import Building, shed
-from ..objects.containers import barriers, container_stack, drums, pallets, rubble
-from ..objects.identity import Objects
-from ..objects.mesh import Mesh, above, boxes, join, quads, tubes
-from ..objects.plant import (
-    gantry,
-    light_mast,
-    lying_tank,
-    pipe_rack,
-    silos,
-    stair_tower,
-    upright_tank,
-)
-from ..objects.street import cabinet, lamp, name_sign, skip_container, traffic_sign
+from ..objects.fixtures import cabinet, lamp, name_sign, skip_container, traffic_sign
+from ..objects.mesh import Mesh, Objects, above, boxes, join, quads, tubes
 from ..objects.vegetation import bush, shrubs
 from ..objects.vehicles import vehicle
-from ..objects.works import hall, training_house
-from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
-from .planting import town_tree
+from ..objects.works import (
+    barriers,
+    container_stack,
+    drums,
+    gantry,
+    hall,
+    light_mast,
+    lying_tank,
+    pallets,
+    pipe_rack,
+    rubble,
+    silos,
+    stair_tower,
+    training_house,
+    upright_tank,
+)
+from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground, town_tree
 from .roads import street_network
 from .world import World
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from segloc.types import Float32, Float64
 
-from ..objects.identity import Objects
-from ..objects.mesh import Mesh
-from ..objects.terrain import Terrain, relief, roughness
+from ..objects.mesh import Mesh, Objects
+from ..objects.scene import Terrain, relief, roughness
 from .layout import Occupancy, Site
 from .roads import RoadNetwork
 from .world import World

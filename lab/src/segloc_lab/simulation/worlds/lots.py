@@ -9,11 +9,10 @@ import numpy as np
 from segloc.types import Float64
 
 from ..objects.buildings import Building, garage, house
+from ..objects.fixtures import fence, garden_wall, wheelie_bin
 from ..objects.mesh import join
-from ..objects.street import fence, garden_wall, wheelie_bin
 from ..objects.vegetation import bush, hedge, shrubs, trimmed_box_bush
-from .layout import Frontage, Site
-from .planting import ivy, thicket, town_tree
+from .layout import Frontage, Site, ivy, thicket, town_tree
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,8 @@ import numpy as np
 
 from segloc.types import Float64
 
-from ..objects.fixtures import bale, gate, picnic_table, post_row, trough
-from ..objects.street import bench, name_sign
-from ..objects.trees import grow
-from ..objects.undergrowth import boulder, brushwood, grass, log, stump, thicket
-from ..objects.vegetation import shrubs
+from ..objects.fixtures import bale, bench, gate, name_sign, picnic_table, post_row, trough
+from ..objects.vegetation import boulder, brushwood, grass, grow, log, shrubs, stump, thicket
 from .land import Ground, Land, lay_out, scattered
 from .layout import check_world
 from .roads import street_network

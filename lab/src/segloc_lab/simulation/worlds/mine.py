@@ -12,11 +12,10 @@ from scipy.spatial import cKDTree
 
 from segloc.types import Float32, Float64
 
-from ..objects.containers import stores
-from ..objects.identity import Objects
-from ..objects.mesh import Mesh, above, boxes, join, quads, tubes
-from ..objects.street import cabinet
-from ..objects.terrain import Terrain, relief, roughness
+from ..objects.fixtures import cabinet
+from ..objects.mesh import Mesh, Objects, above, boxes, join, quads, tubes
+from ..objects.scene import Terrain, relief, roughness
+from ..objects.works import stores
 from .layout import check_world
 from .roads import RoadNetwork, Street, street_network
 from .world import Spots, World

@@ -2,19 +2,362 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from segloc.errors import ConfigError
+from segloc.types import Float64
 
+from ..objects.furniture import (
+    cupboard,
+    desk,
+    lockers,
+    panes,
+    pot_plant,
+    printer,
+    shelf,
+    slab,
+    sofa,
+    stair_flight,
+    table,
+    wall,
+    wall_things,
+)
 from ..objects.mesh import Mesh, boxes, join, tubes
-from ..objects.shell import panes, slab, stair_flight, wall
 from .fitting import Fitting
-from .floorplan import FloorPlan, Room, divided_anew, draw_plan
-from .furnish import furnish, places
 from .layout import check_world
+from .roads import RoadNetwork, straight
 from .world import World
+
+_STAIRS_M = 3.4  # length of a stairwell along the building
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room of a plan.
+
+    Attributes
+    ----------
+    low, high : (float, float)
+        Opposite corners, metres.
+    front : float
+        y of the wall to the corridor: ``low[1]`` or ``high[1]``.
+    kind : str
+        "office", "meeting", "open" (plan), "store", or "niche", which is open to the corridor.
+    door : float
+        x of the middle of its door.
+    glazed : bool
+        Whether its front is of glass.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    front: float
+    kind: str
+    door: float
+    glazed: bool
+
+    @property
+    def into(self) -> float:
+        """+1 if the room lies above its corridor in the plan, -1 if below."""
+        return 1.0 if self.front == self.low[1] else -1.0
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length along the corridor, and depth."""
+        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """The plan of a storey; what is not of its rooms, all storeys of a building have in common.
+
+    Attributes
+    ----------
+    size : (float, float)
+    rooms : tuple of Room
+    corridor : float
+        Width of the corridors.
+    outer : float
+        Depth of the rooms that have windows.
+    crossings : tuple of float
+        x of the middles of the corridors across.
+    rise : float
+        From floor to floor.
+    ceiling : float
+        Height of the ceilings.
+    windows : float
+        Width of a window and the wall beside it.
+    """
+
+    size: tuple[float, float]
+    rooms: tuple[Room, ...]
+    corridor: float
+    outer: float
+    crossings: tuple[float, ...]
+    rise: float
+    ceiling: float
+    windows: float
+    core: tuple[float, float] = field(init=False)
+    stairs: Float64 = field(init=False, compare=False)
+
+    def __post_init__(self) -> None:
+        low = self.outer + self.corridor
+        core = (low, self.size[1] - low)
+        object.__setattr__(self, "core", core)
+        ends = (0.0, self.size[0] - _STAIRS_M)
+        wells = np.array([(x, core[0], x + _STAIRS_M, core[1]) for x in ends])
+        object.__setattr__(self, "stairs", wells)
+
+    def in_corridor(self, x: float) -> bool:
+        """Whether a long corridor runs there, and none leads across."""
+        off = min(abs(x - middle) for middle in self.crossings) > self.corridor / 2 + 0.9
+        return bool(off and self.crossings[0] < x < self.crossings[-1])
+
+    def corridors(self) -> RoadNetwork:
+        """The ladder of corridors."""
+        half = self.corridor / 2
+        rows = (self.outer + half, self.size[1] - self.outer - half)
+        nodes = np.array([[x, y] for x in self.crossings for y in rows])
+        width = half - 0.2
+        streets = [straight(nodes, 2 * k, 2 * k + 1, width) for k in range(len(self.crossings))]
+        for k in range(len(self.crossings) - 1):
+            streets += [straight(nodes, 2 * k + r, 2 * k + 2 + r, width) for r in (0, 1)]
+        return RoadNetwork(nodes, tuple(streets))
+
+
+def draw_plan(rng: np.random.Generator, size_m: float) -> FloorPlan:
+    """A plan of about ``size_m`` metres in length."""
+    corridor, outer = (float(v) for v in rng.uniform([2.0, 4.4], [2.8, 6.2]))
+    core = float(rng.uniform(6.5, 12.0))
+    wide = 2 * (outer + corridor) + core
+    first, last = _STAIRS_M + corridor / 2, size_m - _STAIRS_M - corridor / 2
+    count = max(2, round((last - first) / rng.uniform(14, 26)) + 1)
+    crossings = np.linspace(first, last, count)
+    crossings[1:-1] += rng.uniform(-2.0, 2.0, count - 2)
+    rooms = _rooms(rng, (size_m, wide), corridor, outer, crossings)
+    ceiling = float(rng.uniform(2.6, 3.3))
+    return FloorPlan(
+        (size_m, wide),
+        rooms,
+        corridor,
+        outer,
+        tuple(crossings.tolist()),
+        ceiling + 0.4,
+        ceiling,
+        float(rng.uniform(1.4, 2.4)),
+    )
+
+
+def divided_anew(plan: FloorPlan, rng: np.random.Generator) -> FloorPlan:
+    """The same shell, corridors and stairs, with other rooms."""
+    crossings = np.array(plan.crossings)
+    return replace(plan, rooms=_rooms(rng, plan.size, plan.corridor, plan.outer, crossings))
+
+
+def _rooms(
+    rng: np.random.Generator,
+    size: tuple[float, float],
+    corridor: float,
+    outer: float,
+    crossings: Float64,
+) -> tuple[Room, ...]:
+    """Two rows of rooms with windows, and two between the corridors."""
+    long, wide = size
+    glazed = float(rng.choice([0.1, 0.3, 0.7]))
+    rooms: list[Room] = []
+    for low, high, front in ((0.0, outer, outer), (wide - outer, wide, wide - outer)):
+        rooms += _row(rng, (0.0, long), (low, high), front, glazed)
+    bottom, top = outer + corridor, wide - outer - corridor
+    middle = wide / 2 + float(rng.uniform(-0.1, 0.1)) * (top - bottom)
+    for a, b in zip(crossings[:-1] + corridor / 2, crossings[1:] - corridor / 2, strict=True):
+        rooms += _row(rng, (a, b), (bottom, middle), bottom, glazed)
+        rooms += _row(rng, (a, b), (middle, top), top, glazed)
+    return tuple(rooms)
+
+
+def _row(
+    rng: np.random.Generator,
+    along: tuple[float, float],
+    across: tuple[float, float],
+    front: float,
+    glazed: float,
+) -> list[Room]:
+    """Rooms side by side, some of them alike."""
+    usual = float(rng.uniform(3.0, 5.0))
+    rooms, x = [], along[0]
+    while along[1] - x > 1.6:
+        pick = rng.random()
+        wide = usual if pick < 0.5 else float(rng.uniform(2.8, 8.0))
+        if along[1] - x - wide < 2.6:
+            wide = along[1] - x
+        if wide > 6.0:
+            kind = str(rng.choice(["open", "meeting"]))
+        else:
+            kind = str(rng.choice(["office", "store", "niche"], p=[0.78, 0.12, 0.1]))
+        door = x + float(rng.choice([0.75, wide - 0.75]))
+        see = bool(rng.random() < glazed)
+        rooms.append(Room((x, across[0]), (x + wide, across[1]), front, kind, door, see))
+        x += wide
+    return rooms
+
+
+_MAKERS: dict[str, Callable[[np.random.Generator], Mesh]] = {
+    "desk": desk,
+    "cupboard": cupboard,
+    "shelf": shelf,
+    "table": table,
+    "sofa": sofa,
+    "plant": pot_plant,
+    "printer": printer,
+    "fixture": wall_things,
+    "lockers": lockers,
+}
+_ABSENT = 0.12  # of the places, on each storey
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something stands: kind, middle in the plan, and heading of its x axis."""
+
+    kind: str
+    x: float
+    y: float
+    yaw: float
+
+
+def places(rng: np.random.Generator, plan: FloorPlan) -> list[Place]:
+    """The places of all furniture; chairs are places, too."""
+    found: list[Place] = []
+    for room in plan.rooms:
+        found += _OF_ROOMS[room.kind](rng, room)
+    return found + _along_corridors(rng, plan)
+
+
+def furnish(
+    site: Fitting, found: list[Place], seed: int, storey: int, height: float, differ: float
+) -> None:
+    """Furnish a storey; ``differ`` is the share of places where storeys have nothing in common."""
+    for k, place in enumerate(found):
+        own = np.random.default_rng([seed, 8819, k, storey + 1])
+        rng = own if own.random() < differ else np.random.default_rng([seed, 8819, k, 0])
+        if rng.random() < _ABSENT:
+            continue
+        at = np.array([place.x, place.y])
+        if place.kind == "chair":
+            site.move_about("chair", at, place.yaw, storey)
+            continue
+        shift = rng.normal(0, 0.04, 2) * (place.kind not in ("fixture", "lockers"))
+        mesh = _MAKERS[place.kind](rng)
+        site.put(place.kind, mesh, at + shift, place.yaw + 0.02 * float(rng.normal()), height)
+
+
+def _corner(room: Room, s: float, t: float) -> tuple[float, float]:
+    """Plan coordinates ``s`` metres along the room's front and ``t`` metres into it."""
+    return room.low[0] + s, room.front + room.into * t
+
+
+def _by_side(room: Room, kind: str, right: bool, t: float, deep: float) -> Place:
+    """Against one of the side walls, ``t`` metres into the room."""
+    s = room.size[0] - 0.1 - deep / 2 if right else 0.1 + deep / 2
+    return Place(kind, *_corner(room, s, t), np.pi if right else 0.0)
+
+
+def _office(rng: np.random.Generator, room: Room) -> list[Place]:
+    """Desks at the far wall, a cupboard or a shelf at the side away from the door."""
+    wide, deep = room.size
+    found = []
+    count = max(1, int(wide / rng.uniform(2.0, 3.2)))
+    facing = room.into * np.pi / 2
+    turned = bool(rng.random() < 0.5)
+    for k in range(count):
+        s = wide * (k + 0.5) / count
+        yaw = facing if turned else 0.0
+        back = np.array([-np.cos(yaw), -np.sin(yaw)]) * 0.75
+        x, y = _corner(room, s, deep - 1.2)
+        found += [Place("desk", x, y, yaw), Place("chair", x + back[0], y + back[1], yaw)]
+    right = room.door < (room.low[0] + room.high[0]) / 2
+    for t in np.arange(0.9, deep - 2.4, 1.5):
+        kind = str(rng.choice(["cupboard", "shelf", "shelf", "sofa"]))
+        found.append(_by_side(room, kind, right, float(t), 0.5))
+    found.append(Place("plant", *_corner(room, 0.5 if right else wide - 0.5, deep - 0.5), 0.0))
+    return found
+
+
+def _meeting(rng: np.random.Generator, room: Room) -> list[Place]:
+    wide, deep = room.size
+    yaw = np.pi / 2 if wide > deep else 0.0
+    found = [Place("table", *_corner(room, wide / 2, deep / 2), yaw)]
+    for turn in np.arange(0, 2 * np.pi, np.pi / int(rng.integers(2, 5))):
+        reach = 1.3 * np.array([np.cos(turn), np.sin(turn)]) * [1.1, 0.8]
+        x, y = _corner(room, wide / 2 + reach[0], deep / 2 + reach[1])
+        found.append(Place("chair", x, y, float(np.arctan2(-room.into * reach[1], -reach[0]))))
+    found.append(_by_side(room, "cupboard", bool(rng.random() < 0.5), deep - 1.2, 0.5))
+    found.append(_by_side(room, "fixture", bool(rng.random() < 0.5), deep / 2, 0.0))
+    return found
+
+
+def _open(rng: np.random.Generator, room: Room) -> list[Place]:
+    """Rows of desks, plants and cupboards between them."""
+    wide, deep = room.size
+    found = []
+    for s in np.arange(1.3, wide - 0.8, rng.uniform(2.2, 3.0)):
+        for t in np.arange(1.6, deep - 0.8, 1.9):
+            x, y = _corner(room, float(s), float(t))
+            found += [Place("desk", x, y, 0.0), Place("chair", x - 0.75, y, 0.0)]
+    found.append(_by_side(room, "printer", bool(rng.random() < 0.5), 0.8, 0.6))
+    found.append(_by_side(room, "cupboard", bool(rng.random() < 0.5), deep - 1.0, 0.5))
+    return found
+
+
+def _store(rng: np.random.Generator, room: Room) -> list[Place]:
+    """Shelves along both sides."""
+    deep = room.size[1]
+    return [
+        _by_side(room, str(rng.choice(["shelf", "shelf", "cupboard"])), right, float(t), 0.4)
+        for right in (False, True)
+        for t in np.arange(1.2, deep - 0.8, 1.7)
+    ]
+
+
+def _niche(rng: np.random.Generator, room: Room) -> list[Place]:
+    """A copier, a sofa, plants."""
+    wide, deep = room.size
+    kind = str(rng.choice(["sofa", "printer", "table"]))
+    x, y = _corner(room, wide / 2, deep - 0.8)
+    found = [Place(kind, x, y, -room.into * np.pi / 2)]
+    found.append(Place("plant", *_corner(room, 0.5, deep - 0.5), 0.0))
+    return [*found, _by_side(room, "cupboard", bool(rng.random() < 0.5), 1.0, 0.5)]
+
+
+_OF_ROOMS: dict[str, Callable[[np.random.Generator, Room], list[Place]]] = {
+    "office": _office,
+    "meeting": _meeting,
+    "open": _open,
+    "store": _store,
+    "niche": _niche,
+}
+
+
+def _along_corridors(rng: np.random.Generator, plan: FloorPlan) -> list[Place]:
+    """Lockers, extinguishers, radiators and boards on the corridors' walls, off the doors."""
+    found = []
+    busy = float(rng.uniform(0.1, 0.6))
+    for room in plan.rooms:
+        if room.kind == "niche" or room.glazed:
+            continue
+        for x in np.arange(room.low[0] + 0.9, room.high[0] - 0.7, 1.9):
+            if abs(x - room.door) < 1.5 or not plan.in_corridor(float(x)) or rng.random() > busy:
+                continue
+            kind = str(rng.choice(["lockers", "fixture", "fixture"]))
+            away = 0.1 + (0.2 if kind == "lockers" else 0.0)
+            y = room.front - room.into * away
+            found.append(Place(kind, float(x), y, -room.into * np.pi / 2))
+    return found
+
 
 _DOOR = (0.9, 2.05)  # width and height
 _OUTER, _INNER = 0.35, 0.14  # thickness of walls

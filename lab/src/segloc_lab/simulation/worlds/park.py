@@ -12,28 +12,24 @@ from segloc.types import Float64
 
 from ..objects.fixtures import (
     bandstand,
+    bench,
+    bollards,
+    cabinet,
     climbing_frame,
+    fence,
     flower_bed,
     fountain,
+    lamp,
+    litter_bin,
+    name_sign,
     picnic_table,
     slide,
     statue,
     swings,
-)
-from ..objects.mesh import Mesh
-from ..objects.street import (
-    bench,
-    bollards,
-    cabinet,
-    fence,
-    lamp,
-    litter_bin,
-    name_sign,
     traffic_sign,
 )
-from ..objects.trees import grow
-from ..objects.undergrowth import stump
-from ..objects.vegetation import hedge, shrubs, trimmed_box_bush
+from ..objects.mesh import Mesh
+from ..objects.vegetation import grow, hedge, shrubs, stump, trimmed_box_bush
 from .land import Ground, Land, lay_out, scattered
 from .layout import Frontage, check_world
 from .lots import build_along, dress

@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from ..objects.buildings import shed
-from ..objects.identity import Objects
-from ..objects.street import FURNITURE, lamp, traffic_light, traffic_sign, utility_pole
+from ..objects.fixtures import FURNITURE, lamp, traffic_light, traffic_sign, utility_pole
+from ..objects.mesh import Objects
 from ..objects.vegetation import bush
-from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground
+from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground, town_tree
 from .lots import build_along, dress
-from .planting import town_tree
 from .roads import Street, street_network
 from .world import Catalogue, World
 

@@ -9,10 +9,20 @@ import numpy as np
 
 from segloc.types import Float64
 
-from ..objects.furniture import wall_things
+from ..objects.furniture import (
+    beams,
+    cage,
+    conveyor,
+    dock_door,
+    machine,
+    pallet_load,
+    pillar,
+    rack,
+    slab,
+    wall,
+    wall_things,
+)
 from ..objects.mesh import boxes
-from ..objects.shell import beams, pillar, slab, wall
-from ..objects.storage import cage, conveyor, dock_door, machine, pallet_load, rack
 from .fitting import Fitting
 from .layout import check_world
 from .roads import RoadNetwork, straight

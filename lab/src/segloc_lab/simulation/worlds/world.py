@@ -11,15 +11,12 @@ import numpy as np
 from segloc.errors import ConfigError
 from segloc.types import Float32, Float64
 
-from ..objects.identity import SESSION_IDS, Objects
-from ..objects.mesh import Mesh
-from ..objects.scene import Scene
-from ..objects.street import person
-from ..objects.terrain import Terrain
+from ..objects.fixtures import person
+from ..objects.mesh import SESSION_IDS, Mesh, Objects
+from ..objects.scene import Scene, Terrain
 from ..objects.vehicles import bicycle, vehicle
 from .changes import BUILT, Extent, Footing, replace_some, road_works, scaffold
-from .interior import Interior
-from .replaceable import MOVABLES, REPLACEABLE
+from .interior import MOVABLES, REPLACEABLE, Interior
 from .roads import RoadNetwork
 
 _ROAD_WORKS = 0.012  # at how many of the places to park they dig

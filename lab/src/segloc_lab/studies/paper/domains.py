@@ -2,13 +2,254 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
 from pathlib import Path
 
+from segloc import _native
+from segloc.datasets import Sequence, Swathes
+from segloc.errors import ConfigError, DatasetError
+from segloc.frontend.segmentation import SegmentationConfig, Segmenter
+from segloc.system.processes import in_parallel
+
+from ... import kitti00
+from ...recordings import Surveyed
+from ...simulation import LineLidar, SimulatedSequence
+from ...simulation.suites import SIX, SWATHE_M, TestSet
+from ...training.collect import Posed, collect_recordings
 from ...training.dataset import SegmentDataset
-from ...training.shards import load_dataset
-from .domain_segments import RECORDED, SIMULATED, DomainSize, recorded, simulated
+from ...training.extract import ExtractConfig, extract_session
+from ...training.shards import (
+    INDEX,
+    Session,
+    finish,
+    finished,
+    load_dataset,
+    options_of,
+    write_shard,
+)
 from .workspace import Workspace
+
+SIMULATED = ("kitti", "burgess", "robotcar")
+RECORDED = "kitti00"
+SPLITS = ("train", "test")
+
+_EXTRACT = ExtractConfig(lengths_m=(40.0, 16.0), swathe_m=SWATHE_M)
+_PLACES: dict[str, dict[str, tuple[str, ...]]] = {
+    "train": {
+        "loop": ("169:373", "1414:1600"),
+        "street-655": ("655:947",),
+        "street-1004": ("1004:1360",),
+        "street-1601": ("1601:1820",),
+    },
+    "test": {
+        "square": ("948:999", "1361:1413"),
+        "start": ("48:81", "619:654"),
+        "corner": ("158:170", "988:1003"),
+    },
+}
+"""Key frames of KITTI 00 by place, one range a pass."""
+
+
+@dataclass(frozen=True)
+class DomainSize:
+    """How much of a simulated domain is driven.
+
+    Attributes
+    ----------
+    train, test : int
+        Worlds. Those of training have two sessions, those of tests as many as the test set says.
+    scale : str
+        Of the test sets: how large a world is, and how far each session leads.
+    """
+
+    train: int
+    test: int
+    scale: str
+
+    def worlds(self, split: str) -> int:
+        """Number of worlds of a split."""
+        return self.train if split == "train" else self.test
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One session of one world of a simulated domain."""
+
+    folder: Path
+    domain: str
+    split: str
+    scale: str
+    seed: int
+    session: int
+
+    def drive(self) -> Sequence:
+        """The session, whose scans are cast when they are read."""
+        if self.split == "train":
+            return _suite(self.domain).training(1, self.scale, seed=self.seed)[self.session]
+        return list(_suite(self.domain).sessions(self.scale, seed=self.seed).values())[self.session]
+
+
+def _suite(domain: str) -> TestSet:
+    return next(each for each in SIX if each.name == domain)
+
+
+def _jobs(folder: Path, domain: str, split: str, size: DomainSize, seed: int) -> list[_Job]:
+    suite = _suite(domain)
+    sessions = 2 if split == "train" else 1 + len(suite.tests)
+    return [
+        _Job(folder, domain, split, size.scale, seed + world, session)
+        for world in range(size.worlds(split))
+        for session in range(sessions)
+    ]
+
+
+def dataset_folder(root: Path, domain: str, split: str, size: DomainSize, seed: int) -> Path:
+    """Where a simulated domain's segments are kept: another folder for other settings."""
+    first = seed + _suite(domain).first_seed
+    key = [domain, split, size.worlds(split), size.scale, first, _EXTRACT.model_dump(mode="json")]
+    return root / f"{domain}-{split}-{_hash(key)}"
+
+
+def simulated(
+    root: Path,
+    domain: str,
+    split: str,
+    size: DomainSize,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Make the segments of a simulated domain, unless they are there.
+
+    What was made before an interruption is kept. The result depends neither on the number of
+    workers nor on interruptions.
+
+    Parameters
+    ----------
+    root : Path
+        Where datasets are kept.
+    domain : str
+        One of :data:`SIMULATED`.
+    split : {"train", "test"}
+    size : DomainSize
+    seed : int
+        Another seed is other worlds.
+    workers : int
+        Processes that simulate.
+    executor : Executor, optional
+        What simulates in their place.
+    progress : callable
+        Called with (sessions done, sessions in all).
+
+    Returns
+    -------
+    Path
+        The dataset, for :func:`segloc_lab.training.shards.load_dataset`.
+
+    Raises
+    ------
+    ConfigError
+        If the domain or the split is unknown.
+    """
+    if domain not in SIMULATED or split not in SPLITS:
+        raise ConfigError(f"no domain {domain!r} with a split {split!r}")
+    folder = dataset_folder(root, domain, split, size, seed)
+    if (folder / INDEX).exists():
+        return folder
+    folder.mkdir(parents=True, exist_ok=True)
+    jobs = _jobs(folder, domain, split, size, seed)
+    sessions: list[Session] = []
+    for _, session in in_parallel(_simulate, jobs, workers, executor):
+        sessions.append(session)
+        progress(len(sessions), len(jobs))
+    finish(folder, sessions, _EXTRACT.label)
+    return folder
+
+
+def _simulate(job: _Job) -> Session:
+    """Write the shard of one session, in whatever process."""
+    name = f"{job.domain}-{job.split}-{job.seed}"
+    session = Session(name, f"session-{job.session}", _suite(job.domain).sensor)
+    segmentation = SegmentationConfig()
+    options = options_of(
+        _EXTRACT, segmentation=segmentation.model_dump(mode="json"), scale=job.scale
+    )
+    if finished(job.folder, session, options):
+        return session
+    drive = job.drive()
+    source = drive.source if isinstance(drive, Swathes) else drive
+    assert isinstance(source, SimulatedSequence)  # what test sets are made of
+    lengths = (SWATHE_M,) if isinstance(source.sensor, LineLidar) else _EXTRACT.lengths_m
+    config = _EXTRACT.model_copy(update={"lengths_m": lengths})
+    extract = extract_session(Surveyed(source), Segmenter(segmentation).segment, config)
+    write_shard(job.folder, session, extract, options)
+    return session
+
+
+def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] = print) -> Path:
+    """Make the segments of KITTI odometry 00, unless they are there; no place is in both splits.
+
+    The passes over a place are aligned with each other, since the positions of the reference agree
+    to about a metre only.
+
+    Parameters
+    ----------
+    root : Path
+        Where datasets are kept.
+    data : Path
+        A folder with ``keyframes/`` and their T_world_sensor in ``keyframes.tum``.
+    split : {"train", "test"}
+    say : callable
+        Takes a line for each pass.
+
+    Returns
+    -------
+    Path
+        The dataset, for :func:`segloc_lab.training.shards.load_dataset`.
+
+    Raises
+    ------
+    ConfigError
+        If the split is unknown.
+    DatasetError
+        If the data are missing or cannot be read.
+    """
+    if split not in SPLITS:
+        raise ConfigError(f"no split {split!r} of {RECORDED}")
+    poses = data / "keyframes.tum"
+    if not poses.is_file():
+        raise DatasetError(f"{poses}: no such file")
+    key = [poses.read_text("utf-8"), _PLACES[split], _EXTRACT.model_dump(mode="json")]
+    folder = root / f"{RECORDED}-{split}-{_hash(key)}"
+    if (folder / INDEX).exists():
+        return folder
+    folder.mkdir(parents=True, exist_ok=True)
+    sessions: list[Session] = []
+    for place, passes in _PLACES[split].items():
+        items = [
+            Posed(
+                Session(place, f"{k:02d}-keyframes", "hdl64e"),
+                kitti00.keyframes(data, select),
+            )
+            for k, select in enumerate(passes)
+        ]
+        sessions += collect_recordings(
+            folder, items, _EXTRACT, SegmentationConfig(), register=True, progress=say
+        )
+    finish(folder, sessions, _EXTRACT.label)
+    return folder
+
+
+def _hash(key: object) -> str:
+    text = json.dumps([_native.__version__, key], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
 
 SIZES: dict[str, dict[str, DomainSize]] = {
     "small": {

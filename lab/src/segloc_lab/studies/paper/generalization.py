@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from ...evaluation.report.study import Cell, Study, Table
-from .domain_segments import SIMULATED
+from .domains import SIMULATED
 from .pairs import Roc
 from .published import GENERALIZATION, METHODS
 from .transfer import SHIPPED, TITLES, Plan, Transfer

@@ -14,7 +14,7 @@ from segloc.errors import MissingDependency
 from ...bench.harness import in_process, interleaved, optional
 from ...bench.network import DIM, build, prepared_segments, random_tensors
 from ...evaluation.report.study import Cell, Study, Table
-from ...memory import rise_mb
+from ...stages import rise_mb
 from .workspace import Workspace
 
 NAME = "memory"

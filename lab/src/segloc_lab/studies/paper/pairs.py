@@ -13,9 +13,8 @@ from segloc.errors import DatasetError
 from segloc.types import Float32, Float64, Int64
 
 from ...training.dataset import FAR_M, SegmentDataset
-from ...training.metrics import Interval, area_interval, bootstrap_places
+from ...training.metrics import Interval, area_interval, bootstrap_places, describe
 from ...training.pair_fitting import near_pairs
-from ...training.scoring import describe
 
 
 @dataclass(frozen=True)

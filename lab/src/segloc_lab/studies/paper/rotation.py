@@ -16,9 +16,8 @@ from segloc.geometry import yaw_transform
 from segloc.types import Float32, Float64, Segments
 
 from ...evaluation.report.study import Cell, Figure, Study, Table
-from ...training.augment import AugmentConfig
-from .domain_segments import DomainSize
-from .domains import Domains
+from ...training.config import AugmentConfig
+from .domains import Domains, DomainSize
 from .learning import Training, load_method, network_config, trained
 from .pairs import described, labelled_pairs, pair_scores, roc
 from .workspace import Workspace

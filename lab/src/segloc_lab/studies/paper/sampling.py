@@ -16,11 +16,10 @@ from segloc.types import Float32
 from ...bench.fps import SAMPLES, SEGMENTS, fps
 from ...bench.harness import OURS, Row, in_process
 from ...evaluation.report.study import Cell, Study, Table
-from ...training.augment import Sampler
+from ...training.config import Sampler
 from ...training.dataset import SegmentDataset
 from ...training.metrics import score
-from .domain_segments import DomainSize
-from .domains import Domains
+from .domains import Domains, DomainSize
 from .learning import Training, network_config, trained
 from .pairs import Described, labelled_pairs, pair_scores, roc
 from .workspace import Workspace

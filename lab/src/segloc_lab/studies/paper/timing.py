@@ -30,7 +30,7 @@ from ...evaluation.report.study import Cell, Study, Table
 from ...padding import padded_with_copies
 from ...stages import STAGES, clock_for, single_pass
 from . import published
-from .scenarios import KittiScenario, SuiteScenario
+from .localization import KittiScenario, SuiteScenario
 from .workspace import Workspace
 
 TEXT = """\

@@ -15,8 +15,7 @@ from ...evaluation.methods import METHODS
 from ...evaluation.methods import fingerprint as shipped_fingerprint
 from ...evaluation.workspace import mute, silent
 from ...training.shards import INDEX
-from .domain_segments import RECORDED, DomainSize
-from .domains import SIZES, Domains
+from .domains import RECORDED, SIZES, Domains, DomainSize
 from .learning import EFFORTS, FORESTS, NETWORKS, Effort, Training, load_method, source_of, trained
 from .pairs import Described, Pairs, Roc, described, labelled_pairs, pair_scores, roc, trust_scores
 from .workspace import Workspace

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from segloc.errors import ConfigError
 
 from ...evaluation import workspace
+from ...evaluation.report.study import Study
 from ...report import code
 from ...simulation.suites import PAPER, SUITES, TestSet
 
@@ -69,3 +71,30 @@ class Workspace(workspace.Workspace):
         only = None if self.only is None else [test.name for test in self.sets]
         own = {"suite": self.suite, "scale": self.scale, "only": only, "data": data}
         return {**super().facts(seconds, fingerprints), **own}
+
+
+STUDIES = (
+    "roc",
+    "generalization",
+    "rotation",
+    "sampling",
+    "localization",
+    "timing",
+    "memory",
+)
+"""Each is run by the module of its name in this package."""
+
+
+def run(name: str, workspace: Workspace) -> Study:
+    """Run one of :data:`STUDIES` and store it in a folder of the workspace.
+
+    Raises
+    ------
+    SeglocError
+        Whatever is the user's to mend: data that cannot be read, packages that are missing, a
+        folder that cannot be written.
+    """
+    module = importlib.import_module(f"{__package__}.{name}")
+    study = cast(Callable[[Workspace], Study], module.run)(workspace)
+    study.save(workspace.out / study.name)
+    return study
