@@ -106,7 +106,7 @@ def test_tables_are_made_of_the_answers_that_a_folder_has(tmp_path: Path) -> Non
         assert set(protocol.outcomes_of(answers)) == {*ESTIMATORS, *VERIFIED}
         assert all(letters == "++" for letters in protocol.outcomes_of(answers).values())
     import_module("segloc.cli")  # first: it loads the verbs that others add
-    from segloc_lab.cli.studies import kitti_paper
+    from segloc_lab.cli.evaluate import kitti_paper
 
     kitti_paper(out=tmp_path, stored=True, report=tmp_path / "report")
     (table,) = json.loads((tmp_path / "report" / "rows.json").read_text())

@@ -45,7 +45,6 @@ On the command line: ``segloc --help``. Further rooms, such as ``segloc.tiles`` 
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
 
 from ._native import __version__
@@ -60,6 +59,7 @@ from .errors import (
     SeglocError,
     WeightsError,
 )
+from .system import lazy
 
 if TYPE_CHECKING:
     from .config import Config
@@ -76,6 +76,26 @@ if TYPE_CHECKING:
     from .prior import Prior
     from .tracker import Tracker
     from .types import LocalCloud, MemoryRecording, Recording, Scan
+else:  # NumPy, SciPy and Pydantic take a second to import on a slow machine
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            "config": "Config",
+            "datasets": "open_sequence",
+            "frontend.rolling_cloud": "RollingCloud",
+            "geometry": "ros_covariance",
+            "live": "LiveLocalizer",
+            "localization": "Localization Localized NotLocalized Reason",
+            "localizer": "Localizer",
+            "loops": "LoopDetector align_sessions align_to_map",
+            "map.build": "build_map",
+            "map.segment_map": "SegmentMap",
+            "map.update": "update_map",
+            "prior": "Prior",
+            "tracker": "Tracker",
+            "types": "LocalCloud MemoryRecording Recording Scan",
+        },
+    )
 
 __all__ = [
     "Config",
@@ -111,39 +131,3 @@ __all__ = [
     "ros_covariance",
     "update_map",
 ]
-
-_LATER = {
-    "Config": "config",
-    "LiveLocalizer": "live",
-    "LocalCloud": "types",
-    "Localization": "localization",
-    "Localized": "localization",
-    "Localizer": "localizer",
-    "LoopDetector": "loops",
-    "MemoryRecording": "types",
-    "NotLocalized": "localization",
-    "Prior": "prior",
-    "Reason": "localization",
-    "Recording": "types",
-    "RollingCloud": "frontend.rolling_cloud",
-    "Scan": "types",
-    "SegmentMap": "map.segment_map",
-    "Tracker": "tracker",
-    "align_sessions": "loops",
-    "align_to_map": "loops",
-    "build_map": "map.build",
-    "open_sequence": "datasets",
-    "ros_covariance": "geometry",
-    "update_map": "map.update",
-}
-"""Imported when it is first used: NumPy, SciPy and Pydantic take a second on a slow machine."""
-
-
-def __getattr__(name: str) -> object:
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f".{_LATER[name]}", __name__), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.batch.run import query_positions
+from segloc.batch import query_positions
 from segloc.datasets import NO_POSES, Recording, Sequence, open_sequence
 from segloc.errors import DatasetError
 from segloc.types import Float64
@@ -69,13 +69,7 @@ def scans(data: Path, posed: bool = True) -> Sequence:
 
 
 def poses_of(recording: Recording) -> Float64:
-    """The poses of a recording.
-
-    Raises
-    ------
-    DatasetError
-        If it has none.
-    """
+    """The poses of a recording."""
     if recording.poses is None:
         raise DatasetError(f"{recording.name}: no poses")
     return recording.poses

@@ -42,13 +42,7 @@ def share(successes: int, trials: int) -> str:
 
 
 def apart(a: Sequence[bool], b: Sequence[bool]) -> tuple[int, int]:
-    """How often the first alone succeeded, and the second alone, of the same queries.
-
-    Raises
-    ------
-    ValueError
-        If they are not of the same queries.
-    """
+    """How often the first alone succeeded, and the second alone, of the same queries."""
     pairs = list(zip(a, b, strict=True))
     return sum(x and not y for x, y in pairs), sum(y and not x for x, y in pairs)
 
@@ -65,11 +59,6 @@ def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
     -------
     float
         Two-sided p-value; 1 where no query tells them apart.
-
-    Raises
-    ------
-    ValueError
-        If they are not of the same queries.
     """
     only_a, only_b = apart(a, b)
     if not only_a + only_b:
@@ -166,13 +155,7 @@ def publish(folder: Path | None, title: str, *tables: Table) -> None:
 
 
 def write(folder: Path, title: str, tables: Sequence[Table], pictures: Iterable[Path] = ()) -> Path:
-    """Write a report into a new folder, with copies of the pictures.
-
-    Raises
-    ------
-    ConfigError
-        If the folder exists: reports are never rewritten.
-    """
+    """Write a report into a new folder, with copies of the pictures."""
     require_new(folder)
     folder.mkdir(parents=True)
     minutes = (time.monotonic() - _BEGAN) / 60
@@ -194,13 +177,7 @@ def write(folder: Path, title: str, tables: Sequence[Table], pictures: Iterable[
 
 
 def require_new(folder: Path | None) -> None:
-    """Refuse a folder that exists, before a study spends hours on its report.
-
-    Raises
-    ------
-    ConfigError
-        If the folder exists.
-    """
+    """Refuse a folder that exists, before a study spends hours on its report."""
     if folder is not None and folder.exists():
         raise ConfigError(f"{folder}: exists, and reports are never rewritten; name a new folder")
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from segloc.frontend.segmentation import Segmentation
+from segloc.frontend import Segmentation
 from segloc.localizer import Localizer
 from segloc.system.stage_times import Clock, StageTimes
 from segloc.types import LocalCloud, Matches, Scan

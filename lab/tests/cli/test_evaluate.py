@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from segloc_lab.evaluation.report.study import Study
+from segloc_lab.evaluation.study import Study
 from segloc_lab.studies.paper import workspace as studies
 
 from segloc.cli import app
@@ -48,16 +48,16 @@ def test_what_the_user_can_mend_is_one_line(
 def test_all_runs_every_study_and_leaves_out_what_cannot_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    done: list[str] = []
+
     def run(name: str, workspace: object) -> Study:
         if name == "memory":
             raise MissingDependency("torch", "train", "measuring memory")
-        study = Study(name, name.title())
-        study.save(tmp_path / name)
-        return study
+        done.append(name)
+        return Study(name, name.title())
 
     monkeypatch.setattr(studies, "run", run)
     evaluate("all", "--out", tmp_path)
     told = capsys.readouterr()
     assert "memory is left out: measuring memory needs torch" in " ".join(told.err.split())
-    page = (tmp_path / "report.html").read_text("utf-8")
-    assert all(f'id="{name}"' in page for name in studies.STUDIES if name != "memory")
+    assert done == [name for name in studies.STUDIES if name != "memory"]

@@ -83,7 +83,7 @@ def live(
     Only the motion between poses is used, never where they are. Writes poses.tum, states.jsonl and
     summary.json; `segloc view MAP DIR` follows it meanwhile.
     """
-    from ..live.replay import odometry_of, replay, summary
+    from ..live.replay import odometry_of, play, summary
     from ..map.segment_map import SegmentMap
     from .console import progress
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
@@ -105,7 +105,7 @@ def live(
             tell(position, state)
             so_far.add(position, state)
 
-        played = replay(localizer, recording, _settings(every, rate), rate, heard, update)
+        played = play(localizer, recording, _settings(every, rate), rate, heard, update)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
     facts |= summary(played, moved, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts))

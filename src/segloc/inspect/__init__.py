@@ -1,7 +1,29 @@
 """One query through every stage: what was found, how sure, and why: words and pictures."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..system import lazy
 from .trace import Part as Part
 from .trace import Trace as Trace
 from .trace import steps as steps
 from .trace import trace as trace
 from .trace import verdict as verdict
+
+if TYPE_CHECKING:
+    from .pictures import DARK as DARK
+    from .pictures import GREEN as GREEN
+    from .pictures import ORANGE as ORANGE
+    from .pictures import PALETTE as PALETTE
+    from .pictures import PATH as PATH
+    from .pictures import RED as RED
+    from .pictures import blank as blank
+    from .pictures import png as png
+else:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            "pictures": "DARK GREEN ORANGE PALETTE PATH RED blank png",
+        },
+    )

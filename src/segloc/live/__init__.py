@@ -1,7 +1,24 @@
 """A robot followed while it drives: scans and odometry in, where it is in the map out."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..system import lazy
 from ..tracking.views import Status as Status
 from .config import LiveConfig as LiveConfig
 from .core import LiveCore as LiveCore
 from .core import State as State
 from .localizer import LiveLocalizer as LiveLocalizer
+
+if TYPE_CHECKING:
+    from .replay import Replay as Replay
+    from .replay import play as play
+    from .replay import pose_errors as pose_errors
+else:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            "replay": "Replay play pose_errors",
+        },
+    )

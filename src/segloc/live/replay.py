@@ -113,7 +113,7 @@ def odometry_of(recording: Recording) -> tuple[Float64, Float64]:
     return np.concatenate([[0.0], np.cumsum(seconds)]), poses
 
 
-def replay(
+def play(
     localizer: Localizer,
     recording: Recording,
     config: LiveConfig | None = None,

@@ -1,5 +1,10 @@
 """Sessions with drifting poses, brought into one frame, or into that of a map."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..system import lazy
 from ..types import Reposed as Reposed
 from .align import Alignment as Alignment
 from .align import align_sessions as align_sessions
@@ -10,3 +15,15 @@ from .detector import LoopDetector as LoopDetector
 from .loops import Loop as Loop
 from .to_map import MapAlignment as MapAlignment
 from .to_map import align_to_map as align_to_map
+
+if TYPE_CHECKING:
+    from .graph import Edges as Edges
+    from .graph import joined_edges as joined_edges
+    from .graph import solve_robustly as solve_robustly
+else:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            "graph": "Edges joined_edges solve_robustly",
+        },
+    )

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from segloc import _native
 from segloc.errors import SeglocError
+from segloc.system import kernels
 from segloc.types import Float32
 
 from . import inputs
@@ -23,11 +23,11 @@ PRODUCTS = 3
 def fps(threads: int, repeats: int) -> Row:
     """Ours on every instruction set against NumPy and fpsample (settings of exact coverage)."""
     points = inputs.segments(SEGMENTS)
-    widest = _native.instruction_set()
+    widest = kernels.instruction_set()
     narrower = [isa for isa in ("portable", "avx2", "avx512") if isa != widest]
-    runs: dict[str, Any] = {OURS: partial(_native.fps, points, SAMPLES, threads)}
+    runs: dict[str, Any] = {OURS: partial(kernels.fps, points, SAMPLES, threads)}
     for isa in narrower[: ("portable", "avx2", "avx512").index(widest)]:
-        runs[f"segloc, {isa}"] = partial(_native.fps, points, SAMPLES, threads, isa)
+        runs[f"segloc, {isa}"] = partial(kernels.fps, points, SAMPLES, threads, isa)
     runs["NumPy, a segment at a time"] = partial(per_segment, points, SAMPLES)
     runs["NumPy, batched"] = partial(batched, points, SAMPLES)
     runs["NumPy, batched, a column an axis"] = partial(batched_columns, points, SAMPLES)

@@ -10,11 +10,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from segloc import _native, geometry
+from segloc import geometry
 from segloc.errors import SeglocError
-from segloc.likelihood.registration import Aligner
-from segloc.proposals.matching import MatchingConfig
-from segloc.proposals.pose import PoseConfig
+from segloc.likelihood import Aligner
+from segloc.proposals import MatchingConfig, PoseConfig
+from segloc.system import kernels
 from segloc.types import Float32, Float64, Int64, Pose
 
 from . import inputs
@@ -101,7 +101,7 @@ def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
     """Exact Euclidean clusters; every rival must find the same partition. One thread always."""
     points = inputs.local_cloud() if cloud is None else cloud
     runs: dict[str, Any] = {
-        OURS: lambda: _labels(_native.euclidean_clusters(points, CLUSTER_RADIUS_M, 1, len(points))),
+        OURS: lambda: _labels(kernels.euclidean_clusters(points, CLUSTER_RADIUS_M, 1, len(points))),
         "SciPy, k-d tree and components": lambda: tree_components(points, CLUSTER_RADIUS_M),
     }
     sklearn = optional("sklearn.cluster")
@@ -112,7 +112,7 @@ def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
     for name, run in runs.items():
         if not same_partition(reference, run()):
             raise SeglocError(f"{name} finds other clusters")
-    runs[OURS] = partial(_native.euclidean_clusters, points, CLUSTER_RADIUS_M, 1, len(points))
+    runs[OURS] = partial(kernels.euclidean_clusters, points, CLUSTER_RADIUS_M, 1, len(points))
     skipped = () if sklearn else ("scikit-learn",)
     details = {"points": float(len(points)), "clusters": float(reference.max() + 1)}
     return row("clustering", threads, repeats, runs, details=details, skipped=skipped)
@@ -146,7 +146,7 @@ def knn(threads: int, repeats: int) -> Row:
     queries = database[:QUERIES] + inputs.descriptors(QUERIES, DIM, seed=1, spread=0.3)
     tree = cKDTree(database)
     runs: dict[str, Any] = {
-        OURS: lambda: _native.knn(queries, database, k, threads)[0],
+        OURS: lambda: kernels.knn(queries, database, k, threads)[0],
         "NumPy, product and partition": partial(product_and_partition, queries, database, k),
         "SciPy, k-d tree": lambda: tree.query(queries, k, workers=threads)[1],
     }
@@ -195,7 +195,7 @@ def pose(threads: int, repeats: int) -> Row:
 def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
     """Poses by consensus with the defaults of the configuration."""
     options = _options(_CONSENSUS_OPTIONS)
-    return _native.consensus(
+    return kernels.consensus(
         problem.query,
         problem.mapped,
         problem.match_query,
@@ -234,7 +234,7 @@ _SAMPLING_OPTIONS = {
 def prosac(problem: MatchProblem, ordered: bool = True, seed: int = 0) -> Float64:
     """Poses by PROSAC with the defaults of the configuration; by RANSAC if not ordered."""
     options = _options(_SAMPLING_OPTIONS)
-    return _native.prosac(
+    return kernels.prosac(
         problem.query,
         problem.mapped,
         problem.match_query,

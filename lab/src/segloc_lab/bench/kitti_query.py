@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Scan, _native, build_map
+from segloc import Config, Scan, build_map
 from segloc.datasets import Sequence
-from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig, window
+from segloc.frontend import Accumulator, LocalCloudConfig, window
+from segloc.system import kernels
 from segloc.system.machine import processor
 from segloc.types import LocalCloud, stamp_at
 
@@ -65,7 +66,7 @@ def gathered(scans: Sequence, k: int) -> LocalCloud:
         kitti00.poses_of(scans), k, config.window_m, centred=True, max_gap_m=config.max_gap_m
     )
     cloud = Accumulator(config).gather([scans.scan(i) for i in near], k - near.start)
-    return replace(cloud, points=_native.voxel_grid(cloud.points, THIN_M))
+    return replace(cloud, points=kernels.voxel_grid(cloud.points, THIN_M))
 
 
 def measure(path: str, segments: int, threads: int, repeats: int) -> Row:

@@ -12,7 +12,7 @@ from rich.progress import track
 
 from segloc import Config, SegmentMap
 from segloc.descriptors import available, create
-from segloc.proposals.matching import Matcher
+from segloc.proposals import Matcher
 from segloc.types import Descriptors, Segments
 
 from ..report import Cell, Table, publish, reporting

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from segloc import _native
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS, POINTS, Layer
 from segloc.errors import SeglocError
+from segloc.system import kernels
 from segloc.types import Float32
 
 from . import inputs
@@ -67,13 +67,13 @@ def prepared_segments(count: int) -> Float32:
     """Synthetic segments as the network reads them, (count, 256, 3)."""
     points = inputs.segments(count, 400).reshape(-1, 3)
     offsets = np.arange(count + 1, dtype=np.int64) * 400
-    return _native.prepare_segments(points, offsets, POINTS)
+    return kernels.prepare_segments(points, offsets, POINTS)
 
 
-def build(layers: Sequence[Layer], tensors: dict[str, Float32]) -> _native.Network:
+def build(layers: Sequence[Layer], tensors: dict[str, Float32]) -> kernels.Network:
     """The native engine for a layer table."""
     rows = [(each.points, each.neighbors, each.dilation, each.channels) for each in layers]
-    return _native.Network(rows, tensors, POINTS)
+    return kernels.Network(rows, tensors, POINTS)
 
 
 def layer_widths(layers: Sequence[Layer]) -> list[tuple[int, int, int]]:

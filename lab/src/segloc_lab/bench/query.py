@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from segloc import geometry
+from segloc import SegmentMap, build_map, geometry
 from segloc.config import Config
 from segloc.errors import SeglocError
 from segloc.localization import Localization
 from segloc.localizer import Localizer
-from segloc.map.build import build_map
-from segloc.map.config import DEFAULT_METHOD
-from segloc.map.segment_map import SegmentMap
+from segloc.map import DEFAULT_METHOD
 from segloc.system.stage_times import Clock, StageTimes
 from segloc.types import LocalCloud, Pose, Scan
 
@@ -71,13 +69,7 @@ def query_row(
     tolerance_m: float = 3.0,
     rivals: bool = True,
 ) -> Row:
-    """Localize the scans of a scene whose map is padded to ``segments``.
-
-    Raises
-    ------
-    SeglocError
-        If a pose is found that is wrong or of another place, or none at all.
-    """
+    """Localize the scans of a scene whose map is padded to ``segments``."""
     prior_map = padded_with_copies(scene.prior_map, segments)
     localizer = Localizer(
         prior_map, Config.preset(prior_map.descriptor).model_copy(update={"threads": threads})

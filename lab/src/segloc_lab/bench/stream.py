@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from segloc import Localizer, RollingCloud, Scan, build_map
+from segloc import Localizer, RollingCloud, Scan, SegmentMap, build_map
 from segloc.config import Config
 from segloc.errors import SeglocError
-from segloc.frontend.local_cloud import window
+from segloc.frontend import window
 from segloc.localization import Localization
-from segloc.map.config import DEFAULT_METHOD
-from segloc.map.segment_map import SegmentMap
+from segloc.map import DEFAULT_METHOD
 from segloc.system.stage_times import StageTimes
 from segloc.types import Float64
 
@@ -77,13 +76,7 @@ def stream_vlp16(threads: int, repeats: int) -> Row:
 
 
 def stream_row(name: str, driven: Stream, threads: int, repeats: int) -> Row:
-    """Mean milliseconds a scan, queries included; medians of runs, ours and the rival in turns.
-
-    Raises
-    ------
-    SeglocError
-        If a query is localized at a wrong place, or none is localized.
-    """
+    """Mean milliseconds a scan, queries included; medians of runs, ours and the rival in turns."""
     prior_map = padded_with_copies(driven.prior_map, MAP_SEGMENTS)
     config = Config.preset(prior_map.descriptor).model_copy(update={"threads": threads})
     localizer = Localizer(prior_map, config, clock=clock_for(threads))

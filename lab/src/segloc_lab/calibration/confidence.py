@@ -28,12 +28,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
-from segloc.batch.run import query_positions
+from segloc.batch import query_positions
 from segloc.datasets import Selection, Sequence
-from segloc.frontend.local_cloud import LocalCloudConfig, window
-from segloc.likelihood import Evidence, VerificationConfig, shipped_confidence
-from segloc.likelihood.decision import demand, equal_rival
-from segloc.proposals.proposer import Query
+from segloc.frontend import LocalCloudConfig, window
+from segloc.likelihood import Evidence, VerificationConfig, demand, equal_rival, shipped_confidence
+from segloc.proposals import Query
 from segloc.system.stage_times import StageTimes
 from segloc.types import Pose
 

@@ -20,8 +20,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc.batch.score import pose_errors
-from segloc.proposals.landmarks import (
+from segloc.batch import pose_errors
+from segloc.proposals import (
     LandmarkConfig,
     LandmarkLocalizer,
     LandmarkMap,

@@ -12,10 +12,15 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from segloc.inspect.pictures import GREEN, PATH, RED
-from segloc.likelihood import VerificationConfig, shipped_confidence
-from segloc.likelihood.confidence import CAUTIOUS_FEATURES, FEATURES
-from segloc.likelihood.decision import CAUTIOUSLY, REPEATED_ROOT
+from segloc.inspect import GREEN, PATH, RED
+from segloc.likelihood import (
+    CAUTIOUS_FEATURES,
+    CAUTIOUSLY,
+    FEATURES,
+    REPEATED_ROOT,
+    VerificationConfig,
+    shipped_confidence,
+)
 
 from ..report import Cell, Table, publish, reporting, share
 

@@ -6,12 +6,12 @@ import typer
 
 from segloc.cli.verbs import HELP_NAMES
 
-from . import bench, evaluate, simulate, studies, train
+from . import bench, evaluate, simulate, train
 
 
 def register(app: typer.Typer) -> None:
     """Add ``evaluate``, ``simulate``, ``train`` and ``bench``."""
-    studies.register()
+    evaluate.register()
     app.add_typer(evaluate.app, name="evaluate", context_settings=HELP_NAMES)
     app.command("simulate")(simulate.simulate)
     app.add_typer(train.train, name="train", context_settings=HELP_NAMES)

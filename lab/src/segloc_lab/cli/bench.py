@@ -40,13 +40,7 @@ BENCHMARKS: dict[str, Benchmark] = {
 
 
 def run(names: Sequence[str], threads: Sequence[int], repeats: int) -> Iterator[Row]:
-    """Run benchmarks one after another, each in a process of its own.
-
-    Raises
-    ------
-    ConfigError
-        If there is no benchmark of a name, or a number is below 1.
-    """
+    """Run benchmarks one after another, each in a process of its own."""
     for name in names:
         if name not in BENCHMARKS:
             raise ConfigError(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
@@ -100,7 +94,7 @@ def bench(
 
 
 def _isa() -> str:
-    from segloc._native import instruction_set
+    from segloc.system.kernels import instruction_set
 
     return instruction_set()
 

@@ -1,31 +1,32 @@
-"""``segloc evaluate`` on recordings of one's own; :mod:`.studies` adds the paper's."""
+"""``segloc evaluate``: the studies of the paper, and two recordings of the user."""
 
 from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from segloc.cli.options import Cluster as Cluster
+from segloc.cli.console import note, progress, say
+from segloc.cli.options import Cluster
 from segloc.cli.verbs import group
-from segloc.errors import ConfigError, DatasetError, MissingDependency, SeglocError
-
-from . import evaluate_failures
+from segloc.errors import ConfigError, DatasetError, MissingDependency
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ..evaluation.report.study import Study
     from ..evaluation.scenario import Pair
+    from ..evaluation.study import Study
+    from ..studies.paper.workspace import Workspace
+
 
 OUT = Path("evaluation")
 _POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
-_LONG_ROWS = 40
 
 Out = Annotated[
     Path, typer.Option(metavar="DIR", help="Folder of all results.", show_default=False)
@@ -33,9 +34,7 @@ Out = Annotated[
 Methods = Annotated[
     str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.", show_default="all")
 ]
-Threads = Annotated[
-    int, typer.Option(min=0, metavar="COUNT", help="Threads of the engine; 0: all cores.")
-]
+Threads = Annotated[int, typer.Option(min=0, metavar="COUNT", help="Threads of the engine; 0: all cores.")]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes.")]
 MapPoses = Annotated[
     Path | None,
@@ -69,23 +68,14 @@ Topic = Annotated[
         metavar="NAME", help="Which of several topics or sensors.", show_default="the only one"
     ),
 ]
-Every = Annotated[float, typer.Option(metavar="METRES", help="Distance between queries.")]
+Every = Annotated[
+    float, typer.Option(metavar="METRES", help="Distance between queries.")
+]
 
 app = group(
-    "Compare the methods on two recordings, and find the stage at which queries fail. Results are "
-    "stored in DIR as they are computed, so an interrupted run resumes. "
-    "DIR/report.html shows them.",
+    "Repeat the studies of the paper, or compare the methods on two recordings. Results are stored "
+    "in DIR as they are finished; an interrupted run resumes. DIR/STUDY/REPORT.md shows them.",
 )
-evaluate_failures.register(app)
-
-
-@app.command("report")
-def report(out: Out = OUT) -> None:
-    """Redraw the report from stored results."""
-    from segloc.cli.results import check_folder
-
-    check_folder(out)
-    write_report(out, requested=True)
 
 
 def own_pair(
@@ -147,18 +137,11 @@ def compare_on(
     with on_cluster(cluster) as executor:
         study = own_recordings(Workspace(out, *means, executor), pair)
     study.save(out / study.name)
-    show(study)
-    write_report(out, requested=False)
+    show(study, out)
 
 
 def chosen(given: str | None, option: str = "--methods") -> tuple[str, ...] | None:
-    """The names in a list that is joined by commas.
-
-    Raises
-    ------
-    ConfigError
-        If a name is empty.
-    """
+    """The names in a list that is joined by commas."""
     if given is None:
         return None
     names = tuple(name.strip() for name in given.split(","))
@@ -172,34 +155,233 @@ def command_line() -> str:
     return shlex.join(["segloc", *sys.argv[1:]])
 
 
-def write_report(out: Path, requested: bool, order: Sequence[str] = ()) -> None:
-    """Draw what is stored; where nobody requested it, a missing package is but a remark.
-
-    The studies that ``order`` names come first.
-    """
-    from segloc.cli.console import note
-
-    from ..evaluation.report.html import write
-    from ..evaluation.report.study import stored
-
-    found = list(stored(out, order))
-    if not found:
-        raise SeglocError(f"{out}: holds no study; run one first")
-    try:
-        write(out, found)
-    except MissingDependency as error:
-        if requested:
-            raise
-        note(f"no report.html: {error}")
-        return
-    print(f"{out / 'report.html'} shows {', '.join(study.name for study in found)}")
-
-
-def show(study: Study) -> None:
-    """Print the tables that fit on a screen."""
-    from ..evaluation.report.tables import plain
+def show(study: Study, out: Path) -> None:
+    """Print the tables that fit on a screen, and where the study is stored."""
+    from ..evaluation.study import LONG_ROWS
 
     for table in study.tables:
-        if len(table.rows) <= _LONG_ROWS:
-            published = " (published)" if table.source == "paper" else ""
-            print(f"{table.title}{published}\n{plain(table)}\n")
+        if len(table.rows) <= LONG_ROWS:
+            print(f"{table.text()}\n")
+    print(f"stored in {out / study.name}")
+
+
+Report = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
+]
+
+
+def kitti_paper(
+    kitti: Annotated[
+        Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes and their poses.")
+    ] = None,
+    out: Out = OUT,
+    methods: Methods = None,
+    verify: Annotated[
+        bool, typer.Option(help="Also with our verification, which takes three times as long.")
+    ] = True,
+    workers: Workers = 2,
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="COUNT", help="Maximum number of PROSAC samples.", show_default="2000000"
+        ),
+    ] = None,
+    stored: Annotated[
+        bool, typer.Option("--stored", help="Only print the tables of stored results.")
+    ] = False,
+    report: Report = None,
+) -> None:
+    """The paper's own protocol on KITTI 00, with and without our verification. (Table II)
+
+    Everything before the last 1300 m is mapped, and a cloud every 9.7 m of the rest is localized.
+    K is chosen for each method at other places, and so is the number of inliers that is believed.
+    """
+    from ..report import publish, require_new
+    from ..studies.kitti_paper import counts, differences
+    from ..studies.kitti_paper import stored as read
+
+    require_new(report)
+    folder = out / "kitti-paper"
+    answers = read(folder) if stored else _measured(kitti, folder, methods, verify, workers, draws)
+    tables = [counts(answers)]
+    if "dsm" in answers:
+        tables.append(differences(answers))
+    publish(report, "The paper's protocol on KITTI 00", *tables)
+
+
+def _measured(
+    kitti: Path | None,
+    folder: Path,
+    methods: str | None,
+    verify: bool,
+    workers: int,
+    draws: int | None,
+) -> dict[str, Any]:
+    from ..evaluation.methods import ready
+    from ..studies.kitti_paper import DRAWS, answers_of
+
+    if kitti is None:
+        raise ConfigError("which recording is to be localized? --kitti DATA")
+    if not (kitti / "keyframes").is_dir():
+        raise DatasetError(f"{kitti / 'keyframes'}: no such folder; --kitti needs keyframes")
+    asked = ready(chosen(methods))
+    if asked.left_out:
+        note(asked.note())
+    return answers_of(asked.names, kitti, folder, say, verify, workers, draws or DRAWS)
+
+
+_EXPLAINED = {
+    "roc": "How well does each descriptor tell objects apart? (Fig. 5)",
+    "generalization": "The same in a place of another kind than it was trained on. (Table I)",
+    "rotation": "Does a descriptor change when its segment is turned? (Fig. 6)\n\n"
+    "Trains networks: about 20 minutes on two idle cores at the small scale.",
+    "sampling": "What does farthest-point sampling cost, and what does it improve?\n\n"
+    "Trains networks, if they are not stored yet.",
+    "timing": "How long does a query take, and where does the time go? (Table III)",
+    "memory": "How much memory does training take?",
+    "all": "Run all studies, one after the other.\n\n"
+    "About half an hour on two idle cores at the small scale, 90 minutes at the full scale.",
+}
+
+Suite = Annotated[str, typer.Option(metavar="NAME", help="Suite of simulated test sets.")]
+Scale = Annotated[str, typer.Option(help="Size of the test sets: small, full or paper.")]
+Kitti = Annotated[
+    Path | None, typer.Option(metavar="DATA", help="KITTI 00: keyframes, scans, poses.")
+]
+Sets = Annotated[
+    str | None,
+    typer.Option(metavar="NAME,...", help="Only these test sets of the suite.", show_default="all"),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Random seed of the worlds.")]
+
+
+def register() -> None:
+    """Add the studies to ``segloc evaluate``."""
+    for name in _EXPLAINED:
+        _add(app, name)
+    app.command("localization")(localization)
+    app.command("kitti-paper")(kitti_paper)
+
+
+def _add(group: typer.Typer, name: str) -> None:
+    def command(
+        out: Out = OUT,
+        suite: Suite = "six",
+        scale: Scale = "small",
+        kitti: Kitti = None,
+        methods: Methods = None,
+        seed: Seed = 0,
+        threads: Threads = 1,
+        workers: Workers = 2,
+        cluster: Cluster = None,
+        report: Report = None,
+    ) -> None:
+        given = (out, suite, scale, kitti, methods, seed, threads, workers)
+        with _workspace(*given, cluster) as workspace:
+            _run(name, workspace, report)
+
+    command.__doc__ = _EXPLAINED[name]
+    group.command(name)(command)
+
+
+def localization(
+    mapped: Annotated[
+        Path | None, typer.Argument(metavar="[MAP", help="Your own recording to map.")
+    ] = None,
+    query: Annotated[
+        Path | None, typer.Argument(metavar="QUERY]", help="And one to localize in that map.")
+    ] = None,
+    out: Out = OUT,
+    suite: Suite = "six",
+    scale: Scale = "small",
+    sets: Sets = None,
+    kitti: Kitti = None,
+    methods: Methods = None,
+    seed: Seed = 0,
+    threads: Threads = 1,
+    workers: Workers = 2,
+    cluster: Cluster = None,
+    map_poses: MapPoses = None,
+    poses: QueryPoses = None,
+    truth: Truth = None,
+    map_select: MapSelect = None,
+    select: QuerySelect = None,
+    topic: Topic = None,
+    every: Every = 10.0,
+    report: Report = None,
+) -> None:
+    """How many queries does each method localize, and how many of them falsely? (Table II)
+
+    On two recordings of your own, or without any on the places of the paper.
+    """
+    if mapped is None:
+        given = (out, suite, scale, kitti, methods, seed, threads, workers)
+        with _workspace(*given, cluster) as workspace:
+            only = None if sets is None else chosen(sets, "--sets")
+            _run("localization", replace(workspace, only=only), report)
+        return
+    if query is None:
+        raise ConfigError("give two recordings, one to map and one to localize in it")
+    files = (map_poses, poses, truth, map_select, select, topic)
+    compare_on(own_pair(mapped, query, *files, every), out, methods, threads, workers, cluster)
+
+
+@contextmanager
+def _workspace(
+    out: Path,
+    suite: str,
+    scale: str,
+    kitti: Path | None,
+    methods: str | None,
+    seed: int,
+    threads: int,
+    workers: int,
+    cluster: str | None,
+) -> Iterator[Workspace]:
+    from segloc.cli.results import check_folder
+
+    from ..studies.paper.workspace import Workspace
+
+    check_folder(out)
+    means = (seed, threads, workers, chosen(methods), progress, note, command_line())
+    with on_cluster(cluster) as executor:
+        yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
+
+
+def _run(study: str, workspace: Workspace, report: Path | None) -> None:
+    from ..report import require_new
+    from ..studies.paper import workspace as studies
+
+    require_new(report)
+    if study == "all":
+        found = list(_run_all(workspace))
+    else:
+        found = [studies.run(study, workspace)]
+        show(found[0], workspace.out)
+    if report is not None:
+        _publish(report, found)
+
+
+def _run_all(workspace: Workspace) -> Iterator[Study]:
+    """Run every study; one whose packages are missing is left out with a remark."""
+    from ..studies.paper import workspace as studies
+
+    for name in studies.STUDIES:
+        say(f"segloc evaluate {name}")
+        try:
+            yield studies.run(name, workspace)
+        except MissingDependency as error:
+            note(f"{name} is left out: {error}")
+
+
+def _publish(folder: Path, found: list[Study]) -> None:
+    """Write the tables that were measured; published figures are left out."""
+    from ..report import Table, write
+
+    tables = [
+        Table(each.columns, each.rows, each.note, each.title)
+        for study in found
+        for each in study.tables
+        if each.source == "segloc"
+    ]
+    say(f"stored in {write(folder, ', '.join(study.title for study in found), tables)}")

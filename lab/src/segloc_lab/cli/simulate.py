@@ -348,7 +348,7 @@ def _write_suite(
 def _write_facts(folder: Path, facts: dict[str, Any], kinds: dict[str, str]) -> None:
     import json
 
-    from segloc._native import __version__
+    from segloc import __version__
     from segloc.system.files import replacing
 
     for name, content in (("scene.json", facts | {"version": __version__}), ("kinds.json", kinds)):

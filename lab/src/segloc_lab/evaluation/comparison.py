@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from segloc.batch.run import query_clouds
-from segloc.batch.score import Evaluation
+from segloc import SegmentMap
+from segloc.batch import Evaluation, query_clouds
 from segloc.config import Config
 from segloc.descriptors import Descriptor
 from segloc.errors import DatasetError
-from segloc.frontend.segmentation import Segmenter
+from segloc.frontend import Segmenter
 from segloc.localization import Localization, Localized, NotLocalized, Reason
 from segloc.localizer import Localizer
-from segloc.map.build import add_view, empty_map, map_views
-from segloc.map.segment_map import SegmentMap
-from segloc.proposals.pose import PoseEstimator
-from segloc.proposals.proposer import Estimator, Query
+from segloc.map import add_view, empty_map, map_views
+from segloc.proposals import Estimator, PoseEstimator, Query
 from segloc.types import Descriptors, Float64, Recording, Segments
 
 from .methods import published_estimator
@@ -72,13 +70,7 @@ def build_maps(
     descriptors: Mapping[str, Descriptor],
     threads: int = 1,
 ) -> dict[str, SegmentMap]:
-    """The maps of several methods, made of the same segments; the first has the cloud of all.
-
-    Raises
-    ------
-    DatasetError
-        If the recording has no poses, or nothing that could be segmented.
-    """
+    """The maps of several methods, made of the same segments; the first has the cloud of all."""
     config = Config(threads=threads)
     poses = recording.poses
     if poses is None or len(poses) == 0:

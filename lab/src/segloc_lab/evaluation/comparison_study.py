@@ -16,21 +16,20 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from segloc.batch.score import PATH_BREAK_M, Evaluation
+from segloc import SegmentMap
+from segloc.batch import PATH_BREAK_M, Evaluation
 from segloc.config import Config
 from segloc.descriptors import Descriptor, create
-from segloc.map.segment_map import SegmentMap
 from segloc.system.processes import in_parallel
 from segloc.types import Float64
 
 from ..report import apart, mcnemar
 from . import comparison
-from .cache import DATA, load_arrays, load_json, save_arrays, save_json, store
 from .comparison import ESTIMATORS, Answer, MappedPlace, arrays_of, build_maps, place_of
 from .methods import Methods, best_of, ready
-from .report.study import Cell, Curve, Figure, Study, Table
 from .scenario import OpenedScenario, Pair, PairScenario, QuerySet, Scenario
-from .workspace import Workspace
+from .study import Cell, Curve, Figure, Study, Table
+from .workspace import Workspace, load_arrays, load_json, save_arrays, save_json, store
 
 ALL = "all"
 """What the last row of some tables is of."""
@@ -287,13 +286,7 @@ Answers = dict[str, Any]
 
 
 def own_recordings(workspace: Workspace, pair: Pair) -> Study:
-    """Compare the methods on two recordings of the user's own.
-
-    Raises
-    ------
-    SeglocError
-        If a recording cannot be read, or results cannot be written.
-    """
+    """Compare the methods on two recordings of the user's own."""
     title = "Localization of your own recordings"
     return compare(workspace, [PairScenario(pair)], "own", title)
 
@@ -315,11 +308,6 @@ def compare(
         Of the study.
     published : sequence of Table
         Figures of others, to stand beside the first table.
-
-    Raises
-    ------
-    SeglocError
-        If a recording cannot be read, or results cannot be written.
     """
     start = time.perf_counter()
     methods = ready(workspace.methods)
@@ -408,10 +396,7 @@ def _method_key(
 
 
 def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
-    """Every scenario with the answers of each method: ours, if it is there, and the others folded.
-
-    Each method has our estimator.
-    """
+    """Draw every scenario with the answers of each method, by our estimator, ours first."""
     best = best_of(methods)
     ordered = (best, *(name for name in methods.names if name != best))
     for result in results:
@@ -421,11 +406,9 @@ def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
             for method in ordered:
                 parts = [_drawn(result.scored(method, each, "consensus")) for each in group]
                 drawn = {key: _joined([part[key] for part in parts]) for key in parts[0]}
-                name, fold = f"map-{label.replace(' ', '-')}", ""
-                if method != best:
-                    name, fold = f"{name}-{method}", f"{label}: by other methods"
+                name = f"map-{label.replace(' ', '-')}-{method}"
                 title, series = f"{label}: {method}", ground | drawn
-                yield Figure(name, title, "map", series, "m", "m", fold=fold)
+                yield Figure(name, title, "map", series, "m", "m")
 
 
 def _near_path(arrays: Mapping[str, Float64]) -> Curve:
@@ -478,7 +461,7 @@ class Job:
 
     def arrays(self) -> dict[str, Float64]:
         """Those of :func:`~segloc_lab.evaluation.comparison.arrays_of`, once the map is made."""
-        return load_arrays(self.maps / "map" / DATA / _ARRAYS)
+        return load_arrays(self.maps / "map" / _ARRAYS)
 
     def descriptors(self) -> dict[str, Descriptor]:
         return {name: create(name, self.threads) for name in self.methods}
@@ -522,7 +505,7 @@ def _make_map(task: tuple[Job, str]) -> None:
     maps = build_maps(recording, job.descriptors(), job.threads)
     first = next(iter(maps.values()))
     arrays = arrays_of(opened.query_sets, first.trajectory, first.cloud + first.origin)
-    store(job.maps / name, {}, partial(_save, maps, arrays))
+    store(job.maps / name, partial(_save, maps, arrays))
 
 
 def _save(maps: Mapping[str, SegmentMap], arrays: Mapping[str, Float64], folder: Path) -> None:
@@ -588,7 +571,7 @@ def _places(opened: OpenedScenario, job: Job) -> dict[str, MappedPlace]:
     for name, recording in zip(PLACES, (opened.map, opened.negative), strict=True):
         if recording is None:
             continue
-        files = {each: job.maps / name / DATA / f"{each}.segmap" for each in job.methods}
+        files = {each: job.maps / name / f"{each}.segmap" for each in job.methods}
         maps = {each: SegmentMap.load(file) for each, file in files.items()}
         found[name] = place_of(maps, job.threads, job.scenario.segments_alone)
     return found

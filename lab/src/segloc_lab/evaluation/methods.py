@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from segloc.descriptors import available, create
 from segloc.errors import ConfigError, WeightsError
-from segloc.map.config import DEFAULT_METHOD
+from segloc.map import DEFAULT_METHOD
 
 METHODS = (
     "segmatch-eigen",
@@ -57,13 +57,7 @@ class Methods:
 
 
 def ready(names: tuple[str, ...] | None = None) -> Methods:
-    """Which of the methods (:data:`METHODS` where none are named) have their weights.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such method, or not one is ready.
-    """
+    """Which of the methods (:data:`METHODS` where none are named) have their weights."""
     chosen = METHODS if names is None else names
     for name in chosen:
         if name not in available():
@@ -85,13 +79,7 @@ def best_of(methods: Methods) -> str:
 
 
 def fingerprint(name: str) -> str:
-    """Of everything that decides what a method computes: its descriptor and its forest or FC4.
-
-    Raises
-    ------
-    WeightsError
-        If the weights are missing or damaged.
-    """
+    """Of everything that decides what a method computes: its descriptor and its forest or FC4."""
     descriptor = create(name, 1)
     if descriptor.pruner is None:
         return descriptor.fingerprint

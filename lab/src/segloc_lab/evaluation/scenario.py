@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from segloc.batch.run import query_positions
+from segloc.batch import query_positions
 from segloc.datasets import open_sequence, poses_at
 from segloc.errors import ConfigError
-from segloc.frontend.local_cloud import LocalCloudConfig
+from segloc.frontend import LocalCloudConfig
 from segloc.types import Float64, Int64, Recording
 
 MAX_GAP_M = LocalCloudConfig().max_gap_m

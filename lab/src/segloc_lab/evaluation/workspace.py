@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
+import secrets
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
@@ -13,12 +16,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-from segloc._native import __version__, instruction_set
+import numpy as np
+from numpy.typing import NDArray
+
+from segloc import __version__
 from segloc.errors import SeglocError
+from segloc.system.kernels import instruction_set
 from segloc.system.machine import processor
 from segloc.system.processes import in_parallel
-
-from . import cache
 
 T = TypeVar("T")
 Task = TypeVar("Task")
@@ -89,7 +94,7 @@ class Workspace:
 
     @property
     def code(self) -> Mapping[str, str]:
-        """Fingerprints of the code whose finished parts are taken for one's own; empty: of any."""
+        """Fingerprints of the code that stored parts depend on; empty: of the version alone."""
         return {}
 
     def cached(
@@ -100,12 +105,12 @@ class Workspace:
         save: Callable[[T, Path], object],
         load: Callable[[Path], T],
     ) -> T:
-        """What ``compute`` returns, computed once for a name and settings.
+        """Return what ``compute`` returns, computed once for a name and settings.
 
         Parameters
         ----------
         name : str
-            Of the part, for people; letters, digits, ``-`` and ``_``.
+            Letters, digits, ``-`` and ``_``.
         settings : dict
             Everything that the result depends on, in values that JSON can hold, fingerprints of
             weights and data included.
@@ -113,13 +118,7 @@ class Workspace:
         save : callable
             Writes the value to a path that does not exist yet, as a file or as a folder.
         load : callable
-            Reads it back. A part whose files have changed, or that cannot be loaded, is computed
-            again.
-
-        Raises
-        ------
-        SeglocError
-            If the folder cannot be written.
+            Reads it back. A part that cannot be loaded is computed again.
         """
         found = self.find(name, settings, load)
         if found is not None:
@@ -137,11 +136,7 @@ class Workspace:
         save: Callable[[T, Path], object],
         load: Callable[[Path], T],
     ) -> list[T]:
-        """:meth:`cached` for many tasks, each under its (name, settings), done in parallel.
-
-        ``work`` and ``tasks`` are those of :func:`segloc.system.processes.as_finished`; ``title``
-        names the progress.
-        """
+        """Do :meth:`cached` for many tasks, each under its (name, settings), in parallel."""
         found = {
             k: part for k, key in enumerate(keys) if (part := self.find(*key, load)) is not None
         }
@@ -158,15 +153,14 @@ class Workspace:
     def find(
         self, name: str, settings: Mapping[str, object], load: Callable[[Path], T]
     ) -> T | None:
-        """A finished part, or None where there is none or its files are damaged."""
-        folder = self.folder(name, settings)
-        if not folder.exists():
+        """Load a stored part; None where there is none or it cannot be loaded."""
+        path = self.folder(name, settings)
+        if not path.exists():
             return None
         try:
-            cache.check(folder)
-            return load(folder / cache.DATA)
+            return load(path)
         except (OSError, ValueError, KeyError, TypeError, EOFError, SeglocError) as error:
-            self.say(f"{folder}: damaged, computed again ({_line(error)})")
+            self.say(f"{path}: damaged, computed again ({' '.join(str(error).split())})")
             return None
 
     def keep(
@@ -176,33 +170,66 @@ class Workspace:
         value: T,
         save: Callable[[T, Path], object],
     ) -> None:
-        """Store a finished part, the whole of it or nothing.
-
-        Raises
-        ------
-        SeglocError
-            If the folder cannot be written.
-        """
-        entry: dict[str, object] = {"name": name, "settings": self._of_code(settings)}
-        cache.store(self.folder(name, settings), entry, lambda path: save(value, path))
-
-    def folder(self, name: str, settings: Mapping[str, object]) -> Path:
-        """Where a part lies, or will."""
-        return self.out / "cache" / f"{name}-{cache.digest(self._of_code(settings))[:16]}"
-
-    def _of_code(self, settings: Mapping[str, object]) -> Mapping[str, object]:
-        return {**settings, "code": dict(self.code)} if self.code else settings
+        """Store a part."""
+        store(self.folder(name, settings), lambda path: save(value, path))
 
     def cached_json(
         self, name: str, settings: Mapping[str, object], compute: Callable[[], Any]
     ) -> Any:
-        """:meth:`cached` for a value that JSON can hold; returned as JSON gives it back."""
-        value = self.cached(name, settings, compute, cache.save_json, cache.load_json)
+        """Do :meth:`cached` for a value that JSON can hold; return it as JSON gives it back."""
+        value = self.cached(name, settings, compute, save_json, load_json)
         return json.loads(json.dumps(value))
 
+    def folder(self, name: str, settings: Mapping[str, object]) -> Path:
+        """Return where a part is stored."""
+        depends = {"segloc": __version__, "code": dict(self.code), **settings}
+        digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
+        return self.out / "cache" / f"{name}-{digest[:16]}"
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+
+def store(path: Path, save: Callable[[Path], object]) -> None:
+    """Write a file or a folder, the whole of it or nothing."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(temporary)
+        remove(path)
+        temporary.replace(path)
+    except OSError as error:
+        where = error.filename or path
+        raise SeglocError(f"{where}: cannot be written: {error.strerror or error}") from error
+    finally:
+        remove(temporary)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def save_json(value: Any, path: Path) -> None:
+    """Write a value that JSON can hold."""
+    path.write_text(json.dumps(value, allow_nan=False), "utf-8")
+
+
+def load_json(path: Path) -> Any:
+    """Read what :func:`save_json` wrote."""
+    return json.loads(path.read_text("utf-8"))
+
+
+def save_arrays(arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write arrays by name."""
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+
+def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read what :func:`save_arrays` wrote."""
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        return dict(file)
 
 
 def _version(package: str) -> str | None:

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import _native, geometry
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
+from segloc import geometry
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.datasets import Recording
-from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig, window
+from segloc.frontend import Accumulator, LocalCloudConfig, window
+from segloc.system import kernels
 from segloc.types import Float64, LocalCloud
 
 from .. import kitti00
@@ -54,7 +55,7 @@ def gathered(recording: Recording, i: int, length_m: float, *, centred: bool) ->
     poses = kitti00.poses_of(recording)
     scans = window(poses, i, length_m, centred=centred, max_gap_m=LOCAL.max_gap_m)
     cloud = Accumulator(LOCAL).gather([recording.scan(k) for k in scans], i - scans.start)
-    return replace(cloud, points=_native.voxel_grid(cloud.points, THIN_M))
+    return replace(cloud, points=kernels.voxel_grid(cloud.points, THIN_M))
 
 
 def views(recording: Recording, length_m: float, every_m: float) -> Clouds:

@@ -21,7 +21,7 @@ import numpy as np
 
 from segloc import LoopDetector, Scan, geometry
 from segloc.datasets import Sequence
-from segloc.loops.graph import Edges, joined_edges, solve_robustly
+from segloc.loops import Edges, joined_edges, solve_robustly
 from segloc.motion import odometry_covariance
 from segloc.types import Float64
 

@@ -21,7 +21,8 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from segloc import _native, geometry
+from segloc import geometry
+from segloc.system import kernels
 
 from ..report import parser
 from .exchange import Answers, Clouds, run
@@ -40,8 +41,8 @@ def near(points: NDArray[np.float32], radius_m: float = RADIUS_M) -> NDArray[np.
 
 def standing(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """The points above ground."""
-    thin = _native.voxel_grid(points, 0.2)
-    return thin[_native.heights_above_ground(thin, 1.0, 0.2, 0.3) > ABOVE_GROUND_M]
+    thin = kernels.voxel_grid(points, 0.2)
+    return thin[kernels.heights_above_ground(thin, 1.0, 0.2, 0.3) > ABOVE_GROUND_M]
 
 
 class Query:
@@ -63,7 +64,7 @@ class Places:
     def __init__(self, views: Clouds) -> None:
         points = np.concatenate([near(views[i]) @ R.T + t for i, R, t in parts(views)])
         self.origin = points.mean(axis=0)
-        cloud = _native.voxel_grid((points - self.origin).astype(np.float32), 0.3)
+        cloud = kernels.voxel_grid((points - self.origin).astype(np.float32), 0.3)
         self._cloud, self._tree = cloud, cKDTree(cloud)
         self._plan = cKDTree(cloud[:, :2])
         self._at = views.poses[:, :2, 3] - self.origin[:2]

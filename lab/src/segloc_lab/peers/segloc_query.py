@@ -21,9 +21,8 @@ import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
 from segloc.descriptors import create
-from segloc.frontend.local_cloud import Accumulator
-from segloc.frontend.segmentation import Segmenter
-from segloc.map.build import View, add_view, empty_map
+from segloc.frontend import Accumulator, Segmenter
+from segloc.map import View, add_view, empty_map
 from segloc.types import LocalCloud, Scan
 
 from ..report import parser

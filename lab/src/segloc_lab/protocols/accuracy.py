@@ -19,8 +19,7 @@ import numpy as np
 import small_gicp
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch.run import query_clouds
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors, query_clouds
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..kitti00 import PROTOCOLS, query_set

@@ -21,10 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, _native, geometry
+from segloc import Config, geometry
 from segloc.datasets import open_sequence
-from segloc.frontend.local_cloud import Accumulator, window
+from segloc.frontend import Accumulator, window
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.system import kernels
 from segloc.types import Float32, Float64, Int64, Pose
 
 from ..report import Table, publish, reporting
@@ -62,7 +63,7 @@ def local_cloud(recording: Reposed, i: int) -> tuple[Pose, Float32]:
     """The pose of what was seen around a scan by ground truth, and the points."""
     scans = window(recording.poses, i, CLOUD_M, centred=True, max_gap_m=10.0)
     cloud = Accumulator().gather([recording.scan(k) for k in scans], i - scans.start)
-    return geometry.levelled(recording.poses[i]), _native.voxel_grid(cloud.points, 0.3)
+    return geometry.levelled(recording.poses[i]), kernels.voxel_grid(cloud.points, 0.3)
 
 
 def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:

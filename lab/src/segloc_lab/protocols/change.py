@@ -26,8 +26,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Localization, SegmentMap
-from segloc.batch.run import query_positions
-from segloc.batch.score import Evaluation, Tolerance
+from segloc.batch import Evaluation, Tolerance, query_positions
 from segloc.descriptors import Descriptor, create
 from segloc.errors import ConfigError
 

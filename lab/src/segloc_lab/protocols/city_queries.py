@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Prior
-from segloc.batch.score import pose_errors
+from segloc.batch import pose_errors
 from segloc.system.stage_times import StageTimes
 from segloc.tiles import TiledMap
 

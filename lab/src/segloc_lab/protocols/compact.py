@@ -17,12 +17,9 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.batch.run import query_clouds
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
-from segloc.map.compact import CompactConfig, compacted
-from segloc.map.config import MappingConfig
-from segloc.map.voxel_cloud import VoxelCloud
-from segloc.proposals.proposer import Query
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors, query_clouds
+from segloc.map import CompactConfig, MappingConfig, VoxelCloud, compacted
+from segloc.proposals import Query
 from segloc.types import Float64
 
 from ..report import Cell, Table, publish, reporting, share

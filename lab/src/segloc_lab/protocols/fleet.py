@@ -23,9 +23,9 @@ from typing import TypeVar
 import numpy as np
 
 from segloc import Config, Localizer, geometry
-from segloc.batch.run import localize_sequence, query_positions
+from segloc.batch import localize_sequence, query_positions
 from segloc.datasets import Sequence, open_sequence
-from segloc.map.build import build_merged_map
+from segloc.map import build_merged_map
 from segloc.system.processes import executing
 from segloc.tiles import TiledMap, cut_tiles, update_tiles
 

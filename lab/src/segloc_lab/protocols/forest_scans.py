@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap, build_map
-from segloc.batch.run import query_clouds
-from segloc.batch.score import distances_to_path, pose_errors
-from segloc.frontend.local_cloud import Accumulator
-from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
+from segloc.batch import distances_to_path, pose_errors, query_clouds
+from segloc.frontend import Accumulator
+from segloc.proposals import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 from segloc.types import Pose
 
 from ..padding import mirrored

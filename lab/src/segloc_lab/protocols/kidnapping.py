@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.datasets import Selection
-from segloc.live.replay import Replay, pose_errors, replay
-from segloc.tracking.views import Status
+from segloc.live import Replay, Status, play, pose_errors
 from segloc.types import Derived, Float64, Int64, Recording
 
 from ..report import Cell, Table, entries, keep, publish, resumed, share
@@ -190,7 +189,7 @@ class World:
         degrees = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0])) if way == "turn" else 0.0
         carried = self._carried(taken, put, np.radians(degrees), rng)
         truths = self.drive.poses[carried.positions] @ carried.turns
-        played = replay(self.localizer, carried)
+        played = play(self.localizer, carried)
         return self._judged(number, way, played, carried, truths)
 
     def _places(self, way: str, rng: np.random.Generator) -> tuple[int, int, str]:

@@ -34,8 +34,7 @@ from typing import Any
 import numpy as np
 
 from segloc import SegmentMap
-from segloc.map.compact import CompactConfig, compacted
-from segloc.map.segment_map import concatenated, with_sessions
+from segloc.map import CompactConfig, compacted, concatenated, with_sessions
 from segloc.system.files import replacing
 from segloc.system.processes import all_of, executing, single_threaded_pool
 from segloc.tiles import cut_tiles

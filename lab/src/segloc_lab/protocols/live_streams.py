@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path, pose_errors
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors
 from segloc.live import LiveCore, State, Status
 from segloc.types import Float64, Int64, Recording
 

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc.batch.run import query_clouds
-from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
+from segloc.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors, query_clouds
 from segloc.datasets import NO_POSES, open_sequence
 from segloc.pipeline import answer
 from segloc.types import Float64, Int64, Pose, Recording

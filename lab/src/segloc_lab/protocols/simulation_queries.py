@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.batch.score import distances_to_path
-from segloc.map.build import build_map
+from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
+from segloc.batch import distances_to_path
 from segloc.system.files import replacing
 from segloc.system.stage_times import StageTimes
 from segloc.types import Candidate, Pose

@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
-from segloc.batch.run import query_clouds
-from segloc.batch.score import COVERAGE_RADIUS_M, distances_to_path
-from segloc.proposals.proposer import Query
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
+from segloc.proposals import Query
 from segloc.tiles import TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import geometry
-from segloc.batch.score import pose_errors
+from segloc.batch import pose_errors
 from segloc.io import read_trajectory
-from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
+from segloc.proposals import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
 from ..calibration.landmarks import mirrored as mirror_image

@@ -26,7 +26,7 @@ from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap, build_map
 from segloc.datasets import Sequence
-from segloc.proposals.proposer import Query
+from segloc.proposals import Query
 from segloc.types import Pose
 
 from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds

@@ -103,13 +103,6 @@ def simulate_sessions(
         Let the sensor move while it scans.
     storey : int
         Of a building; the ways are the same on all.
-
-    Raises
-    ------
-    ConfigError
-        If a length is not positive, or there is no such storey.
-    MissingDependency
-        If embreex is not installed, once a scan is asked for.
     """
     if not 0 < length_m < np.inf:
         raise ConfigError(f"length_m must be positive, not {length_m}")

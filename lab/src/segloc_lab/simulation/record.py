@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc.errors import ConfigError, DatasetError
-from segloc.io.scans import write_scan
-from segloc.io.trajectory import Trajectory, write_tum
+from segloc.io import Trajectory, write_scan, write_tum
 from segloc.system.files import replacing
 from segloc.system.processes import ProcessPool, as_finished
 from segloc.types import Recording
@@ -57,16 +56,6 @@ def record(
     workers : int
     progress : callable, optional
         Called with (scans done, scans in all).
-
-    Raises
-    ------
-    ConfigError
-        If ``workers`` is below 1, or ``objects`` are asked for that the sequence does not know.
-    DatasetError
-        If the sequence has no poses, a folder cannot be made, or a format is unknown or has no room
-        for times.
-    SeglocError
-        If a file cannot be written.
     """
     if workers < 1:
         raise ConfigError(f"workers must be at least 1, not {workers}")

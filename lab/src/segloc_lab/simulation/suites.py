@@ -85,13 +85,7 @@ class TestSet:
         return self.length_m / self.clouds if scale == PAPER else None
 
     def session_length_m(self, scale: str) -> float:
-        """Metres of each session.
-
-        Raises
-        ------
-        ConfigError
-            If the scale is unknown.
-        """
+        """Metres of each session."""
         if scale not in self.share:
             raise ConfigError(f"scale must be one of {', '.join(self.share)}, not {scale!r}")
         return max(_SHORTEST_M, self.share[scale] * self.length_m / len(self.tests))
@@ -106,11 +100,6 @@ class TestSet:
             simulated world of reasonable size has room for it, "paper" for all of it.
         seed : int
             Another seed is another world.
-
-        Raises
-        ------
-        ConfigError
-            If the scale is unknown.
         """
         conditions = [SUMMER, *self.tests]
         drives = self._drive(scale, seed, conditions)
@@ -118,13 +107,7 @@ class TestSet:
         return dict(zip(names, drives, strict=True))
 
     def training(self, count: int, scale: str = "small", *, seed: int = 0) -> list[Sequence]:
-        """Two sessions each of ``count`` worlds that no test of the same seed sees.
-
-        Raises
-        ------
-        ConfigError
-            If the scale is unknown.
-        """
+        """Two sessions each of ``count`` worlds that no test of the same seed sees."""
         return [
             drive
             for k in range(count)

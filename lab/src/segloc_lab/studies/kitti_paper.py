@@ -19,15 +19,20 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch.run import query_clouds, query_positions
-from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
+from segloc.batch import (
+    COVERAGE_RADIUS_M,
+    Tolerance,
+    distances_to_path,
+    pose_errors,
+    query_clouds,
+    query_positions,
+)
 from segloc.datasets import Sequence as Drive
 from segloc.descriptors import Descriptor, create
 from segloc.errors import DatasetError, SeglocError
-from segloc.frontend.segmentation import Segmenter
-from segloc.map.compact import compacted
-from segloc.proposals.pose import PoseConfig, PoseEstimator
-from segloc.proposals.proposer import Query
+from segloc.frontend import Segmenter
+from segloc.map import compacted
+from segloc.proposals import PoseConfig, PoseEstimator, Query
 from segloc.system.files import write_text
 from segloc.system.processes import executing
 from segloc.types import Float64, Int64, Pose
@@ -381,13 +386,7 @@ def spans(count: int) -> Iterator[tuple[int, int]]:
 
 
 def finished(pieces: Sequence[Piece], executor: Executor | None) -> Iterator[Piece]:
-    """The pieces as they are finished; the first one of each map, which makes it, before others.
-
-    Raises
-    ------
-    SeglocError
-        If the system ended a process, as it does when memory runs out.
-    """
+    """The pieces as they are finished; the first one of each map, which makes it, before others."""
     left = [piece for piece in pieces if not piece.is_done]
     yield from (piece for piece in pieces if piece.is_done)
     if executor is None:
@@ -521,13 +520,7 @@ def _measure(
 
 
 def stored(folder: Path) -> dict[str, Answers]:
-    """The answers of all methods that a folder has, whatever code they are of.
-
-    Raises
-    ------
-    DatasetError
-        If there are none.
-    """
+    """The answers of all methods that a folder has, whatever code they are of."""
     paths = {name: folder / f"{name}.json" for name in METHODS}
     found = {name: json.loads(p.read_text("utf-8")) for name, p in paths.items() if p.exists()}
     if not found:
@@ -567,13 +560,7 @@ def outcomes_of(answers: Mapping[str, Any]) -> dict[str, str]:
 
 
 def draws_of(stored: Stored) -> int:
-    """Samples of PROSAC at most.
-
-    Raises
-    ------
-    DatasetError
-        If methods differ in it.
-    """
+    """Samples of PROSAC at most."""
     found = {each.get("draws", DRAWS) for each in stored.values()}
     if len(found) > 1:
         raise DatasetError(f"methods were given different numbers of draws: {sorted(found)}")

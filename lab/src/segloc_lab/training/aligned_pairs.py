@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.frontend.segmentation import SegmentationConfig
+from segloc.frontend import SegmentationConfig
 from segloc.system.files import replacing
 from segloc.types import Float64, Int64, Recording
 
@@ -42,11 +42,6 @@ def write_dataset(
     segmentation : SegmentationConfig
     progress : callable, optional
         Called with a line for each session.
-
-    Raises
-    ------
-    DatasetError
-        If no segment was found.
     """
     settings = ExtractConfig()
     items = [

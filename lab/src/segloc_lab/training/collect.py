@@ -15,7 +15,7 @@ from pydantic import Field
 
 from segloc.datasets.signature import is_push_broom
 from segloc.errors import ConfigError
-from segloc.frontend.segmentation import SegmentationConfig, Segmenter
+from segloc.frontend import SegmentationConfig, Segmenter
 from segloc.system.processes import as_finished, single_threaded_pool
 from segloc.system.section import Section
 from segloc.types import Recording
@@ -80,12 +80,6 @@ def draw_worlds(
 
     Each has two or three sessions, in different lanes and seasons, some the other way round, with
     some things replaced, each with a sensor of its own on a carrier of its own.
-
-    Raises
-    ------
-    ConfigError
-        If the text cannot be read or names a scene or a sensor that does not exist, or if the
-        length is not positive.
     """
     if not 0 < length_m < math.inf:
         raise ConfigError(f"a drive must have a positive number of metres, not {length_m}")

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from segloc import _native
 from segloc.config import validated
 from segloc.descriptors.pointset import Alignment
 from segloc.errors import MissingDependency
+from segloc.system import kernels
 from segloc.system.section import Section, read_yaml
 from segloc.types import Float32
 
@@ -103,7 +103,7 @@ def reorder(prepared: Float32, sampler: Sampler, rng: np.random.Generator) -> Fl
 def _spacing(prepared: Float32) -> Float32:
     """Mean squared distance of each point to its nearest ones, (P, N)."""
     P, N, _ = prepared.shape
-    index = _native.dilated_neighbors(prepared, N, N, min(_DENSITY_NEIGHBORS, N), 1, 1)
+    index = kernels.dilated_neighbors(prepared, N, N, min(_DENSITY_NEIGHBORS, N), 1, 1)
     near = prepared[np.arange(P)[:, None, None], index]
     spacing: Float32 = np.square(near - prepared[:, :, None]).sum(axis=-1).mean(axis=-1)
     return spacing
@@ -167,25 +167,13 @@ class TrainConfig(Section):
 
 
 def require_torch() -> None:
-    """Say what to install before anything else is done.
-
-    Raises
-    ------
-    MissingDependency
-        If there is no PyTorch.
-    """
+    """Say what to install before anything else is done."""
     if find_spec("torch") is None:
         raise MissingDependency("torch", "train", "training")
 
 
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
-    """A configuration file, if there is one, with what the command line gives on top.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read, or a name or a value is wrong.
-    """
+    """A configuration file, if there is one, with what the command line gives on top."""
     values = {**({} if path is None else read_yaml(path)), **given}
     published = PUBLISHED.get(str(values.get("network", "dsm")), {})
     return validated(TrainConfig, {**published, **values}, str(path or "training"))

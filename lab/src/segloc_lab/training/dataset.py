@@ -148,13 +148,7 @@ class SegmentDataset:
         return (groups, names) if len(names) > 1 else (self.labels, np.unique(self.labels))
 
     def save(self, path: Path) -> None:
-        """Write a safetensors file.
-
-        Raises
-        ------
-        SeglocError
-            If it cannot be written.
-        """
+        """Write a safetensors file."""
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {name: getattr(self, name) for name in ("points", "offsets", *_PER_SEGMENT)}
         names = json.dumps(self.sensor_names)
@@ -164,13 +158,7 @@ class SegmentDataset:
 
     @staticmethod
     def load(path: Path) -> SegmentDataset:
-        """Read what `save` wrote.
-
-        Raises
-        ------
-        DatasetError
-            If the file cannot be read or its arrays do not fit together.
-        """
+        """Read what `save` wrote."""
         arrays, metadata = read_arrays(path)
         try:
             names = json.loads(metadata.get("sensor_names", '["unknown"]'))
@@ -180,13 +168,7 @@ class SegmentDataset:
         return dataset.checked(path)
 
     def checked(self, path: Path) -> SegmentDataset:
-        """Itself, if its arrays fit together and there is something in them.
-
-        Raises
-        ------
-        DatasetError
-            If they do not; says that they are from ``path``.
-        """
+        """Itself, if its arrays fit together and there is something in them."""
         P, M = len(self), len(self.points)
         if P == 0:
             raise DatasetError(f"{path}: the dataset is empty")
@@ -246,11 +228,6 @@ def read_arrays(
     """Arrays of a file in safetensors layout, all of them by default, and its metadata.
 
     They are read, not mapped into memory: a file may shrink while others write it.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read or lacks one of them.
     """
     try:
         with tensor_file.opened(path) as file:

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from segloc import _native, geometry
+from segloc import geometry
 from segloc.errors import DatasetError
-from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig, window
-from segloc.frontend.segmentation import Segmentation
+from segloc.frontend import Accumulator, LocalCloudConfig, Segmentation, window
+from segloc.system import kernels
 from segloc.system.section import Section
 from segloc.types import Float32, Float64, Int64, LocalCloud, Pose, Recording, Scan
 
@@ -96,11 +96,6 @@ def extract_session(
     config : ExtractConfig
     registration : Registration, optional
         Corrects each local cloud's pose.
-
-    Raises
-    ------
-    DatasetError
-        If there are no poses, or no segment was found.
     """
     rng = np.random.default_rng(config.seed)
     collected = _Collected()
@@ -142,7 +137,7 @@ class _Collected:
         self.heights.append(segments.heights)
         self.lengths += [length] * len(segments)
         if length > 0:
-            few32 = _native.voxel_grid(scene.surface, _STRUCTURE_VOXEL_M)
+            few32 = kernels.voxel_grid(scene.surface, _STRUCTURE_VOXEL_M)
             self.structures.append(geometry.transform(T, few32).astype(np.float32))
 
     def packed(self, identity: _Identity | None) -> Extract:
@@ -157,7 +152,7 @@ class _Collected:
             np.stack(self.extents),
             np.array(self.lengths, np.float32),
             objects,
-            _native.voxel_grid(cloud, _STRUCTURE_VOXEL_M),
+            kernels.voxel_grid(cloud, _STRUCTURE_VOXEL_M),
         )
 
 

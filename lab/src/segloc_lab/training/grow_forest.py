@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from segloc import _native
 from segloc.descriptors import create
 from segloc.descriptors.random_forest import (
     ForestDescriptor,
@@ -21,7 +20,8 @@ from segloc.descriptors.random_forest import (
     save_forest,
 )
 from segloc.errors import ConfigError, DatasetError, MissingDependency
-from segloc.proposals.matching import MatchingConfig
+from segloc.proposals import MatchingConfig
+from segloc.system import kernels
 from segloc.system.section import Section
 from segloc.types import Float32, Int64
 
@@ -78,15 +78,6 @@ def train_forest(
     -------
     ForestScores
         Of the exported forest on the validation set.
-
-    Raises
-    ------
-    ConfigError
-        If the method has no forest.
-    DatasetError
-        If there is no object with two views, or there are not two objects.
-    MissingDependency
-        Without scikit-learn.
     """
     config = config or ForestConfig()
     descriptor = create(method, config.threads)
@@ -99,7 +90,7 @@ def train_forest(
     pairs = training_pairs(vectors, training, config)
     progress(f"{method}: {pairs.same.sum()} right candidates, {(~pairs.same).sum()} wrong ones")
     layout = descriptor.layout
-    features = _native.pair_features(
+    features = kernels.pair_features(
         vectors, vectors, pairs.rows, pairs.columns, layout.row, config.threads
     )
     model.fit(features, pairs.same)
@@ -243,13 +234,7 @@ class Candidates:
 
 
 def training_pairs(vectors: Float32, dataset: SegmentDataset, config: ForestConfig) -> Candidates:
-    """Candidates that matching proposes: of every world as many, as far as there are.
-
-    Raises
-    ------
-    DatasetError
-        If there are no pairs of one kind.
-    """
+    """Candidates that matching proposes: of every world as many, as far as there are."""
     rng = np.random.default_rng(config.seed)
     found = candidates(vectors, dataset, config, rng)
     if not found.same.any() or found.same.all():
@@ -282,7 +267,7 @@ def candidates(
         queries = rng.permutation(np.flatnonzero(asking))[:limit]
         if len(mapped) == 0 or len(queries) == 0:
             continue
-        indices, _ = _native.knn(
+        indices, _ = kernels.knn(
             vectors[queries], vectors[mapped], config.neighbours, config.threads
         )
         found.append((np.repeat(queries, indices.shape[1]), mapped[indices].reshape(-1)))

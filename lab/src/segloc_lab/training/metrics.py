@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from segloc import _native
 from segloc.descriptors import available, create
 from segloc.descriptors.base import Descriptor
 from segloc.descriptors.pointset import PointSetDescriptor
@@ -17,6 +16,7 @@ from segloc.descriptors.profile import ProfileDescriptor
 from segloc.descriptors.segmap import SegMapDescriptor
 from segloc.descriptors.weightfile import opened
 from segloc.errors import WeightsError
+from segloc.system import kernels
 from segloc.types import Float32
 
 from .dataset import SegmentDataset
@@ -101,7 +101,7 @@ def _ranks(
         if distractors is not None:
             pool = np.concatenate([pool, distractors])
             labels = np.concatenate([labels, np.full(len(distractors), -1)])
-        indices, _ = _native.knn(
+        indices, _ = kernels.knn(
             np.ascontiguousarray(vectors[queries]), np.ascontiguousarray(pool), k, threads
         )
         hit = labels[indices] == dataset.labels[queries][:, None]
@@ -259,7 +259,7 @@ def recall_at_k(
     known = np.isin(query_labels, pool_labels)
     if not known.any():
         return np.full(len(ks), np.nan)
-    indices, _ = _native.knn(
+    indices, _ = kernels.knn(
         np.ascontiguousarray(queries[known]), np.ascontiguousarray(pool), max(ks), threads
     )
     hit = pool_labels[indices] == query_labels[known][:, None]
@@ -290,13 +290,7 @@ class Report:
 
 
 def load_descriptor(name: str, threads: int = 0) -> Descriptor:
-    """A descriptor by the path of its weights, or a registered one by its name.
-
-    Raises
-    ------
-    WeightsError
-        If there is neither such a file nor such a name.
-    """
+    """A descriptor by the path of its weights, or a registered one by its name."""
     path = Path(name)
     if not path.exists():
         if name in available():

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from segloc import _native
 from segloc.descriptors.pointset import DIM, DSM_LAYERS, ESM_LAYERS, Alignment, Layer, save_weights
+from segloc.system import kernels
 from segloc.types import Float32
 
 from .config import HeadKind
@@ -77,7 +77,7 @@ class _EluNorm(torch.autograd.Function):
         output = torch.empty_like(x)
         z = torch.empty_like(x) if activate else x
         mean, variance = torch.empty_like(weight), torch.empty_like(weight)
-        _native.elu_norm(
+        kernels.elu_norm(
             _array(x),
             activate,
             _array(weight),
@@ -98,7 +98,7 @@ class _EluNorm(torch.autograd.Function):
     def backward(ctx, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[no-untyped-def]
         z, weight, mean, variance = ctx.saved_tensors
         x, w, b = torch.empty_like(z), torch.empty_like(weight), torch.empty_like(weight)
-        _native.elu_norm_backward(
+        kernels.elu_norm_backward(
             _array(gradients[0]),
             _array(z),
             ctx.activate,
@@ -149,7 +149,7 @@ class _Apply(torch.autograd.Function):
         channels = lift.shape[-1] + features.shape[-1]
         output = lift.new_empty(B, N, len(depthwise), channels)
         arrays = [_array(t) for t in (*inputs, output)]
-        _native.xconv_apply(*arrays, threads=torch.get_num_threads())  # type: ignore[misc]
+        kernels.xconv_apply(*arrays, threads=torch.get_num_threads())  # type: ignore[misc]
         ctx.save_for_backward(*inputs)
         return output
 
@@ -159,7 +159,7 @@ class _Apply(torch.autograd.Function):
         x, lift, features, _, depthwise = results = [torch.empty_like(t) for t in inputs]
         arrays = [_array(t) for t in (*inputs, gradient, x, lift, features, depthwise)]
         threads = torch.get_num_threads()
-        _native.xconv_apply_backward(*arrays, threads=threads)  # type: ignore[misc]
+        kernels.xconv_apply_backward(*arrays, threads=threads)  # type: ignore[misc]
         results[3] = None
         return tuple(results)
 
@@ -191,7 +191,7 @@ class _ColumnMaps(torch.autograd.Function):
         K = len(weight)
         output = torch.empty_like(x)
         arrays = [_array(t) for t in (x.view(-1, K, K), weight, output)]
-        _native.column_maps(*arrays, threads=torch.get_num_threads())  # type: ignore[misc]
+        kernels.column_maps(*arrays, threads=torch.get_num_threads())  # type: ignore[misc]
         ctx.save_for_backward(x, weight)
         return output
 
@@ -203,7 +203,7 @@ class _ColumnMaps(torch.autograd.Function):
         flat = gradient.contiguous().view(-1, K, K)
         arrays = [_array(t) for t in (x.view(-1, K, K), weight, flat, grad_x, grad_weight)]
         threads = torch.get_num_threads()
-        _native.column_maps_backward(*arrays, threads=threads)  # type: ignore[misc]
+        kernels.column_maps_backward(*arrays, threads=threads)  # type: ignore[misc]
         return grad_x, grad_weight
 
 
@@ -325,7 +325,7 @@ def neighbors_of(points: Float32, layers: Sequence[Layer], threads: int = 1) -> 
     """Dilated neighbours of every layer among points (B, S, 3): (B, N, K) int64 each."""
     result, sources = [], points.shape[1]
     for layer in layers:
-        index = _native.dilated_neighbors(
+        index = kernels.dilated_neighbors(
             points, sources, layer.points, layer.neighbors, layer.dilation, threads
         )
         result.append(torch.from_numpy(index))

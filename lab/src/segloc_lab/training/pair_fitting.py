@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
-from segloc import _native
+from segloc.system import kernels
 from segloc.types import Float32, Float64, Int64
 
 from .config import HeadKind
@@ -155,7 +155,7 @@ def nearest_wrong(
     """Segments and one each of the nearest descriptors that surely are of another object."""
     queries = rng.integers(len(vectors), size=count)
     k = min(len(vectors), 8 * _NEAREST)
-    near, _ = _native.knn(np.ascontiguousarray(vectors[queries]), vectors, k, threads)
+    near, _ = kernels.knn(np.ascontiguousarray(vectors[queries]), vectors, k, threads)
     wrong = segments.different(queries[:, None], near)
     rank = rng.integers(1, _NEAREST + 1, size=count)
     found = np.cumsum(wrong, axis=1) == rank[:, None]

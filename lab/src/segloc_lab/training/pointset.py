@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from segloc import _native
 from segloc.descriptors.pointset import POINTS
+from segloc.system import kernels
 from segloc.types import Float32
 
 from .config import TrainConfig, augment, reorder
@@ -61,7 +61,7 @@ class PointSetTask(Task):
         """By the native network: what inference will see."""
         assert isinstance(network, DescriptorNetwork)
         table = [(x.points, x.neighbors, x.dilation, x.channels) for x in network.layers]
-        native = _native.Network(table, folded(network), POINTS)
+        native = kernels.Network(table, folded(network), POINTS)
         parts = [np.empty((0, native.dim), np.float32)]
         for first in range(0, len(dataset), 1024):
             indices = np.arange(first, min(first + 1024, len(dataset)))
@@ -107,5 +107,5 @@ def prepared_points(
     parts = [dataset.segment(int(i)) for i in indices]
     if rng is not None:
         parts = [augment(part, config.augmentation, rng) for part in parts]
-    prepared = _native.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
+    prepared = kernels.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
     return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))

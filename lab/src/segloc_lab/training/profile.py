@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from segloc import _native
 from segloc.descriptors.pointset import POINTS
 from segloc.descriptors.profile import (
     KIND,
@@ -24,6 +23,7 @@ from segloc.descriptors.profile import (
     profiles,
 )
 from segloc.descriptors.weightfile import write_weights
+from segloc.system import kernels
 from segloc.types import Float32
 
 from .config import TrainConfig, augment
@@ -120,7 +120,7 @@ def prepared_segments(
         # What is cut off above or below moves the centroid.
         rise = [a[:, 2].mean() - b[:, 2].mean() for a, b in zip(changed, parts, strict=True)]
         parts, heights = changed, heights + np.array(rise, np.float32)
-    points = _native.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
+    points = kernels.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
     return PreparedSegments(points, heights)
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from segloc import _native
 from segloc.descriptors.segmap import VoxelShapes, prepare, save_weights
+from segloc.system import kernels
 from segloc.types import Float32, Segments
 
 from .config import TrainConfig, augment
@@ -111,7 +111,7 @@ class SegMapTask(Task):
     def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
         """By the native network, before its weights are rounded for the file."""
         assert isinstance(network, SegMapNetwork)
-        native = _native.VoxelNetwork(folded(network))
+        native = kernels.VoxelNetwork(folded(network))
         parts = [np.empty((0, DIM), np.float32)]
         for first in range(0, len(dataset), 1024):
             chosen = range(first, min(first + 1024, len(dataset)))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from segloc import _native, geometry
-from segloc.likelihood.registration import Aligner, Registered, Target, thinned
+from segloc import geometry
+from segloc.likelihood import Aligner, Registered, Target, thinned
+from segloc.system import kernels
 from segloc.system.section import Section
 from segloc.types import Float32, Pose
 
@@ -48,7 +49,7 @@ class Registration:
     def __init__(self, structure: Float32) -> None:
         self.config = RegisterConfig()
         self._aligner = Aligner(self.config.voxel_m, self.config.max_correspondence_m, threads=1)
-        index = _native.PointIndex(structure, 2 * self.config.near_m)
+        index = kernels.PointIndex(structure, 2 * self.config.near_m)
         self._target = Target(self._aligner.surface(structure), index)
         self._seen = len(structure) > 0
         self._last: Pose | None = None  # the correction that was believed last, world frame
@@ -100,5 +101,5 @@ class Registration:
 
 @dataclass(frozen=True)
 class _Source:
-    surface: _native.Surface
+    surface: kernels.Surface
     sample: Float32

@@ -80,13 +80,7 @@ def finished(folder: Path, session: Session, options: str) -> bool:
 
 
 def read_array(folder: Path, session: Session, name: str) -> Any:
-    """One array of a shard.
-
-    Raises
-    ------
-    DatasetError
-        If the shard cannot be read or has no such array.
-    """
+    """One array of a shard."""
     return read_arrays(folder / session.file, [name])[0][name]
 
 
@@ -178,13 +172,7 @@ def _total(counts: Iterable[LabelCounts]) -> LabelCounts:
 
 
 def load_dataset(path: Path) -> SegmentDataset:
-    """Read a dataset: a folder of shards, or one file that :meth:`SegmentDataset.save` wrote.
-
-    Raises
-    ------
-    DatasetError
-        If it is missing, damaged, or not finished.
-    """
+    """Read a dataset: a folder of shards, or one file that :meth:`SegmentDataset.save` wrote."""
     if path.is_file():
         return SegmentDataset.load(path)
     if not (path / INDEX).is_file():

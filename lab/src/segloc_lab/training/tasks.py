@@ -128,13 +128,7 @@ MODULES = {"dsm": "pointset", "esm": "pointset", "profile": "profile", "segmap":
 
 
 def create_task(config: TrainConfig) -> Task:
-    """The task of the configured network.
-
-    Raises
-    ------
-    ConfigError
-        If there is none of that name.
-    """
+    """The task of the configured network."""
     name = config.network
     if name not in MODULES:
         raise ConfigError(f"no network {name!r} to train; there are {', '.join(sorted(MODULES))}")

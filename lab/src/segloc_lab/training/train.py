@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from torch import Tensor, nn
 
-from segloc import _native
 from segloc.errors import ConfigError, DatasetError
+from segloc.system import kernels
 from segloc.system.files import replacing
 
 from .config import TrainConfig
@@ -183,13 +183,6 @@ def train(
     -------
     Scores
         Of the exported weights on the validation set.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such network or device, or if the training diverges.
-    DatasetError
-        If there are too few objects with two views, or if the state cannot be taken up.
     """
     torch.set_num_threads(config.threads)
     task = create_task(config)
@@ -314,7 +307,7 @@ class _Run:
         some = rng.permutation(len(groups))[: self.config.mine_objects]
         views = np.array([groups[g][0] for g in some])
         vectors = self._describe(self.model, self.training.subset(views))
-        indices, _ = _native.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
+        indices, _ = kernels.knn(vectors, vectors, _RIVALS + 1, self.config.threads)
         return np.column_stack([some, some[indices[:, 1:]]])
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
@@ -423,11 +416,6 @@ class Group:
     leads : bool
         Whether this process is the one that validates aloud and writes files.
     device : torch.device
-
-    Raises
-    ------
-    ConfigError
-        If there is no CUDA device where one is asked for.
     """
 
     def __init__(self, device: str) -> None:

@@ -16,8 +16,8 @@ from segloc_lab.evaluation import comparison, comparison_study
 from segloc_lab.evaluation.comparison import shared_config
 from segloc_lab.evaluation.comparison_study import answered, summaries
 from segloc_lab.evaluation.methods import METHODS, fingerprint, ready
-from segloc_lab.evaluation.report.study import Study, Table
 from segloc_lab.evaluation.scenario import QuerySet
+from segloc_lab.evaluation.study import Study, Table
 from segloc_lab.simulation.suites import SUITES
 from segloc_lab.studies.paper import localization
 from segloc_lab.studies.paper.localization import KittiScenario, SuiteScenario, scenarios

@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sklearn")
 
 from segloc_lab.bench.harness import Row  # noqa: E402
-from segloc_lab.evaluation.report.study import Study, Table  # noqa: E402
+from segloc_lab.evaluation.study import Study, Table  # noqa: E402
 from segloc_lab.studies.paper import (  # noqa: E402
     domains,
     generalization,
@@ -29,11 +29,7 @@ from segloc_lab.studies.paper import (  # noqa: E402
 )
 from segloc_lab.studies.paper import domains as making  # noqa: E402
 from segloc_lab.studies.paper import pairs as pair_module  # noqa: E402
-from segloc_lab.studies.paper.domains import (  # noqa: E402
-    SIMULATED,
-    Domains,
-    DomainSize,
-)
+from segloc_lab.studies.paper.domains import SIMULATED, Domains, DomainSize  # noqa: E402
 from segloc_lab.studies.paper.learning import Effort, Training, load_method, trained  # noqa: E402
 from segloc_lab.studies.paper.pairs import labelled_pairs  # noqa: E402
 from segloc_lab.studies.paper.transfer import SHIPPED, TITLES  # noqa: E402

@@ -121,11 +121,6 @@ class Route:
         """Poses (N, 4, 4) T_world_sensor of a sensor on a vehicle that follows the route.
 
         Pitch and roll are those of the ground under the wheels.
-
-        Raises
-        ------
-        ConfigError
-            If the junctions are not a way through the world's road network.
         """
         line = self._line(world)
         xy, yaw = along(line, np.arange(0.0, self._stop(line), self.spacing_m))
@@ -142,11 +137,6 @@ class Route:
 
         Scans start ``spacing_m`` of way apart, or ``rate_hz`` of them a second; ``rng`` decides
         the platform's sway.
-
-        Raises
-        ------
-        ConfigError
-            If the junctions are not a way through the world's road network.
         """
         line = self._line(world)
         motion = platform.motion(world.floor(self.storey), line, rng)
@@ -208,11 +198,6 @@ class Platform:
     mount_rpy_deg : (float, float, float)
         Roll, pitch and yaw (R = Rz Ry Rx) of the sensor on its mount: with a pitch of 20 it looks
         down ahead.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not positive, or an angle is not finite.
     """
 
     name: str
@@ -252,11 +237,6 @@ class Platform:
             The way, metres.
         rng : Generator
             Decides its sway.
-
-        Raises
-        ------
-        ConfigError
-            If the line has no length.
         """
         distance, stamps, speed = self._timetable(line)
         if self.gait is not None or self.flight is not None:
@@ -450,11 +430,6 @@ class Flight:
         It pitches forward by so much to keep its speed.
     gust_deg : float
         Standard deviation of roll and pitch in the wind.
-
-    Raises
-    ------
-    ConfigError
-        If the heights do not rise from 0, or a tilt is negative.
     """
 
     low_m: float = 5.0
@@ -522,11 +497,6 @@ class Gait:
         Standard deviation of how far it leans for seconds, each in roll and pitch.
     most_deg : float
         It never tilts as far as this in all; infinite where nothing holds it back.
-
-    Raises
-    ------
-    ConfigError
-        If ``lean_deg`` is negative or ``most_deg`` is not positive.
     """
 
     steps_hz: float

@@ -65,13 +65,7 @@ class SimulatedSequence:
         return len(self.indices)
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i, with its stamp and its pose.
-
-        Raises
-        ------
-        DatasetError
-            If there is no position i.
-        """
+        """The scan at position i, with its stamp and its pose."""
         returns = self._cast(i)
         return Scan(
             returns.points,
@@ -155,11 +149,6 @@ def simulate_session(
         Scans at the sensor's rate instead of every ``spacing_m`` of the route.
     skew : bool
         Let the sensor move while it scans.
-
-    Raises
-    ------
-    ConfigError
-        If the route does not lead through the world.
     """
     label = name or f"{world.name}-session-{session}"
     motion, stamps = None, None
@@ -204,11 +193,6 @@ class OdometryNoise:
     scale : float
         Standard deviation, over drives, of the share by which all ways come out too long or too
         short: ranges are off by as much all the time.
-
-    Raises
-    ------
-    ConfigError
-        If a value is negative.
     """
 
     drift_m: float = 0.01

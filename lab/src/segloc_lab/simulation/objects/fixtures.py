@@ -247,7 +247,7 @@ FURNITURE: tuple[tuple[str, Callable[[np.random.Generator], Mesh], float, float]
 """Kind, maker, share, and distance from the kerb of what stands on pavements."""
 
 
-_STONE, _STEEL, _WOOD, _LEAF = 0.45, 0.3, 0.4, 0.5
+_LEAF = 0.5
 
 
 def statue(rng: np.random.Generator) -> Mesh:

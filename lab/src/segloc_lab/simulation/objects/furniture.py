@@ -135,7 +135,7 @@ def stair_flight(wide: float, run: float, rise: float) -> Mesh:
     return join(parts)
 
 
-_STEEL, _WOOD, _CARTON, _FOIL = 0.3, 0.4, 0.45, 0.6
+_WOOD, _CARTON, _FOIL = 0.4, 0.45, 0.6
 
 
 def pallet_load(rng: np.random.Generator) -> Mesh:
@@ -272,20 +272,20 @@ def machine(rng: np.random.Generator) -> Mesh:
     return join(parts)
 
 
-_STEEL, _WOOD, _PLASTIC, _LEAF = 0.3, 0.45, 0.35, 0.5
+_VENEER, _PLASTIC, _LEAF = 0.45, 0.35, 0.5
 _SOLID = 0
 
 
 def desk(rng: np.random.Generator) -> Mesh:
     """A desk along y with what stands on it; one sits at its -x side."""
     wide, deep, high = rng.uniform([1.2, 0.7, 0.7], [1.9, 0.9, 0.78])
-    parts = [boxes(above(high), [deep, wide, 0.04], _WOOD)]
+    parts = [boxes(above(high), [deep, wide, 0.04], _VENEER)]
     foot = [
         [x, y, high / 2] for x in (-0.4 * deep, 0.4 * deep) for y in (-0.45 * wide, 0.45 * wide)
     ]
     parts.append(boxes(foot, [0.06, 0.06, high], _STEEL))
     if rng.random() < 0.6:
-        parts.append(boxes([0, 0.3 * wide, high / 2 - 0.05], [0.6, 0.4, high - 0.12], _WOOD))
+        parts.append(boxes([0, 0.3 * wide, high / 2 - 0.05], [0.6, 0.4, high - 0.12], _VENEER))
     for y in rng.uniform(-0.3, 0.3, int(rng.integers(0, 3))) * wide:
         parts.append(boxes([0.15, y, high + 0.3], [0.05, rng.uniform(0.45, 0.7), 0.36], 0.2))
     if rng.random() < 0.5:
@@ -339,9 +339,9 @@ def shelf(rng: np.random.Generator) -> Mesh:
     """An open shelf with binders against a wall at its -x side."""
     wide, high, deep = rng.uniform([0.8, 1.2, 0.28], [1.8, 2.1, 0.42])
     levels = np.linspace(0.08, high, int(high / 0.36))
-    boards = boxes([[0, 0, z] for z in levels], [deep, wide, 0.025], _WOOD)
-    ends = boxes([[0, s * wide / 2, high / 2] for s in (-1, 1)], [deep, 0.025, high], _WOOD)
-    back = boxes([-deep / 2, 0, high / 2], [0.01, wide, high], _WOOD)
+    boards = boxes([[0, 0, z] for z in levels], [deep, wide, 0.025], _VENEER)
+    ends = boxes([[0, s * wide / 2, high / 2] for s in (-1, 1)], [deep, 0.025, high], _VENEER)
+    back = boxes([-deep / 2, 0, high / 2], [0.01, wide, high], _VENEER)
     rows = []
     for z in levels[:-1]:
         full = float(rng.uniform(0.0, 0.95)) * wide
@@ -358,14 +358,14 @@ def table(rng: np.random.Generator) -> Mesh:
     high = float(rng.uniform(0.7, 0.76))
     if rng.random() < 0.35:
         radius = float(rng.uniform(0.45, 0.75))
-        top = tubes([above(high - 0.04)], [above(high)], [radius, radius], _WOOD, sides=16)
+        top = tubes([above(high - 0.04)], [above(high)], [radius, radius], _VENEER, sides=16)
         return join([top, tubes([[0, 0, 0]], [above(high)], [0.2, 0.05], _STEEL)])
     wide, deep = rng.uniform([1.4, 0.8], [3.2, 1.3])
     foot = [
         [x, y, high / 2] for x in (-0.4 * deep, 0.4 * deep) for y in (-0.42 * wide, 0.42 * wide)
     ]
     return join(
-        [boxes(above(high), [deep, wide, 0.04], _WOOD), boxes(foot, [0.07, 0.07, high], _STEEL)]
+        [boxes(above(high), [deep, wide, 0.04], _VENEER), boxes(foot, [0.07, 0.07, high], _STEEL)]
     )
 
 
@@ -381,7 +381,7 @@ def pot_plant(rng: np.random.Generator) -> Mesh:
     """A plant in a pot, up to man's height; it keeps its leaves."""
     tall, wide = rng.uniform([0.7, 0.15], [1.8, 0.4])
     pot = tubes([[0, 0, 0]], [above(0.35)], [0.15, 0.2], 0.4)
-    stem = tubes([above(0.3)], [above(0.9 * tall)], [0.02, 0.01], _WOOD, sides=5)
+    stem = tubes([above(0.3)], [above(0.9 * tall)], [0.02, 0.01], _VENEER, sides=5)
     at = rng.normal(0, 1, (int(120 * tall), 3)) * [wide, wide, 0.25 * tall] + above(0.75 * tall)
     return join([pot, stem, scraps(rng, at, 0.06, _LEAF, _SOLID)])
 

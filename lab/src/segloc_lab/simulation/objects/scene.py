@@ -129,11 +129,6 @@ class Scene:
     ground_reflectance : (T,) float32
         Of each triangle of the terrain's mesh.
     groups : list of Objects
-
-    Raises
-    ------
-    MissingDependency
-        If embreex is not installed.
     """
 
     def __init__(

@@ -446,7 +446,7 @@ def _leaves(
     return scraps(rng, center, 1.3 * species.leaf / np.sqrt(detail), shine, material)
 
 
-_LEAF, _WOOD, _STONE = 0.5, 0.35, 0.4
+_WOOD, _STONE = 0.35, 0.4
 
 
 def thicket(rng: np.random.Generator, radius: float, height: float, detail: float = 1.0) -> Mesh:

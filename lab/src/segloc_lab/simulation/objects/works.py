@@ -206,7 +206,7 @@ def rubble(rng: np.random.Generator) -> Mesh:
     )
 
 
-_STEEL, _CONCRETE, _CLAD = 0.3, 0.45, 0.55
+_CLAD = 0.55
 _RAIL = 1.1  # height of handrails, metres
 
 
@@ -409,7 +409,7 @@ def light_mast(rng: np.random.Generator) -> Mesh:
     return join(parts)
 
 
-_CONCRETE, _STEEL, _DARK = 0.45, 0.3, 0.2
+_DARK = 0.2
 
 
 def hall(rng: np.random.Generator) -> Building:

@@ -24,11 +24,6 @@ class SpinningLidar(Lidar):
         Firings of the column a turn.
     azimuths_deg : tuple of float
         Of each beam to the left of its column; repeated where there are more beams.
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of range.
     """
 
     elevations_deg: tuple[float, ...]
@@ -151,11 +146,6 @@ class LineLidar(Lidar):
     plane_rpy_deg : (float, float, float)
         Roll, pitch and yaw (R = Rz Ry Rx) of the plane. With a pitch of 90 degrees its x axis
         points down and the plane is square to the way ahead.
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of range.
     """
 
     view_deg: float = 270.0
@@ -220,11 +210,6 @@ class RosetteLidar(Lidar):
     beam_gap_deg : float
     prisms_hz : (float, float)
         Turns a second of the prisms; of opposite sign where they turn against each other.
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of range.
     """
 
     view_deg: tuple[float, float] = (70.4, 77.2)
@@ -278,11 +263,6 @@ class SwirlLidar(Lidar):
     firings : int
         A scan.
     turns_hz, nods_hz : float
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of range.
     """
 
     elevations_deg: tuple[float, float] = (-7.0, 52.0)

@@ -232,11 +232,6 @@ class Lidar(ABC):
         Of the sensor above the ground.
     unit : int
         Serial number: which beams are biased how.
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of range.
     """
 
     name: str
@@ -280,13 +275,7 @@ class Lidar(ABC):
 
     @abstractmethod
     def thinned(self: Self, factor: int) -> Self:
-        """The same sensor with about every ``factor``-th firing: faster scans of fewer points.
-
-        Raises
-        ------
-        ConfigError
-            If the factor is below 1.
-        """
+        """The same sensor with about every ``factor``-th firing: faster scans of fewer points."""
 
     @staticmethod
     def _fewer(firings: int, factor: int, least: int) -> int:

@@ -28,11 +28,6 @@ def car_park(seed: int, *, size_m: float = 240.0, repetition: float = 0.9) -> Wo
     size_m : float
     repetition : float
         Share of the cars, lamps, trees and shelters that are of a few types, 0 to 1.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 130..600, the seed is negative, or ``repetition`` not in 0..1.
     """
     return _car_park(seed, size_m, repetition)
 

@@ -90,11 +90,6 @@ def forest(seed: int, *, size_m: float = 280.0, repetition: float = 0.0) -> Worl
     repetition : float
         Share of the stands that are spruces planted in rows, and of the trees that are of a few
         shapes, 0 to 1.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 100..400, the seed is negative, or ``repetition`` not in 0..1.
     """
     return _forest(seed, size_m, repetition)
 

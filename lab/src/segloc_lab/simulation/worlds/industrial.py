@@ -68,13 +68,7 @@ CLUTTER: tuple[tuple[str, Maker, float, float], ...] = (
 
 @lru_cache(maxsize=2)
 def industrial(seed: int, *, size_m: float = 330.0) -> World:
-    """An industrial estate of about ``size_m`` metres square; a function of its seed alone.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 130..2000 or the seed is negative.
-    """
+    """An industrial estate of about ``size_m`` metres square; a function of its seed alone."""
     check_world(seed, size_m, 130.0, 2000.0)
     rng = np.random.default_rng([seed, 15_485_863])
     roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=(3.6, 5.6))

@@ -182,13 +182,7 @@ class Site:
 
 
 def check_world(seed: int, size_m: float, smallest: float, largest: float) -> None:
-    """Refuse a seed or a size that no world can be made of.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in ``smallest`` to ``largest`` metres or the seed is negative.
-    """
+    """Refuse a seed or a size that no world can be made of."""
     if not smallest <= size_m <= largest:
         raise ConfigError(f"size_m must be in {smallest:.0f}..{largest:.0f}, not {size_m}")
     if seed < 0:

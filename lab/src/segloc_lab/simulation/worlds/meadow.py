@@ -20,13 +20,7 @@ _SEEN = 45.0  # from a path: shrubs farther away are left out
 
 @lru_cache(maxsize=2)
 def meadow(seed: int, *, size_m: float = 340.0) -> World:
-    """A meadow of about ``size_m`` metres square; the same for the same seed.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 100..1000 or the seed is negative.
-    """
+    """A meadow of about ``size_m`` metres square; the same for the same seed."""
     check_world(seed, size_m, 100.0, 1000.0)
     rng = np.random.default_rng([seed, 32_452_843])
     paths = street_network(

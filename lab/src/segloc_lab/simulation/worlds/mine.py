@@ -57,13 +57,7 @@ class Gallery:
 
 @lru_cache(maxsize=2)
 def mine(seed: int, *, size_m: float = 120.0) -> World:
-    """Galleries under a square of about ``size_m`` metres; the same for the same seed.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 60..240 or the seed is negative.
-    """
+    """Galleries under a square of about ``size_m`` metres; the same for the same seed."""
     check_world(seed, size_m, 60.0, 240.0)
     rng = np.random.default_rng([seed, 122_949_823])
     roads = street_network(

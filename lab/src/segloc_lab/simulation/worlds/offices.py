@@ -368,13 +368,7 @@ _ORIGIN = np.zeros(2)
 
 @lru_cache(maxsize=2)
 def offices(seed: int, *, size_m: float = 60.0) -> World:
-    """One storey of offices, ``size_m`` metres long; the same for the same seed.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 30..200 or the seed is negative.
-    """
+    """One storey of offices, ``size_m`` metres long; the same for the same seed."""
     return _erect("offices", seed, size_m, 1, 0.0, False)
 
 
@@ -402,12 +396,6 @@ def building(
         equal but for doors, chairs and people. Walls and doorways are the same on all.
     own_rooms : bool
         Each storey is divided into rooms of its own. Facades, corridors and stairs are the same.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 30..200, ``storeys`` not in 1..20, ``differ`` not in 0..1, or the
-        seed is negative.
     """
     if not 1 <= storeys <= 20:
         raise ConfigError(f"storeys must be in 1..20, not {storeys}")

@@ -43,13 +43,7 @@ _TREE_SHARES = np.array([0.26, 0.17, 0.14, 0.14, 0.06, 0.1, 0.05, 0.08])
 
 @lru_cache(maxsize=2)
 def park(seed: int, *, size_m: float = 240.0) -> World:
-    """A park of about ``size_m`` metres square with the houses about it; a function of the seed.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 150..600 or the seed is negative.
-    """
+    """A park of about ``size_m`` metres square with the houses about it; a function of the seed."""
     check_world(seed, size_m, 150.0, 600.0)
     rng = np.random.default_rng([seed, 49_979_687])
     roads = _network(rng, size_m)

@@ -90,13 +90,7 @@ class RoadNetwork:
         return sorted(b if a == node else a for a, b in ends)
 
     def centre_line(self, route: list[int]) -> Float64:
-        """The (n, 2) centre line through a list of neighbouring junctions.
-
-        Raises
-        ------
-        ConfigError
-            If two junctions in a row are not joined by a street.
-        """
+        """The (n, 2) centre line through a list of neighbouring junctions."""
         if len(route) < 2:
             raise ConfigError(f"a route needs at least two junctions, not {len(route)}")
         pieces = [self._street_between(a, b) for a, b in pairwise(route)]

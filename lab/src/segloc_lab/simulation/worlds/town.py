@@ -35,23 +35,12 @@ def town(seed: int, *, size_m: float = 330.0, repetition: float = 0.0) -> World:
     repetition : float
         Share of the lamps, signs, benches, street trees, houses and cars that are of a few types,
         0 to 1.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 130..2000, the seed is negative, or ``repetition`` not in 0..1.
     """
     return _town(seed, size_m, repetition, False)
 
 
 def terraces(seed: int, *, size_m: float = 330.0, repetition: float = 0.9) -> World:
-    """A town of terraced houses, nearly all of them of a few types, with little that grows.
-
-    Raises
-    ------
-    ConfigError
-        As :func:`town`.
-    """
+    """A town of terraced houses, nearly all of them of a few types, with little that grows."""
     return _town(seed, size_m, repetition, True)
 
 

@@ -71,11 +71,6 @@ def warehouse(seed: int, *, size_m: float = 110.0, repetitive: bool | None = Non
     size_m : float
     repetitive : bool, optional
         Whether all of its halls are bare, or none; without it some are.
-
-    Raises
-    ------
-    ConfigError
-        If ``size_m`` is not in 40..400 or the seed is negative.
     """
     check_world(seed, size_m, 40.0, 400.0)
     rng = np.random.default_rng([seed, 49_979_687])

@@ -35,11 +35,6 @@ class Catalogue:
         other.
     types : int
         Of each kind.
-
-    Raises
-    ------
-    ConfigError
-        If ``repetition`` is not in 0..1.
     """
 
     seed: int = 0
@@ -76,11 +71,6 @@ class Conditions:
         Share of the replaceable objects that are gone; about as many others stand near by.
     scaffolding : float
         Share of the buildings with scaffolding before their front.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not in 0..1.
     """
 
     foliage: float = 1.0
@@ -157,13 +147,7 @@ class World:
     _scenes: dict[tuple[int, Conditions], Scene] = field(default_factory=dict, repr=False)
 
     def floor(self, storey: int = 0) -> Terrain:
-        """The ground that one stands on in a storey; outdoors there is but storey 0.
-
-        Raises
-        ------
-        ConfigError
-            If there is no such storey.
-        """
+        """The ground that one stands on in a storey; outdoors there is but storey 0."""
         heights = (0.0,) if self.interior is None else self.interior.storeys
         if not 0 <= storey < len(heights):
             raise ConfigError(f"{self.name}: storey must be in 0..{len(heights) - 1}, not {storey}")
@@ -173,13 +157,6 @@ class World:
         """The world in session k: same houses, other parked cars and people.
 
         The scene depends on the world, k and the conditions alone.
-
-        Raises
-        ------
-        ConfigError
-            If k is negative or above 1000.
-        MissingDependency
-            If embreex is not installed.
         """
         if not 0 <= k <= 1000:
             raise ConfigError(f"session must be in 0..1000, not {k}")

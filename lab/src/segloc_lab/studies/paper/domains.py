@@ -9,10 +9,10 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
-from segloc import _native
+from segloc import __version__
 from segloc.datasets import Sequence, Swathes
 from segloc.errors import ConfigError, DatasetError
-from segloc.frontend.segmentation import SegmentationConfig, Segmenter
+from segloc.frontend import SegmentationConfig, Segmenter
 from segloc.system.processes import in_parallel
 
 from ... import kitti00
@@ -151,11 +151,6 @@ def simulated(
     -------
     Path
         The dataset, for :func:`segloc_lab.training.shards.load_dataset`.
-
-    Raises
-    ------
-    ConfigError
-        If the domain or the split is unknown.
     """
     if domain not in SIMULATED or split not in SPLITS:
         raise ConfigError(f"no domain {domain!r} with a split {split!r}")
@@ -212,13 +207,6 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
     -------
     Path
         The dataset, for :func:`segloc_lab.training.shards.load_dataset`.
-
-    Raises
-    ------
-    ConfigError
-        If the split is unknown.
-    DatasetError
-        If the data are missing or cannot be read.
     """
     if split not in SPLITS:
         raise ConfigError(f"no split {split!r} of {RECORDED}")
@@ -247,7 +235,7 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
 
 
 def _hash(key: object) -> str:
-    text = json.dumps([_native.__version__, key], sort_keys=True)
+    text = json.dumps([__version__, key], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 

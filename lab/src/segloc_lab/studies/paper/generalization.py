@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from ...evaluation.report.study import Cell, Study, Table
+from ...evaluation.study import Cell, Study, Table
 from .domains import SIMULATED
 from .pairs import Roc
 from .published import GENERALIZATION, METHODS

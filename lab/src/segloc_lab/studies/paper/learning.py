@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from segloc._native import __version__
+from segloc import __version__
 from segloc.descriptors import create
 from segloc.descriptors.base import Descriptor
 from segloc.descriptors.pointset import Judge, PointSetDescriptor
@@ -140,11 +140,6 @@ def trained(
 
     A training that was cut off goes on where it was. Each takes one thread, so nothing depends on
     who does it: so many processes, or an executor.
-
-    Raises
-    ------
-    MissingDependency
-        Without torch, where a network is to be trained, and without scikit-learn for a forest.
     """
     missing = [each for each in trainings if not each.finished]
     if any(each.method in NETWORKS for each in missing):
@@ -192,11 +187,6 @@ def load_method(method: str, weights: Path | None, threads: int = 1) -> Descript
     weights : Path or None
         Of the network, or of the forest for a method that has one; None for what is shipped.
     threads : int
-
-    Raises
-    ------
-    WeightsError
-        If the weights are missing or damaged.
     """
     if weights is None or method == "geo":
         return create(method, threads)

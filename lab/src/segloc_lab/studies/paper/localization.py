@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from segloc import geometry
-from segloc.batch.run import query_positions
+from segloc.batch import query_positions
 from segloc.datasets import Recording, Swathes
 from segloc.errors import DatasetError
 from segloc.types import Float64
 
 from ... import kitti00
 from ...evaluation.comparison_study import compare
-from ...evaluation.report.study import Study
 from ...evaluation.scenario import MAX_GAP_M, Facts, OpenedScenario, QuerySet, Scenario, folder_size
+from ...evaluation.study import Study
 from ...simulation.suites import SIX, TestSet
 from . import published
 from .workspace import Workspace
@@ -149,11 +149,6 @@ def run(workspace: Workspace) -> Study:
     """Localize the queries of all scenarios of a workspace.
 
     See :func:`~segloc_lab.studies.paper.scenarios.scenarios`.
-
-    Raises
-    ------
-    SeglocError
-        If a recording cannot be read, or results cannot be written.
     """
     found = scenarios(workspace)
     return compare(workspace, found, "localization", "Localization", [published.localizations()])

@@ -13,7 +13,7 @@ from segloc.errors import MissingDependency
 
 from ...bench.harness import in_process, interleaved, optional
 from ...bench.network import DIM, build, prepared_segments, random_tensors
-from ...evaluation.report.study import Cell, Study, Table
+from ...evaluation.study import Cell, Study, Table
 from ...stages import rise_mb
 from .workspace import Workspace
 
@@ -42,11 +42,6 @@ def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
         Segments.
     repeats : int
         Of timed steps; the median counts.
-
-    Raises
-    ------
-    MissingDependency
-        Without torch.
     """
     if optional("torch") is None:
         raise MissingDependency("torch", "train", "measuring training")

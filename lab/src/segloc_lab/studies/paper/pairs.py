@@ -105,11 +105,6 @@ def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 
     limit : int
         Pairs of each kind at most, a random sample.
     seed : int
-
-    Raises
-    ------
-    DatasetError
-        If there are no pairs of one kind.
     """
     rng = np.random.default_rng(seed)
     a, b = near_pairs(dataset).T

@@ -6,7 +6,7 @@ All are from Tinchev et al., "Real-time LIDAR localization in natural and urban 
 
 from __future__ import annotations
 
-from ...evaluation.report.study import Table
+from ...evaluation.study import Table
 
 METHODS = (
     "segmatch-eigen",

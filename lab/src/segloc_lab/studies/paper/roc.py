@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from ...evaluation.report.study import Cell, Figure, Study, Table
+from ...evaluation.study import Cell, Figure, Study, Table
 from .pairs import Roc
 from .published import GENERALIZATION, METHODS
 from .transfer import TITLES, Plan, Transfer

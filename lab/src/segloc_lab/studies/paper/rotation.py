@@ -15,7 +15,7 @@ from segloc.descriptors.pointset import Alignment
 from segloc.geometry import yaw_transform
 from segloc.types import Float32, Float64, Segments
 
-from ...evaluation.report.study import Cell, Figure, Study, Table
+from ...evaluation.study import Cell, Figure, Study, Table
 from ...training.config import AugmentConfig
 from .domains import Domains, DomainSize
 from .learning import Training, load_method, network_config, trained

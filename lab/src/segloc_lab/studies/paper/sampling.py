@@ -15,7 +15,7 @@ from segloc.types import Float32
 
 from ...bench.fps import SAMPLES, SEGMENTS, fps
 from ...bench.harness import OURS, Row, in_process
-from ...evaluation.report.study import Cell, Study, Table
+from ...evaluation.study import Cell, Study, Table
 from ...training.config import Sampler
 from ...training.dataset import SegmentDataset
 from ...training.metrics import score

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from segloc.batch.run import query_clouds
+from segloc import SegmentMap
+from segloc.batch import query_clouds
 from segloc.config import Config
 from segloc.datasets import Recording
 from segloc.descriptors import Descriptor, create
-from segloc.frontend.segmentation import Segmenter
+from segloc.frontend import Segmenter
 from segloc.localizer import Localizer
-from segloc.map.segment_map import SegmentMap
 from segloc.system.machine import processor
 from segloc.system.stage_times import Clock, StageTimes
 from segloc.types import LocalCloud
@@ -26,7 +26,7 @@ from segloc.types import LocalCloud
 from ...bench.harness import in_process
 from ...evaluation.comparison import MappedPlace, build_maps, place_of
 from ...evaluation.methods import ready
-from ...evaluation.report.study import Cell, Study, Table
+from ...evaluation.study import Cell, Study, Table
 from ...padding import padded_with_copies
 from ...stages import STAGES, clock_for, single_pass
 from . import published
@@ -67,13 +67,7 @@ class Bench:
 
 
 def run(workspace: Workspace) -> Study:
-    """Time swathes of the test set "burgess" (the suite's last without one), and KITTI's scans.
-
-    Raises
-    ------
-    SeglocError
-        If a recording cannot be read, or results cannot be written.
-    """
+    """Time swathes of the test set "burgess" (the suite's last without one), and KITTI's scans."""
     start = time.perf_counter()
     descriptors = {name: create(name, 1) for name in ready(workspace.methods).names}
     tables = []

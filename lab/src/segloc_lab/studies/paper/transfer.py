@@ -68,11 +68,6 @@ class Transfer:
     plan : Plan, optional
         By default that of the workspace's scale.
 
-    Raises
-    ------
-    ConfigError
-        If the workspace names methods that there are not.
-
     Attributes
     ----------
     methods : tuple of str

@@ -11,7 +11,7 @@ from typing import Any, cast
 from segloc.errors import ConfigError
 
 from ...evaluation import workspace
-from ...evaluation.report.study import Study
+from ...evaluation.study import Study
 from ...report import code
 from ...simulation.suites import PAPER, SUITES, TestSet
 
@@ -86,14 +86,7 @@ STUDIES = (
 
 
 def run(name: str, workspace: Workspace) -> Study:
-    """Run one of :data:`STUDIES` and store it in a folder of the workspace.
-
-    Raises
-    ------
-    SeglocError
-        Whatever is the user's to mend: data that cannot be read, packages that are missing, a
-        folder that cannot be written.
-    """
+    """Run one of :data:`STUDIES` and store it in a folder of the workspace."""
     module = importlib.import_module(f"{__package__}.{name}")
     study = cast(Callable[[Workspace], Study], module.run)(workspace)
     study.save(workspace.out / study.name)

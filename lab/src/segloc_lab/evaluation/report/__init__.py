@@ -1,1 +1,0 @@
-"""A study's tables and figures, and the page that shows them."""
