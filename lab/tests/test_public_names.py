@@ -18,9 +18,8 @@ def imported() -> Iterator[tuple[str, str]]:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Import):
                 yield from ((a.name, "") for a in node.names if a.name.split(".")[0] == "segloc")
-            elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
-                if node.module.split(".")[0] == "segloc":
-                    yield from ((node.module, alias.name) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith("segloc."):
+                yield from ((str(node.module), a.name) for a in node.names if not node.level)
 
 
 def test_the_laboratory_imports_public_names_at_most_one_level_deep() -> None:
