@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab import kitti00, recordings, stages
-from segloc_lab.bench.inputs import Plaza, PlazaWalk
+from segloc_lab.bench.harness import Plaza, PlazaWalk
 
 from segloc import Config, Localizer, build_map
 from segloc.system.stage_times import StageTimes

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.bench import inputs
+from segloc_lab.bench import harness as inputs
 from segloc_lab.city import among_copies, widened
 
 from segloc import Config, Localizer, Scan, build_map

@@ -40,7 +40,6 @@ class Piece:
     ----------
     number : int
         Its place in the city; -1: it is not there.
-    seed : int
     size_m, length_m : float
         Of the town's edge, and of the drive that maps it.
     thin : int

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.bench import fps, geometric, harness, inputs, network, query, stream
+from segloc_lab.bench import fps, geometric, harness, network, query, stream
+from segloc_lab.bench import harness as inputs
 from segloc_lab.bench import harness as rows
 from segloc_lab.cli import bench as suite
 from segloc_lab.padding import padded_with_copies

@@ -26,12 +26,11 @@ from segloc_lab.simulation.objects.mesh import LEAF, SESSION_IDS, Objects
 from segloc_lab.simulation.objects.scene import Terrain
 from segloc_lab.simulation.objects.vehicles import vehicle
 from segloc_lab.simulation.suites import SIX, SUMMER
-from segloc_lab.simulation.worlds.changes import BUILT, Extent, scaffold
 from segloc_lab.simulation.worlds.industrial import mesh_fence
 from segloc_lab.simulation.worlds.interior import REPLACEABLE
 from segloc_lab.simulation.worlds.roads import street_network
 from segloc_lab.simulation.worlds.town import draw_character
-from segloc_lab.simulation.worlds.world import World
+from segloc_lab.simulation.worlds.world import BUILT, Extent, World, scaffold
 
 from segloc.errors import ConfigError
 

@@ -17,7 +17,6 @@ from segloc_lab.simulation import (
     Route,
     Scene,
     SpinningLidar,
-    demo_sessions,
     hdl32e,
     hdl64e,
     record,
@@ -351,23 +350,6 @@ def test_a_pickled_sequence_is_small_and_casts_the_same(small: World) -> None:
     assert len(data) < 50_000
     np.testing.assert_array_equal(pickle.loads(data).scan(4).points, expected)
     assert not np.array_equal(sequence.scan(3).points[:5], sequence.scan(4).points[:5])
-
-
-@pytest.mark.slow
-def test_demo_sessions_share_streets_turn_back_and_leave_the_map() -> None:
-    drives = demo_sessions(1, sensor=hdl64e(30), size_m=250.0)
-    assert list(drives) == ["map", "revisit", "elsewhere"]
-    mapped, again = drives["map"].poses, drives["revisit"].poses
-    distance = np.linalg.norm(again[:, None, :2, 3] - mapped[None, :, :2, 3], axis=2)
-    nearest = distance.argmin(axis=1)
-    near = distance.min(axis=1) < 4.0
-    turn = np.einsum("ij,ij->i", again[:, :2, 0], mapped[nearest][:, :2, 0])
-    assert (near & (turn > 0.8)).mean() > 0.15
-    assert (near & (turn < -0.8)).mean() > 0.15
-    assert (distance.min(axis=1) > 20.0).mean() > 0.15
-    assert min(len(drive) for drive in drives.values()) > 230
-    assert drives["revisit"].session != drives["map"].session
-    assert drives["elsewhere"].world.seed != drives["map"].world.seed
 
 
 # --- wrong input ----------------------------------------------------------------------------------

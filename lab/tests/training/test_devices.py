@@ -12,8 +12,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from segloc_lab.training.losses import LOSSES  # noqa: E402
 from segloc_lab.training.pair_fitting import pair_loss  # noqa: E402
+from segloc_lab.training.tasks import LOSSES  # noqa: E402
 
 TOGETHER = """
 import json

@@ -15,7 +15,7 @@ from segloc.errors import WeightsError
 
 torch = pytest.importorskip("torch")
 
-from segloc_lab.training.losses import hard_triplet, info_nce, multi_similarity, ratio_triplet  # noqa: E402
+from segloc_lab.training.tasks import hard_triplet, info_nce, multi_similarity, ratio_triplet  # noqa: E402
 
 # Two objects of two views each on a line: 0, 1 and 3, 5.
 X = torch.tensor([[0.0], [1.0], [3.0], [5.0]])

@@ -23,20 +23,13 @@ from segloc_lab.training.config import AugmentConfig, HeadKind, TrainConfig, aug
 from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
 from segloc_lab.training.extract import ExtractConfig, extract_session  # noqa: E402
 from segloc_lab.training.labels import LabelConfig, groups_of, label_objects  # noqa: E402
-from segloc_lab.training.losses import LOSSES  # noqa: E402
 from segloc_lab.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
-from segloc_lab.training.pair_fitting import (  # noqa: E402
-    PairHead,
-    fit_pair_head,
-    pair_loss,
-)
+from segloc_lab.training.pair_fitting import PairHead, fit_pair_head, pair_loss  # noqa: E402
 from segloc_lab.training.pointset import prepared_points  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
-from segloc_lab.training.train import (  # noqa: E402
-    draw_batch,
-    train,
-)
+from segloc_lab.training.tasks import LOSSES  # noqa: E402
+from segloc_lab.training.train import draw_batch, train  # noqa: E402
 
 from segloc.datasets.base import Selection  # noqa: E402
 from segloc.descriptors.pointset import PairHead as NumpyHead  # noqa: E402

@@ -17,9 +17,8 @@ from segloc.proposals import MatchingConfig, PoseConfig
 from segloc.system import kernels
 from segloc.types import Float32, Float64, Int64, Pose
 
-from . import inputs
-from .harness import OURS, Row, optional, row
-from .inputs import MatchProblem
+from . import harness as inputs
+from .harness import OURS, MatchProblem, Row, optional, row
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.8, 1.5, 45.0
 TOLERANCE_M = 0.1

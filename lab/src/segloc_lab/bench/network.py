@@ -15,7 +15,7 @@ from segloc.errors import SeglocError
 from segloc.system import kernels
 from segloc.types import Float32
 
-from . import inputs
+from . import harness as inputs
 from .harness import OURS, Row, optional, row
 
 SEGMENTS, DIM = 300, 16

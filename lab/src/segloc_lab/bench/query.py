@@ -20,7 +20,7 @@ from segloc.types import LocalCloud, Pose, Scan
 
 from ..padding import padded_with_copies
 from ..stages import clock_for, single_pass
-from . import inputs
+from . import harness as inputs
 from .harness import OURS, Row, optional, row
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ class Scene:
 
     Attributes
     ----------
-    prior_map : SegmentMap
     queries : list of (Scan or LocalCloud, Pose)
         Without a pose in the map, and their true T_map_sensor.
     mapped : Scan

@@ -19,7 +19,7 @@ from segloc.types import Float64
 
 from ..padding import padded_with_copies
 from ..stages import clock_for
-from . import inputs
+from . import harness as inputs
 from .harness import OURS, Row, optional
 
 MAP_SEGMENTS = 50_000
@@ -38,8 +38,6 @@ class Stream:
 
     Attributes
     ----------
-    prior_map : SegmentMap
-    scans : list of Scan
     truths : (N, 4, 4) float64
         True T_map_sensor.
     start : int

@@ -41,7 +41,6 @@ class Detector:
 
     Attributes
     ----------
-    radius_m : float
     keep : float
         Share of the stems that are found.
     noise_m : float

@@ -217,7 +217,7 @@ def _measured(
     workers: int,
     draws: int | None,
 ) -> dict[str, Any]:
-    from ..evaluation.methods import ready
+    from ..evaluation.comparison import ready
     from ..studies.kitti_paper import DRAWS, answers_of
 
     if kitti is None:

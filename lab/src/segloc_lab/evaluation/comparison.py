@@ -11,17 +11,94 @@ import numpy as np
 from segloc import SegmentMap
 from segloc.batch import Evaluation, query_clouds
 from segloc.config import Config
-from segloc.descriptors import Descriptor
-from segloc.errors import DatasetError
+from segloc.descriptors import Descriptor, available, create
+from segloc.errors import ConfigError, DatasetError, WeightsError
 from segloc.frontend import Segmenter
 from segloc.localization import Localization, Localized, NotLocalized, Reason
 from segloc.localizer import Localizer
-from segloc.map import add_view, empty_map, map_views
+from segloc.map import DEFAULT_METHOD, add_view, empty_map, map_views
 from segloc.proposals import Estimator, PoseEstimator, Query
 from segloc.types import Descriptors, Float64, Recording, Segments
 
-from .methods import published_estimator
 from .scenario import QuerySet
+
+METHODS = (
+    "segmatch-eigen",
+    "segmatch-esf",
+    "nsm",
+    "segmap",
+    "esm",
+    "esm-fq",
+    "dsm",
+    "dsm-fq",
+    "geo",
+    "profile",
+)
+"""Those of the paper by year, and ours."""
+
+
+def published_estimator(method: str) -> str:
+    """What a method of the paper recognises places by: ``pose.estimator`` of its publication."""
+    return "geometric_consistency" if method.startswith("segmatch-") else "prosac"
+
+
+@dataclass(frozen=True)
+class Methods:
+    """Methods to compare.
+
+    Attributes
+    ----------
+    fingerprints : dict of str to str
+        Of descriptor, weights, and forest or FC4, by the name of each method that is ready.
+    left_out : dict of str to str
+        Why the others are not.
+    """
+
+    fingerprints: dict[str, str]
+    left_out: dict[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of those that are ready."""
+        return tuple(self.fingerprints)
+
+    def note(self) -> str:
+        """The methods that are left out and why, in one sentence; empty if there are none."""
+        if not self.left_out:
+            return ""
+        parts = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
+        return f"Left out: {parts}."
+
+
+def ready(names: tuple[str, ...] | None = None) -> Methods:
+    """Which of the methods (:data:`METHODS` where none are named) have their weights."""
+    chosen = METHODS if names is None else names
+    for name in chosen:
+        if name not in available():
+            raise ConfigError(f"no method {name!r}; there are {', '.join(available())}")
+    fingerprints, left_out = {}, {}
+    for name in dict.fromkeys(chosen):
+        try:
+            fingerprints[name] = fingerprint(name)
+        except WeightsError as error:
+            left_out[name] = str(error)
+    if not fingerprints:
+        raise ConfigError(f"none of {', '.join(chosen)} has its weights")
+    return Methods(fingerprints, left_out)
+
+
+def best_of(methods: Methods) -> str:
+    """Ours where it is among them, else the last."""
+    return DEFAULT_METHOD if DEFAULT_METHOD in methods.names else methods.names[-1]
+
+
+def fingerprint(name: str) -> str:
+    """Of everything that decides what a method computes: its descriptor and its forest or FC4."""
+    descriptor = create(name, 1)
+    if descriptor.pruner is None:
+        return descriptor.fingerprint
+    return f"{descriptor.fingerprint}+{descriptor.pruner.fingerprint}"
+
 
 ESTIMATORS = ("consensus", "published")
 """Ours, and the one that a method was published with."""
@@ -41,7 +118,6 @@ class MappedPlace:
 
     Attributes
     ----------
-    localizers : dict of method to dict of estimator to Localizer
     trajectory : (V, 4, 4) float64
     cloud : (N, 3) float64
         Map frame.
@@ -101,11 +177,6 @@ def describe_all(
         else:
             found[name] = same if descriptor.rates else Descriptors(same.vectors)
     return found
-
-
-def build_place(recording: Recording, descriptors: Mapping[str, Descriptor]) -> MappedPlace:
-    """The maps of :func:`build_maps`, ready for queries."""
-    return place_of(build_maps(recording, descriptors))
 
 
 def place_of(

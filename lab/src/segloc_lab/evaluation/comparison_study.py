@@ -25,8 +25,17 @@ from segloc.types import Float64
 
 from ..report import apart, mcnemar
 from . import comparison
-from .comparison import ESTIMATORS, Answer, MappedPlace, arrays_of, build_maps, place_of
-from .methods import Methods, best_of, ready
+from .comparison import (
+    ESTIMATORS,
+    Answer,
+    MappedPlace,
+    Methods,
+    arrays_of,
+    best_of,
+    build_maps,
+    place_of,
+    ready,
+)
 from .scenario import OpenedScenario, Pair, PairScenario, QuerySet, Scenario
 from .study import Cell, Curve, Figure, Study, Table
 from .workspace import Workspace, load_arrays, load_json, save_arrays, save_json, store
@@ -46,11 +55,9 @@ class Result:
 
     Attributes
     ----------
-    scenario : Scenario
     answers : dict
         ``answers[method][query_set][place][estimator]``; see
         :func:`~segloc_lab.evaluation.comparison.localize_all`.
-    arrays : dict of str to array
     """
 
     scenario: Scenario
@@ -302,8 +309,6 @@ def compare(
 
     Parameters
     ----------
-    workspace : Workspace
-    scenarios : sequence of Scenario
     name, title : str
         Of the study.
     published : sequence of Table

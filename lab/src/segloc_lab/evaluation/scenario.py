@@ -41,10 +41,8 @@ class OpenedScenario:
 
     Attributes
     ----------
-    map : Recording
     negative : Recording or None
         Another place seen by the same kind of sensor: what is found in it is false.
-    query_sets : dict of str to QuerySet
     """
 
     map: Recording

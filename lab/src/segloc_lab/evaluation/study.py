@@ -34,11 +34,8 @@ class Table:
 
     Attributes
     ----------
-    name, title : str
-    columns : tuple of str
     rows : tuple of tuples of str, float, int or None
         The first cell names the row; None is "not measured".
-    note : str
     source : str
         "segloc", or "paper" for published figures.
     """
@@ -70,13 +67,11 @@ class Figure:
 
     Attributes
     ----------
-    name, title : str
     kind : str
         "roc" and "lines": x and y; "polar": degrees and radius; "bars": position and height;
         "map": metres in the ground plane, drawn by label (:data:`MAP_STYLES`); NaN breaks a line.
     series : dict of str to (x, y)
         (N,) float64 arrays.
-    xlabel, ylabel : str
     top : float or None
         Largest radius of a polar drawing.
     """
@@ -126,9 +121,6 @@ class Study:
 
     Attributes
     ----------
-    name, title : str
-    tables : tuple of Table
-    figures : tuple of Figure
     facts : dict
         What repeats the study: command, seed, fingerprints of the weights, versions, machine.
     text : str

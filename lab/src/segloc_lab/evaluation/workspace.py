@@ -114,7 +114,6 @@ class Workspace:
         settings : dict
             Everything that the result depends on, in values that JSON can hold, fingerprints of
             weights and data included.
-        compute : callable
         save : callable
             Writes the value to a path that does not exist yet, as a file or as a folder.
         load : callable

@@ -52,8 +52,6 @@ class Queries:
 
     Attributes
     ----------
-    name : str
-    recording : Recording
     positions : (N,) int64
     truths : (N, 4, 4) float64 or None
         True T_map_sensor.

@@ -84,8 +84,6 @@ class Scenario:
         Who maps, and who queries.
     expected : str
         "found", "ambiguous", "refused", or "any": right or refused.
-    seeds : tuple of int
-    storeys, query_storeys : tuple of int
     halved : bool
         Whether of each drive of the map only the first half is.
     """

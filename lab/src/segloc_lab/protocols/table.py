@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..evaluation.methods import METHODS
+from ..evaluation.comparison import METHODS
 from ..report import Table, publish, reporting, share
 
 COLUMNS = ("run", "queries", "found within map coverage", "false", "error m, median / 95 %", "deg")

@@ -57,7 +57,6 @@ class Places:
 
     Attributes
     ----------
-    localizer, tiled : Localizer
     path : (P, 4, 4) float64
         The mapped path.
     """

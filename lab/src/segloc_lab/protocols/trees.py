@@ -42,7 +42,6 @@ class Forest:
 
     Attributes
     ----------
-    frames : list of Landmarks
     poses : (N, 4, 4) float64
     behind : (N,) int64
         How many frames lie far enough behind each.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from segloc.motion import Motion, deskew
 
-from .drives import demo_sessions, simulate_sessions
+from .drives import record, simulate_sessions
 from .motion.platforms import (
     PLATFORMS,
     Flight,
@@ -21,7 +21,6 @@ from .motion.platforms import (
 )
 from .motion.traversal import OdometryNoise, SimulatedSequence, simulate_session
 from .objects.scene import Scene
-from .record import record
 from .sensors import SENSORS
 from .sensors.lidar import (
     LineLidar,
@@ -76,7 +75,6 @@ __all__ = [
     "building",
     "car",
     "carried",
-    "demo_sessions",
     "deskew",
     "drone",
     "forest",

@@ -34,7 +34,6 @@ class TestSet:
 
     Attributes
     ----------
-    name : str
     kind : str
         Of surroundings, as published.
     scene : str

@@ -37,8 +37,14 @@ from segloc.system.files import write_text
 from segloc.system.processes import executing
 from segloc.types import Float64, Int64, Pose
 
-from ..evaluation.comparison import build_maps, on_the_cloud_of, shared_config
-from ..evaluation.methods import METHODS, fingerprint, published_estimator
+from ..evaluation.comparison import (
+    METHODS,
+    build_maps,
+    fingerprint,
+    on_the_cloud_of,
+    published_estimator,
+    shared_config,
+)
 from ..evaluation.scenario import MAX_GAP_M
 from ..kitti00 import keyframes, poses_of
 from ..report import Table, code, commit, mcnemar, share
@@ -57,7 +63,6 @@ class Part:
 
     Attributes
     ----------
-    mapped, queried : Drive
     positions : (N,) int64
         Of the queries in ``queried``.
     distances : (N,) float64
@@ -419,7 +424,6 @@ class Kept:
 
     Attributes
     ----------
-    method : str
     folder : Path
         Of all methods.
     produced : dict

@@ -34,12 +34,10 @@ def write_dataset(
 
     Parameters
     ----------
-    folder : Path
     recordings : sequence of Recording
         With poses in one frame.
     place : str
         A name for the place.
-    segmentation : SegmentationConfig
     progress : callable, optional
         Called with a line for each session.
     """

@@ -51,7 +51,6 @@ class SegmentDataset:
         Index into ``sensor_names``.
     objects : (P,) int64
         The true object, where a simulation knows it; -1 elsewhere. Unique within a place.
-    sensor_names : tuple of str
     """
 
     points: Float32 | NDArray[np.float16]

@@ -93,7 +93,6 @@ def extract_session(
         With poses. Where it knows ``object_ids(i)`` of its points, segments get theirs.
     segment : callable
         Divides a local cloud.
-    config : ExtractConfig
     registration : Registration, optional
         Corrects each local cloud's pose.
     """

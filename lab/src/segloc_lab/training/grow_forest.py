@@ -66,13 +66,10 @@ def train_forest(
     ----------
     dataset : SegmentDataset
         Split by worlds (or by objects, if there is one world) into training and validation.
-    out : Path
     method : str
         One with a forest: segmatch-eigen, segmatch-esf or nsm.
-    config : ForestConfig
     card : dict, optional
         Goes into the file: data, command, licence. Figures and settings are added.
-    progress : callable
 
     Returns
     -------

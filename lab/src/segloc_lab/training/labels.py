@@ -71,7 +71,6 @@ class LabelCounts:
 
     Attributes
     ----------
-    segments, objects : int
     seen_again : int
         Objects with at least two views.
     views : float

@@ -159,8 +159,6 @@ def auc_interval(vectors: Float32, dataset: SegmentDataset, *, seed: int = 0) ->
     Parameters
     ----------
     vectors : (P, dim) float32
-    dataset : SegmentDataset
-    seed : int
     """
     rng = np.random.default_rng(seed)
     places = bootstrap_places(dataset)
@@ -185,7 +183,6 @@ def area_interval(
         Scores of pairs that match and of pairs that do not; high ones say that a pair matches.
     right_places, wrong_places : (R,), (W,) int64
         The place of each pair, from 0 on; see :func:`bootstrap_places`.
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -248,8 +245,6 @@ def recall_at_k(
     query_labels : (Q,) int64
     pool_labels : (M,) int64
         -1 for distractors. Queries whose label is not in the pool are left out.
-    ks : tuple of int
-    threads : int
 
     Returns
     -------
@@ -278,10 +273,8 @@ class Report:
 
     Attributes
     ----------
-    auc : Interval
     recalls : list of (pool, recalls)
         Size of the pool, and the recall at each of ``KS``.
-    queries : int
     """
 
     auc: Interval
@@ -337,13 +330,10 @@ def score_descriptor(
 
     Parameters
     ----------
-    descriptor : Descriptor
-    dataset : SegmentDataset
     distractors : sequence of SegmentDataset
         Segments of other worlds.
     pools : sequence of int
         Without any: the dataset's own segments, and all distractors.
-    seed, threads : int
     """
     vectors, _ = describe(descriptor, dataset)
     others = [describe(descriptor, part)[0] for part in distractors]

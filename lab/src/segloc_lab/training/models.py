@@ -257,7 +257,6 @@ class XConv(nn.Module):
 
     Parameters
     ----------
-    layer : Layer
     inputs : int
         Channels of the layer before; 0 for the first, which sees positions only.
     """

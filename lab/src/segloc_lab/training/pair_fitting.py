@@ -30,7 +30,6 @@ class PairHead(nn.Module):
     kind : {"linear", "quadratic", "two_layer"}
         A linear map of the absolute difference; of that and its square, so that a weighted
         Euclidean distance is among what it can learn; or two layers with a ReLU between them.
-    dim : int
     """
 
     def __init__(self, kind: HeadKind, dim: int) -> None:
@@ -177,12 +176,10 @@ def fit_pair_head(
 
     Parameters
     ----------
-    head : PairHead
     parts : sequence of ((P, dim) float32, Located)
         Descriptors and what they describe.
     nearest : bool
         It also learns from nearest descriptors that are wrong, half of the negatives.
-    seed, threads : int
     """
     rng = np.random.default_rng([seed, 4])
     firsts, seconds, kinds = [], [], []

@@ -17,10 +17,9 @@ from segloc.types import Float32
 
 from .config import TrainConfig, augment, reorder
 from .dataset import SegmentDataset, packed
-from .losses import LOSSES
 from .models import LAYERS, DescriptorNetwork, export, folded, neighbors_of
 from .pair_fitting import fit_pair_head, pair_loss
-from .tasks import Batch, Inputs, Task, fit_logistic, judged
+from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, judged
 
 
 class PointSetTask(Task):

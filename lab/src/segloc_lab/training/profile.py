@@ -28,8 +28,7 @@ from segloc.types import Float32
 
 from .config import TrainConfig, augment
 from .dataset import SegmentDataset, packed
-from .losses import LOSSES
-from .tasks import Batch, Inputs, Task, fit_logistic, judged
+from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, judged
 
 DIM = 32
 WIDTHS = (384, 256)

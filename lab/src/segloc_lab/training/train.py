@@ -94,8 +94,6 @@ class Batches:
 
     Parameters
     ----------
-    dataset : SegmentDataset
-    task : Task
     rank : int
         Which of several processes this is: each draws its own batches.
 
@@ -173,11 +171,8 @@ def train(
     ----------
     dataset : SegmentDataset
         Split by worlds (or by objects, if there is one world) into training and validation.
-    out : Path
-    config : TrainConfig
     card : dict, optional
         Goes into the weights file: data, command, licence. Figures are added.
-    progress : callable
 
     Returns
     -------
@@ -406,16 +401,10 @@ def _schedule(step: int, config: TrainConfig) -> float:
 class Group:
     """The processes of a run; entered, they are connected where there are several.
 
-    Parameters
-    ----------
-    device : {"cpu", "cuda"}
-
     Attributes
     ----------
-    rank : int
     leads : bool
         Whether this process is the one that validates aloud and writes files.
-    device : torch.device
     """
 
     def __init__(self, device: str) -> None:

@@ -13,9 +13,8 @@ import pytest
 from samples.executors import processes
 from samples.tiny_suite import TINY
 from segloc_lab.evaluation import comparison, comparison_study
-from segloc_lab.evaluation.comparison import shared_config
+from segloc_lab.evaluation.comparison import METHODS, fingerprint, ready, shared_config
 from segloc_lab.evaluation.comparison_study import answered, summaries
-from segloc_lab.evaluation.methods import METHODS, fingerprint, ready
 from segloc_lab.evaluation.scenario import QuerySet
 from segloc_lab.evaluation.study import Study, Table
 from segloc_lab.simulation.suites import SUITES

@@ -52,7 +52,6 @@ def on_ground(
 
     Parameters
     ----------
-    terrain : Terrain
     xy, yaw : (N, 2) and (N,) float64
         Where the vehicle is and where it heads, in order.
     height : float
@@ -178,7 +177,6 @@ class Platform:
 
     Attributes
     ----------
-    name : str
     mount_height_m : float
         Of the sensor above the ground.
     speed_mps : float
@@ -232,7 +230,6 @@ class Platform:
 
         Parameters
         ----------
-        terrain : Terrain
         line : (n, 2) float64
             The way, metres.
         rng : Generator

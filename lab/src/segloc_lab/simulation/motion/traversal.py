@@ -24,10 +24,6 @@ class SimulatedSequence:
 
     Attributes
     ----------
-    name : str
-    world : World
-    session : int
-    sensor : Lidar
     indices : (N,) int64
         The numbers of the scans.
     truth : (N, 4, 4) float64
@@ -132,10 +128,6 @@ def simulate_session(
 
     Parameters
     ----------
-    world : World
-    session : int
-    route : Route
-    sensor : Lidar
     seed : int
         Of noise, lost returns and sway.
     name : str

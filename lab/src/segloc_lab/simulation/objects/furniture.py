@@ -35,7 +35,6 @@ def wall(
         Heights of its foot and its top.
     openings : sequence of (from, to, low, top)
         Metres along the wall, and heights; apart from each other.
-    thick : float
     """
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     long, (low, high) = float(np.linalg.norm(b - a)), span
@@ -172,12 +171,10 @@ def rack(bays: int, bay_m: float, levels: Float64, depth_m: float) -> Mesh:
 
     Parameters
     ----------
-    bays : int
     bay_m : float
         Length of each bay, metres.
     levels : (n,) float64
         Heights of the beams, metres.
-    depth_m : float
     """
     x = bay_m * np.arange(bays + 1)
     top = float(levels[-1]) + 1.1

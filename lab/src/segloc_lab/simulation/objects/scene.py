@@ -125,10 +125,8 @@ class Scene:
 
     Parameters
     ----------
-    terrain : Terrain
     ground_reflectance : (T,) float32
         Of each triangle of the terrain's mesh.
-    groups : list of Objects
     """
 
     def __init__(

@@ -275,7 +275,6 @@ def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: flo
 
     Parameters
     ----------
-    rng : Generator
     kind : str
         Of :data:`SPECIES`.
     detail : float

@@ -207,7 +207,6 @@ class RosetteLidar(Lidar):
         A scan.
     beams : int
         One above the other, ``beam_gap_deg`` apart.
-    beam_gap_deg : float
     prisms_hz : (float, float)
         Turns a second of the prisms; of opposite sign where they turn against each other.
     """
@@ -262,7 +261,6 @@ class SwirlLidar(Lidar):
         Lowest and highest, above the sensor's x-y plane.
     firings : int
         A scan.
-    turns_hz, nods_hz : float
     """
 
     elevations_deg: tuple[float, float] = (-7.0, 52.0)

@@ -211,7 +211,6 @@ class Lidar(ABC):
 
     Attributes
     ----------
-    name : str
     min_range_m, max_range_m : float
         Returns outside are not reported.
     range_sigma_m : float
@@ -221,7 +220,6 @@ class Lidar(ABC):
     reference_range_m : float
         Where a white surface square to the beam is still found half of the time; infinite for a
         sensor that loses nothing.
-    incidence_exponent : float
     glass : bool
         Whether glass is glass, or like any other surface.
     divergence_mrad : float
@@ -312,7 +310,6 @@ class Lidar(ABC):
 
         Parameters
         ----------
-        scene : Scene
         T_world_sensor : (4, 4) float64, or callable
             Of a sensor that moves: the poses (F, 4, 4) at times (F,), seconds from the start of
             the scan.

@@ -24,8 +24,6 @@ def car_park(seed: int, *, size_m: float = 240.0, repetition: float = 0.9) -> Wo
 
     Parameters
     ----------
-    seed : int
-    size_m : float
     repetition : float
         Share of the cars, lamps, trees and shelters that are of a few types, 0 to 1.
     """

@@ -28,7 +28,6 @@ class Fitting:
 
     Attributes
     ----------
-    rng : Generator
     size : (float, float)
     roads : RoadNetwork
         The aisles or corridors.

@@ -85,8 +85,6 @@ def forest(seed: int, *, size_m: float = 280.0, repetition: float = 0.0) -> Worl
 
     Parameters
     ----------
-    seed : int
-    size_m : float
     repetition : float
         Share of the stands that are spruces planted in rows, and of the trees that are of a few
         shapes, 0 to 1.

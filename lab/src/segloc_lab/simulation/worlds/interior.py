@@ -150,8 +150,6 @@ class Movable(NamedTuple):
 
     Attributes
     ----------
-    kind : str
-    make : callable
     odds : float
         That one stands at a place for it.
     shift_m, turn : float

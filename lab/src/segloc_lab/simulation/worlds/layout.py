@@ -72,7 +72,6 @@ class Frontage:
 
     Attributes
     ----------
-    street : Street
     side : int
         +1 to the left of the street, -1 to the right.
     pavement : float

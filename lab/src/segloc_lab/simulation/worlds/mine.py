@@ -231,7 +231,6 @@ def skin(field: Float32, origin: Float64, step: float) -> Mesh:
         Negative in the void.
     origin : (3,) float64
         Of its first value, metres.
-    step : float
     """
     inside = field < 0
     total = np.zeros((*(np.array(field.shape) - 1), 3), dtype=np.float32)

@@ -78,7 +78,6 @@ class FloorPlan:
     Attributes
     ----------
     size : (float, float)
-    rooms : tuple of Room
     corridor : float
         Width of the corridors.
     outer : float
@@ -387,10 +386,8 @@ def building(
 
     Parameters
     ----------
-    seed : int
     size_m : float
         Length, metres.
-    storeys : int
     differ : float
         Share of the places where each storey has furniture of its own: 0 for storeys that are
         equal but for doors, chairs and people. Walls and doorways are the same on all.

@@ -62,7 +62,6 @@ class RoadNetwork:
     ----------
     nodes : (n, 2) float64
         Junctions, metres.
-    streets : tuple of Street
     rounding_m : float
         Over which corners are rounded when they are driven.
     """

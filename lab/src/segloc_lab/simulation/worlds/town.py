@@ -30,8 +30,6 @@ def town(seed: int, *, size_m: float = 330.0, repetition: float = 0.0) -> World:
 
     Parameters
     ----------
-    seed : int
-    size_m : float
     repetition : float
         Share of the lamps, signs, benches, street trees, houses and cars that are of a few types,
         0 to 1.
@@ -190,7 +188,6 @@ class Character:
 
     Attributes
     ----------
-    name : str
     buildings : tuple of float
         Shares of :data:`BUILDINGS`.
     half_width : (float, float)

@@ -67,8 +67,6 @@ def warehouse(seed: int, *, size_m: float = 110.0, repetitive: bool | None = Non
 
     Parameters
     ----------
-    seed : int
-    size_m : float
     repetitive : bool, optional
         Whether all of its halls are bare, or none; without it some are.
     """

@@ -136,8 +136,6 @@ def simulated(
         Where datasets are kept.
     domain : str
         One of :data:`SIMULATED`.
-    split : {"train", "test"}
-    size : DomainSize
     seed : int
         Another seed is other worlds.
     workers : int
@@ -199,7 +197,6 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
         Where datasets are kept.
     data : Path
         A folder with ``keyframes/`` and their T_world_sensor in ``keyframes.tum``.
-    split : {"train", "test"}
     say : callable
         Takes a line for each pass.
 
@@ -260,7 +257,6 @@ class Domains:
 
     Parameters
     ----------
-    workspace : Workspace
     sizes : dict of str to DomainSize, optional
         By simulated domain; by default those of the workspace's scale.
     """

@@ -30,7 +30,6 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
 
     Parameters
     ----------
-    workspace : Workspace
     plan : Plan, optional
         By default that of the workspace's scale.
     """

@@ -84,7 +84,6 @@ class Training:
         One of :data:`NETWORKS` or :data:`FORESTS`.
     data : Path
         The dataset.
-    config : TrainConfig or ForestConfig
     root : Path
         Where weights are kept.
     """
@@ -186,7 +185,6 @@ def load_method(method: str, weights: Path | None, threads: int = 1) -> Descript
         A registered name.
     weights : Path or None
         Of the network, or of the forest for a method that has one; None for what is shipped.
-    threads : int
     """
     if weights is None or method == "geo":
         return create(method, threads)

@@ -37,7 +37,6 @@ def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
 
     Parameters
     ----------
-    workspace : Workspace
     batch : int
         Segments.
     repeats : int

@@ -101,10 +101,8 @@ def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 
 
     Parameters
     ----------
-    dataset : SegmentDataset
     limit : int
         Pairs of each kind at most, a random sample.
-    seed : int
     """
     rng = np.random.default_rng(seed)
     a, b = near_pairs(dataset).T
@@ -182,7 +180,6 @@ def roc(scores: Float64, pairs: Pairs, *, seed: int = 0, points: int = 200) -> R
     Parameters
     ----------
     scores : (M,)
-    pairs : Pairs
     seed : int
         Of the bootstrap.
     points : int

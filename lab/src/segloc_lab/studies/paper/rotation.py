@@ -53,7 +53,6 @@ class Plan:
         That are turned.
     pairs : int
         Of each kind for the area under the ROC.
-    sizes : dict of str to DomainSize, optional
     """
 
     steps: int
@@ -123,7 +122,6 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
 
     Parameters
     ----------
-    workspace : Workspace
     plan : Plan, optional
         By default that of the workspace's scale.
     """

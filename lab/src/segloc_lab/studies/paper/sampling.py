@@ -55,7 +55,6 @@ class Plan:
         Of the test set at most, whole objects.
     pairs : int
         Of each kind for the area under the ROC.
-    sizes : dict of str to DomainSize, optional
     """
 
     repeats: int
@@ -74,7 +73,6 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
 
     Parameters
     ----------
-    workspace : Workspace
     plan : Plan, optional
         By default that of the workspace's scale.
     """

@@ -24,8 +24,7 @@ from segloc.system.stage_times import Clock, StageTimes
 from segloc.types import LocalCloud
 
 from ...bench.harness import in_process
-from ...evaluation.comparison import MappedPlace, build_maps, place_of
-from ...evaluation.methods import ready
+from ...evaluation.comparison import MappedPlace, build_maps, place_of, ready
 from ...evaluation.study import Cell, Study, Table
 from ...padding import padded_with_copies
 from ...stages import STAGES, clock_for, single_pass

@@ -11,8 +11,8 @@ from segloc.descriptors.base import Descriptor
 from segloc.errors import ConfigError, WeightsError
 from segloc.system.processes import in_parallel
 
-from ...evaluation.methods import METHODS
-from ...evaluation.methods import fingerprint as shipped_fingerprint
+from ...evaluation.comparison import METHODS
+from ...evaluation.comparison import fingerprint as shipped_fingerprint
 from ...evaluation.workspace import mute, silent
 from ...training.shards import INDEX
 from .domains import RECORDED, SIZES, Domains, DomainSize
@@ -64,14 +64,13 @@ class Transfer:
 
     Parameters
     ----------
-    workspace : Workspace
     plan : Plan, optional
         By default that of the workspace's scale.
 
     Attributes
     ----------
     methods : tuple of str
-        Those of :data:`~segloc_lab.evaluation.methods.METHODS` that the workspace names.
+        Those of :data:`~segloc_lab.evaluation.comparison.METHODS` that the workspace names.
     fingerprints : dict of str to str
         Of all weights used so far, by method and training set.
     """
