@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.bench import harness as inputs
+from segloc_lab.bench import harness
 from segloc_lab.city import among_copies, widened
 
 from segloc import Config, Localizer, Scan, build_map
@@ -16,18 +16,18 @@ TIMES = 3
 
 
 @pytest.fixture(scope="module")
-def walk() -> inputs.PlazaWalk:
-    return inputs.PlazaWalk(inputs.Plaza(), steps=6)
+def walk() -> harness.PlazaWalk:
+    return harness.PlazaWalk(harness.Plaza(), steps=6)
 
 
 @pytest.fixture(scope="module")
-def tiles(walk: inputs.PlazaWalk, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiles(walk: harness.PlazaWalk, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("city") / "tiles"
     cut_tiles(build_map(walk, Config(threads=1)), folder, size_m=50)
     return folder
 
 
-def test_queries_are_found_among_copies(walk: inputs.PlazaWalk, tiles: Path) -> None:
+def test_queries_are_found_among_copies(walk: harness.PlazaWalk, tiles: Path) -> None:
     thin = TiledMap(tiles).coarse()
     assert widened(tiles, tiles.parent / "wide", TIMES) == TIMES * len(thin)
     wide = TiledMap(tiles.parent / "wide")

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.bench import fps, geometric, harness, network, query, stream
-from segloc_lab.bench import harness as inputs
 from segloc_lab.bench import harness as rows
 from segloc_lab.cli import bench as suite
 from segloc_lab.padding import padded_with_copies
@@ -22,13 +21,13 @@ from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS
 
 @pytest.mark.parametrize("sampler", [fps.per_segment, fps.batched, fps.batched_columns])
 def test_rival_samplers_take_the_farthest_points(sampler):
-    points = inputs.segments(4)
+    points = harness.segments(4)
     assert np.array_equal(sampler(points, 60), _native.fps(points, 60))
     assert fps.shortfall(points, sampler(points, 60)) > 0.999
 
 
 def test_shortfall_sees_samples_that_are_too_near():
-    points = inputs.segments(4)
+    points = harness.segments(4)
     order = _native.fps(points, 60).copy()
     order[2, 30:] = order[2, 30:][::-1]
     assert fps.shortfall(points, order) < 0.999
@@ -41,13 +40,13 @@ def test_partitions_are_compared_up_to_names():
 
 
 def test_rival_neighbours_are_exact():
-    database, queries = inputs.descriptors(500), inputs.descriptors(20, seed=1)
+    database, queries = harness.descriptors(500), harness.descriptors(20, seed=1)
     expected, _ = _native.knn(queries, database, 7)
     assert np.array_equal(geometric.product_and_partition(queries, database, 7), expected)
 
 
 def test_match_problems_are_what_they_say():
-    problem = inputs.match_problem(inliers=0.02, mapped=1000)
+    problem = harness.match_problem(inliers=0.02, mapped=1000)
     R, t = problem.T_map_local[:3, :3], problem.T_map_local[:3, 3]
     moved = problem.query[problem.match_query] @ R.T + t
     near = np.linalg.norm(moved - problem.mapped[problem.match_map], axis=1) < 1.0
@@ -79,13 +78,13 @@ def test_interleaving_runs_each_in_turn():
 
 @pytest.fixture(scope="module")
 def plaza_scene():
-    walk = inputs.PlazaWalk(inputs.Plaza(), steps=6)
+    walk = harness.PlazaWalk(harness.Plaza(), steps=6)
     return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
 
 
 @pytest.fixture(scope="module")
 def plaza_stream():
-    walk = inputs.PlazaWalk(inputs.Plaza(), steps=22)
+    walk = harness.PlazaWalk(harness.Plaza(), steps=22)
     scans = [walk.scan(i) for i in range(len(walk))]
     return stream.Stream(build_map(walk, Config(threads=1)), scans, walk.poses, 2)
 
@@ -152,7 +151,7 @@ def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, m
 
 
 def test_a_query_on_real_scans_is_kept_stage_by_stage(plaza_scene) -> None:
-    other = inputs.PlazaWalk(inputs.Plaza(seed=7), steps=2).scan(0)
+    other = harness.PlazaWalk(harness.Plaza(seed=7), steps=2).scan(0)
     scene = replace(plaza_scene, elsewhere=[Scan(other.points)])
     row = query.query_row("profile 3000", scene, 1, 1, segments=3000, rivals=False)
     kept = rows.query_table([("profile", row)])

@@ -12,7 +12,7 @@ from segloc.errors import SeglocError
 from segloc.system import kernels
 from segloc.types import Float32
 
-from . import harness as inputs
+from . import harness
 from .harness import OURS, Row, optional, row
 
 SEGMENTS, SAMPLES = 300, 160
@@ -22,7 +22,7 @@ PRODUCTS = 3
 
 def fps(threads: int, repeats: int) -> Row:
     """Ours on every instruction set against NumPy and fpsample (settings of exact coverage)."""
-    points = inputs.segments(SEGMENTS)
+    points = harness.segments(SEGMENTS)
     widest = kernels.instruction_set()
     narrower = [isa for isa in ("portable", "avx2", "avx512") if isa != widest]
     runs: dict[str, Any] = {OURS: partial(kernels.fps, points, SAMPLES, threads)}

@@ -17,7 +17,7 @@ from segloc.proposals import MatchingConfig, PoseConfig
 from segloc.system import kernels
 from segloc.types import Float32, Float64, Int64, Pose
 
-from . import harness as inputs
+from . import harness
 from .harness import OURS, MatchProblem, Row, optional, row
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.8, 1.5, 45.0
@@ -28,7 +28,7 @@ def icp(threads: int, repeats: int) -> Row:
     """From a first guess half a metre off, and from raw clouds: both are thinned, and normals are
     found, in every run.
     """
-    plaza = inputs.Plaza()
+    plaza = harness.Plaza()
     truth = geometry.yaw_transform(0.4, (3.0, -2.0, 1.5))
     query = _structure(plaza, truth, seed=1)
     mapped = np.concatenate(
@@ -77,11 +77,11 @@ def prepared_and_aligned(
     return np.array(result.T_target_source)
 
 
-def _structure(plaza: inputs.Plaza, T_world_sensor: Pose, seed: int) -> Float32:
+def _structure(plaza: harness.Plaza, T_world_sensor: Pose, seed: int) -> Float32:
     return np.ascontiguousarray(plaza.scan(T_world_sensor, seed=seed).points)
 
 
-def _placed(plaza: inputs.Plaza, x: float, y: float) -> Float32:
+def _placed(plaza: harness.Plaza, x: float, y: float) -> Float32:
     """What is seen from a place, in the world."""
     T = geometry.yaw_transform(0.0, (x, y, 1.5))
     return geometry.transform(T, _structure(plaza, T, seed=100 + int(x + y))).astype(np.float32)
@@ -98,7 +98,7 @@ YAW_STEP_M = 1.6
 
 def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
     """Exact Euclidean clusters; every rival must find the same partition. One thread always."""
-    points = inputs.local_cloud() if cloud is None else cloud
+    points = harness.local_cloud() if cloud is None else cloud
     runs: dict[str, Any] = {
         OURS: lambda: _labels(kernels.euclidean_clusters(points, CLUSTER_RADIUS_M, 1, len(points))),
         "SciPy, k-d tree and components": lambda: tree_components(points, CLUSTER_RADIUS_M),
@@ -141,8 +141,8 @@ def same_partition(a: np.ndarray, b: np.ndarray) -> bool:
 def knn(threads: int, repeats: int) -> Row:
     """The 25 nearest of 50 000 descriptors for each of 300, exactly."""
     k = MatchingConfig().neighbours
-    database = inputs.descriptors(DATABASE, DIM)
-    queries = database[:QUERIES] + inputs.descriptors(QUERIES, DIM, seed=1, spread=0.3)
+    database = harness.descriptors(DATABASE, DIM)
+    queries = database[:QUERIES] + harness.descriptors(QUERIES, DIM, seed=1, spread=0.3)
     tree = cKDTree(database)
     runs: dict[str, Any] = {
         OURS: lambda: kernels.knn(queries, database, k, threads)[0],
@@ -175,7 +175,7 @@ def product_and_partition(queries: Float32, database: Float32, k: int) -> Int64:
 
 def pose(threads: int, repeats: int) -> Row:
     """The pose that 75 of 7500 matches agree on, in a map of a square kilometre."""
-    problem = inputs.match_problem()
+    problem = harness.match_problem()
     runs: dict[str, Any] = {
         OURS: partial(consensus, problem, threads),
         "segloc, PROSAC": partial(prosac, problem),

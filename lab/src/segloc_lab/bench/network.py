@@ -15,7 +15,7 @@ from segloc.errors import SeglocError
 from segloc.system import kernels
 from segloc.types import Float32
 
-from . import harness as inputs
+from . import harness
 from .harness import OURS, Row, optional, row
 
 SEGMENTS, DIM = 300, 16
@@ -65,7 +65,7 @@ def _both() -> dict[str, Sequence[Layer]]:
 
 def prepared_segments(count: int) -> Float32:
     """Synthetic segments as the network reads them, (count, 256, 3)."""
-    points = inputs.segments(count, 400).reshape(-1, 3)
+    points = harness.segments(count, 400).reshape(-1, 3)
     offsets = np.arange(count + 1, dtype=np.int64) * 400
     return kernels.prepare_segments(points, offsets, POINTS)
 

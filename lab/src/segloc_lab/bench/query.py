@@ -20,7 +20,7 @@ from segloc.types import LocalCloud, Pose, Scan
 
 from ..padding import padded_with_copies
 from ..stages import clock_for, single_pass
-from . import harness as inputs
+from . import harness
 from .harness import OURS, Row, optional, row
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def simulated_scene(threads: int, method: str = DEFAULT_METHOD, queries: int = 5
     """A street of a simulated town and a later drive along it; a plaza without the simulator."""
     config = Config.preset(method).model_copy(update={"threads": threads})
     if optional("embreex") is None:
-        walk = inputs.PlazaWalk(inputs.Plaza())
+        walk = harness.PlazaWalk(harness.Plaza())
         return _scene(build_map(walk, config), walk, walk, range(3, 3 + queries))
     from ..simulation import Route, hdl64e, simulate_session, town
 

@@ -19,7 +19,7 @@ from segloc.types import Float64
 
 from ..padding import padded_with_copies
 from ..stages import clock_for
-from . import harness as inputs
+from . import harness
 from .harness import OURS, Row, optional
 
 MAP_SEGMENTS = 50_000
@@ -160,7 +160,7 @@ def simulated_stream(sensor: str, firings: int, method: str = DEFAULT_METHOD) ->
     """A later drive along a mapped street of a town; a plaza without the simulator."""
     config = Config.preset(method).model_copy(update={"threads": 1})
     if optional("embreex") is None:
-        walk = inputs.PlazaWalk(inputs.Plaza(), steps=2 * QUERY_EVERY)
+        walk = harness.PlazaWalk(harness.Plaza(), steps=2 * QUERY_EVERY)
         scans = [walk.scan(i) for i in range(len(walk))]
         return Stream(build_map(walk, config), scans, walk.poses, QUERY_EVERY)
     from ..simulation import Route, hdl64e, simulate_session, town
