@@ -31,7 +31,7 @@ from segloc.likelihood.registration import ERRORS, ErrorModel
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..protocols.real import maps, queries
-from ..script import head, parser, row
+from ..report import head, parser, row
 from .confidence import EVERY_M, KINDS, SimulatedWorld, views, worlds
 
 FALSE_M, FALSE_DEG = 1.0, 5.0

@@ -17,6 +17,8 @@ from segloc.cli.options import Cluster
 from segloc.cli.verbs import group
 from segloc.errors import ConfigError, DatasetError, MissingDependency
 
+from . import evaluate_failures
+
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
@@ -34,7 +36,9 @@ Out = Annotated[
 Methods = Annotated[
     str | None, typer.Option(metavar="NAME,...", help="Only these descriptors.", show_default="all")
 ]
-Threads = Annotated[int, typer.Option(min=0, metavar="COUNT", help="Threads of the engine; 0: all cores.")]
+Threads = Annotated[
+    int, typer.Option(min=0, metavar="COUNT", help="Threads of the engine; 0: all cores.")
+]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Processes.")]
 MapPoses = Annotated[
     Path | None,
@@ -68,9 +72,7 @@ Topic = Annotated[
         metavar="NAME", help="Which of several topics or sensors.", show_default="the only one"
     ),
 ]
-Every = Annotated[
-    float, typer.Option(metavar="METRES", help="Distance between queries.")
-]
+Every = Annotated[float, typer.Option(metavar="METRES", help="Distance between queries.")]
 
 app = group(
     "Repeat the studies of the paper, or compare the methods on two recordings. Results are stored "
@@ -261,6 +263,7 @@ def register() -> None:
         _add(app, name)
     app.command("localization")(localization)
     app.command("kitti-paper")(kitti_paper)
+    evaluate_failures.register(app)
 
 
 def _add(group: typer.Typer, name: str) -> None:

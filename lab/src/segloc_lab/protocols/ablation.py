@@ -23,10 +23,8 @@ from segloc.proposals.proposer import Query
 from segloc.types import Candidate, Float64, Matches, Pose, Recording
 
 from ..evaluation.comparison import build_maps, shared_config
-from ..evaluation.intervals import share
 from ..recordings import Unposed
-from ..report import Cell, Table, publish
-from ..script import reporting
+from ..report import Cell, Table, publish, reporting, share
 from ..simulation import SCENES, Conditions, Route, World, os1_64, simulate_session
 from ..simulation.drives import lane, mapped_way
 

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.io.scans import write_scan
+from segloc.io import write_scan
 from segloc.sample import load
 
 from ..report import Cell, Table, new_folder, publish

@@ -1,0 +1,281 @@
+"""Where queries are lost: the stage at which each one within map coverage failed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from segloc import geometry
+from segloc.batch.run import query_clouds
+from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path
+from segloc.errors import DatasetError
+from segloc.inspect.pictures import DARK, GREY, ORANGE, RED, blank, legend, plan, png
+from segloc.likelihood import Verdict
+from segloc.types import Candidate, Float64, LocalCloud, Matches, Pose
+
+if TYPE_CHECKING:
+    from segloc.frontend.segmentation import Segmentation
+    from segloc.localizer import Localizer
+    from segloc.types import Recording
+
+    from .scenario import QuerySet
+
+
+REPEAT_RADIUS_M = 0.5
+"""A query segment is repeated where the map has the centroid of a segment this close to its own."""
+
+FEWEST_INLIERS = 3
+"""So many segments agree on some pose by chance: with fewer right ones, none is found."""
+
+FEWEST_SEGMENTS = 10
+"""A query with fewer segments shows too little, whatever the map holds."""
+
+STAGES = (
+    "localized",
+    "localized falsely",
+    "too few segments",
+    "segments not repeated",
+    "true neighbours not matched",
+    "pose not found",
+    "pose found but rejected",
+)
+
+_MIN_ALIGNED = 0.3
+_PICTURED_M = 60.0
+"""Half the width of a picture."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One query within map coverage.
+
+    Attributes
+    ----------
+    index : int
+        The query's number in its sequence.
+    stage : str
+        One of :data:`STAGES`: the first at which too little was left.
+    detail : str
+        The gate that rejected the pose, or "".
+    segments : int
+        Of the query.
+    repeated : int
+        Objects of the query that the map holds, by their centroids under the true pose.
+    matched : int
+        Those of them that are among the matches.
+    inliers : int
+        Of the hypothesis nearest to the truth; 0 if there is none.
+    overlap : float
+        Of the query cloud with the map under the true pose.
+    T_map_local : (4, 4) list
+        The true pose, aligned.
+    """
+
+    index: int
+    stage: str
+    detail: str
+    segments: int
+    repeated: int
+    matched: int
+    inliers: int
+    overlap: float
+    T_map_local: list[list[float]] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Funnel:
+    """How many queries got how far.
+
+    Attributes
+    ----------
+    queries : int
+        In all.
+    cases : tuple of Case
+        Those within map coverage.
+    """
+
+    queries: int
+    cases: tuple[Case, ...]
+
+    def counts(self) -> dict[str, int]:
+        """Cases at every stage, in the order of the pipeline."""
+        found = Counter(case.stage for case in self.cases)
+        return {stage: found[stage] for stage in STAGES}
+
+    def details(self) -> dict[str, int]:
+        """Rejected poses by the gate that rejected them, the commonest first."""
+        found = Counter(case.detail for case in self.cases if case.detail)
+        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+
+    def worst(self, count: int) -> list[Case]:
+        """Failed cases, those first that the map explains best: they should have been found."""
+        failed = [case for case in self.cases if case.stage != "localized"]
+        return sorted(failed, key=lambda case: (-case.repeated, case.index))[:count]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything in values that JSON can hold."""
+        return {
+            "queries": self.queries,
+            "within_coverage": len(self.cases),
+            "stages": self.counts(),
+            "rejected_by": self.details(),
+            "cases": [asdict(case) for case in self.cases],
+        }
+
+
+def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
+    """Follow every query that lies within map coverage through the stages.
+
+    Parameters
+    ----------
+    localizer : Localizer
+    query_set : QuerySet
+        With truths. Where they are good to a metre or two only, the alignment with the map corrects
+        them. Where the recording has poses, queries gather the scans of the path behind them, as
+        when localizing.
+
+    Raises
+    ------
+    DatasetError
+        If there are no truths, or a scan cannot be read.
+    """
+    sequence, truths = query_set.recording, query_set.truths
+    if truths is None:
+        raise DatasetError(f"{sequence.name}: no true poses")
+    near = distances_to_path(truths, localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
+    positions = query_set.positions[near]
+    queries = query_clouds(sequence, positions, localizer.config)
+    tree = cKDTree(localizer.prior_map.centroids)
+    cases = []
+    indices = sequence.indices[positions].tolist()
+    for (cloud, _), truth, index in zip(queries, truths[near], indices, strict=True):
+        cases.append(_examine(localizer, tree, cloud, truth, index))
+    return Funnel(len(near), tuple(cases))
+
+
+def _examine(
+    localizer: Localizer, tree: cKDTree, cloud: LocalCloud, truth: Pose, index: int
+) -> Case:
+    query = localizer.describe(cloud)
+    scene, centroids = query.scene, query.scene.segments.centroids
+    found = localizer.search(query)
+    T, overlap = _aligned(localizer, scene, truth @ geometry.inverse(cloud.T_local_sensor))
+    placed = geometry.transform(T, centroids)
+    repeated = tree.query(placed)[0] < REPEAT_RADIUS_M if len(placed) else np.empty(0, bool)
+    matched = _matched(localizer.prior_map.centroids, found.matches, placed)
+    nearest = [h for h in found.candidates if _same(h.T_map_local, T)]
+    held = _objects(centroids[repeated], localizer)
+    proposed = _objects(centroids[matched & repeated], localizer)
+    inliers = max((h.inliers for h in nearest), default=0)
+    stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found.verdict, T)
+    reason = found.verdict.reason
+    detail = reason.value if reason is not None and stage == STAGES[-1] else ""
+    return Case(index, stage, detail, len(centroids), held, proposed, inliers, overlap, T.tolist())
+
+
+def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
+    """The true pose, moved to where the clouds fit best; as it was where they do not."""
+    refined = localizer.verifier.refined(Candidate(T, 0), localizer.verifier.query(scene))
+    return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
+
+
+def _matched(prior_map: Float64, matches: Matches, placed: Float64) -> Any:
+    found = np.zeros(len(placed), bool)
+    gaps = np.linalg.norm(placed[matches.query] - prior_map[matches.map], axis=1)
+    found[matches.query[gaps < REPEAT_RADIUS_M]] = True
+    return found
+
+
+def _objects(centroids: Float64, localizer: Localizer) -> int:
+    """Segments closer than the estimator's distinct radius are one object."""
+    kept: list[Float64] = []
+    radius = localizer.config.pose.distinct_radius
+    for point in centroids[:, :2]:
+        if all(np.linalg.norm(point - other) >= radius for other in kept):
+            kept.append(point)
+    return len(kept)
+
+
+def _same(a: Pose, b: Pose) -> bool:
+    tolerance = Tolerance()
+    delta = geometry.inverse(a) @ b
+    turned = math.degrees(geometry.rotation_angle(delta))
+    return bool(np.linalg.norm(delta[:2, 3]) <= tolerance.metres and turned <= tolerance.degrees)
+
+
+def _stage(
+    localizer: Localizer,
+    segments: int,
+    objects: tuple[int, int],
+    found: bool,
+    verdict: Verdict,
+    T: Pose,
+) -> str:
+    needed = max(localizer.config.verification.min_inliers, FEWEST_INLIERS)
+    localized, falsely, few, unrepeated, unmatched, unfound, rejected = STAGES
+    if verdict.best is not None and verdict.reason is None:
+        return localized if _same(verdict.best.T_map_local, T) else falsely
+    if segments < FEWEST_SEGMENTS:
+        return few
+    repeated, matched = objects
+    if repeated < needed:
+        return unrepeated
+    if matched < needed:
+        return unmatched
+    return rejected if found else unfound
+
+
+def draw_case(localizer: Localizer, sequence: Recording, case: Case, position: int) -> bytes:
+    """A failed query from above: its segments under the true pose, on those of the map.
+
+    Parameters
+    ----------
+    position : int
+        Of the query in the sequence.
+
+    Returns
+    -------
+    bytes
+        A PNG image.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read.
+    MissingDependency
+        If matplotlib is not installed.
+    """
+    ((cloud, _),) = query_clouds(sequence, np.array([position]), localizer.config)
+    scene = localizer.segmenter.segment(cloud)
+    T = np.array(case.T_map_local)
+    middle = T[:2, 3]
+    figure = blank((8.0, 8.4), 110)
+    axes = figure.add_axes((0.01, 0.01, 0.98, 0.93))
+    plan(axes, middle - _PICTURED_M, middle + _PICTURED_M)
+    prior_map = localizer.prior_map
+    layers: tuple[tuple[Float64, dict[str, Any], str], ...] = (
+        (
+            prior_map.cloud[:, :2] + prior_map.origin[:2],
+            {"s": 0.3, "color": GREY},
+            "cloud of the map",
+        ),
+        (geometry.transform(T, scene.segments.points)[:, :2], {"s": 0.6, "color": ORANGE}, ""),
+        (prior_map.centroids[:, :2], {"s": 10, "color": DARK}, "segments of the map"),
+        (
+            geometry.transform(T, scene.segments.centroids)[:, :2],
+            {"s": 46, "facecolors": "none", "edgecolors": RED},
+            "segments of the query, under the true pose",
+        ),
+    )
+    for points, style, label in layers:
+        near = np.abs(points - middle).max(axis=1) < _PICTURED_M if len(points) else slice(0)
+        axes.scatter(*points[near].T, label=label or None, **style)
+    legend(axes)
+    title = f"{case.index}: {case.stage} ({case.segments} segments, {case.repeated} repeated, "
+    figure.text(0.02, 0.965, f"{title}{case.matched} matched, {case.inliers} inliers)", fontsize=11)
+    return png(figure)

@@ -1,0 +1,141 @@
+"""The funnel: every stage at which a query can be lost, each brought about on purpose."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+from segloc_lab.evaluation import failures
+from segloc_lab.evaluation.failures import Case, Funnel, draw_case, funnel
+from segloc_lab.evaluation.scenario import QuerySet
+from typer.testing import CliRunner
+
+from segloc import Config, Localizer, SegmentMap, build_map
+from segloc.cli import app
+from segloc.io import Trajectory, write_tum
+from segloc.types import Descriptors
+
+
+@pytest.fixture(scope="module")
+def walk(plaza: Plaza) -> PlazaSequence:
+    return PlazaSequence(plaza, steps=6)
+
+
+@pytest.fixture(scope="module")
+def prior_map(walk: PlazaSequence) -> SegmentMap:
+    return build_map(walk, Config.preset("geo"))
+
+
+def queries(walk: PlazaSequence, positions: Iterable[int]) -> QuerySet:
+    chosen = np.array(list(positions), dtype=np.int64)
+    return QuerySet(walk, chosen, walk.poses[chosen])
+
+
+def by_segments(**sections: Any) -> Config:
+    """Without the occupancy search, which would find what segments do not."""
+    config = Config.preset("geo")
+    occupancy = config.occupancy.model_copy(update={"enabled": False})
+    return config.model_copy(update={"occupancy": occupancy, **sections})
+
+
+def stages(localizer: Localizer, walk: PlazaSequence) -> set[str]:
+    return {case.stage for case in funnel(localizer, queries(walk, [2, 5])).cases}
+
+
+@pytest.mark.slow
+def test_found_queries_pass_through(prior_map: SegmentMap, walk: PlazaSequence) -> None:
+    found = funnel(Localizer(prior_map), queries(walk, range(len(walk))))
+    assert found.queries == len(walk) == len(found.cases)
+    assert found.counts()["localized"] == len(walk) and not found.worst(3)
+    for case in found.cases:
+        assert case.segments >= case.repeated >= case.matched > 5 < case.inliers
+        np.testing.assert_allclose(np.array(case.T_map_local)[:3, 3], 0, atol=40)
+    record = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert record["within_coverage"] == len(walk) and sum(record["stages"].values()) == len(walk)
+
+
+def test_a_rejected_pose_names_its_gate(prior_map: SegmentMap, walk: PlazaSequence) -> None:
+    config = Config.preset("geo")
+    gates = config.verification.model_copy(update={"min_confidence": 1.0})
+    localizer = Localizer(prior_map, config.model_copy(update={"verification": gates}))
+    found = funnel(localizer, queries(walk, [2, 5]))
+    assert found.counts()["pose found but rejected"] == 2
+    assert found.details() == {"too uncertain": 2} and len(found.worst(1)) == 1
+
+
+def test_matches_and_segments_that_are_missing(prior_map: SegmentMap, walk: PlazaSequence) -> None:
+    shuffled = changed(prior_map, vectors=np.roll(prior_map.vectors, 7, axis=0))
+    matching = Config.preset("geo").matching
+    one = matching.model_copy(update={"neighbours": 1, "escalation": 1})
+    few = by_segments(matching=one, threads=1)
+    assert stages(Localizer(shuffled, few), walk) == {"true neighbours not matched"}
+    moved = changed(prior_map, centroids=prior_map.centroids + np.array([0, 0, 30.0]))
+    assert stages(Localizer(moved, few), walk) == {"segments not repeated"}
+
+
+def changed(prior_map: SegmentMap, **columns: np.ndarray) -> SegmentMap:
+    other = SegmentMap.empty(
+        prior_map.descriptor, prior_map.fingerprint, prior_map.dim, prior_map.origin
+    )
+    other.add(
+        Descriptors(columns.get("vectors", prior_map.vectors), prior_map.quality),
+        columns.get("centroids", prior_map.centroids),
+        prior_map.sizes,
+        session=0,
+        stamp=0.0,
+        cloud=prior_map.cloud + prior_map.origin,
+    )
+    other.add_trajectory(prior_map.trajectory)
+    return other
+
+
+def test_too_few_segments_and_no_pose(
+    prior_map: SegmentMap, walk: PlazaSequence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blind = Localizer(prior_map, by_segments())
+    monkeypatch.setattr(blind.estimator, "estimate", lambda *_: [])
+    assert stages(blind, walk) == {"pose not found"}
+    monkeypatch.setattr(failures, "FEWEST_SEGMENTS", 10_000)
+    assert stages(blind, walk) == {"too few segments"}
+
+
+def test_worst_are_those_that_the_map_explains_best() -> None:
+    def case(index: int, stage: str, repeated: int) -> Case:
+        return Case(index, stage, "", 30, repeated, 3, 0, 0.5, np.eye(4).tolist())
+
+    cases = (case(1, "pose not found", 9), case(2, "localized", 30), case(3, "pose not found", 20))
+    assert [c.index for c in Funnel(9, cases).worst(5)] == [3, 1]
+
+
+def test_the_verb_writes_the_funnel_and_pictures(
+    prior_map: SegmentMap, walk: PlazaSequence, tmp_path: object
+) -> None:
+    pytest.importorskip("matplotlib")
+    import pathlib
+
+    folder = pathlib.Path(str(tmp_path))
+    run, out = folder / "run", folder / "out"
+    run.mkdir()
+    for i in range(3):
+        np.save(run / f"{i:06d}.npy", walk.scan(i).points)
+    write_tum(folder / "truth.tum", Trajectory(np.arange(3.0), walk.poses[:3]))
+    prior_map.save(folder / "site.segmap")
+    (folder / "c.yaml").write_text("verification: {min_inliers: 1000}\n")
+    arguments = ["evaluate", "failures", str(run), "--map", str(folder / "site.segmap"), "--truth"]
+    arguments += [str(folder / "truth.tum"), "--out", str(out), "--pictures", "1"]
+    result = CliRunner().invoke(app, [*arguments, "--config", str(folder / "c.yaml")])
+    assert result.exit_code == 0, result.output
+    assert json.loads((out / "funnel.json").read_text())["within_coverage"] == 3
+    assert [p.suffix for p in sorted(out.iterdir())] == [".png", ".json"]
+    assert "pose found but rejected" in result.output
+
+
+def test_a_picture_is_a_png(prior_map: SegmentMap, walk: PlazaSequence) -> None:
+    pytest.importorskip("matplotlib")
+    localizer = Localizer(prior_map)
+    case = funnel(localizer, queries(walk, [3])).cases[0]
+    assert draw_case(localizer, walk, case, 3).startswith(b"\x89PNG")
