@@ -14,16 +14,19 @@ from .trace import verdict as verdict
 if TYPE_CHECKING:
     from .pictures import DARK as DARK
     from .pictures import GREEN as GREEN
+    from .pictures import GREY as GREY
     from .pictures import ORANGE as ORANGE
     from .pictures import PALETTE as PALETTE
     from .pictures import PATH as PATH
     from .pictures import RED as RED
     from .pictures import blank as blank
+    from .pictures import legend as legend
+    from .pictures import plan as plan
     from .pictures import png as png
 else:
     __getattr__, __dir__ = lazy(
         __name__,
         {
-            "pictures": "DARK GREEN ORANGE PALETTE PATH RED blank png",
+            "pictures": "DARK GREEN ORANGE PALETTE PATH RED blank png GREY legend plan",
         },
     )

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from .decision import REPEATED_ROOT as REPEATED_ROOT
     from .decision import demand as demand
     from .decision import equal_rival as equal_rival
+    from .registration import ERRORS as ERRORS
     from .registration import Aligner as Aligner
+    from .registration import ErrorModel as ErrorModel
     from .registration import Registered as Registered
     from .registration import Target as Target
     from .registration import thinned as thinned
@@ -32,6 +34,6 @@ else:
         {
             "confidence": "CAUTIOUS_FEATURES FEATURES",
             "decision": "CAUTIOUSLY REPEATED_ROOT demand equal_rival",
-            "registration": "Aligner Registered Target thinned",
+            "registration": "Aligner Registered Target thinned ERRORS ErrorModel",
         },
     )

@@ -51,11 +51,11 @@ def failures(
 
     import numpy as np
 
-    from segloc.batch.run import query_positions
+    from segloc import SegmentMap
+    from segloc.batch import query_positions
     from segloc.cli.console import busy
     from segloc.cli.recording import open_recording, true_poses
     from segloc.cli.results import check_folder
-    from segloc.map.segment_map import SegmentMap
     from segloc.system.files import replacing
 
     from ..evaluation.failures import draw_case, funnel

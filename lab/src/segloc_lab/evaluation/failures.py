@@ -11,15 +11,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc.batch.run import query_clouds
-from segloc.batch.score import COVERAGE_RADIUS_M, Tolerance, distances_to_path
+from segloc.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, query_clouds
 from segloc.errors import DatasetError
-from segloc.inspect.pictures import DARK, GREY, ORANGE, RED, blank, legend, plan, png
+from segloc.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
 from segloc.likelihood import Verdict
 from segloc.types import Candidate, Float64, LocalCloud, Matches, Pose
 
 if TYPE_CHECKING:
-    from segloc.frontend.segmentation import Segmentation
+    from segloc.frontend import Segmentation
     from segloc.localizer import Localizer
     from segloc.types import Recording
 
