@@ -148,7 +148,7 @@ def scenarios(workspace: Workspace) -> Sequence[Scenario]:
 def run(workspace: Workspace) -> Study:
     """Localize the queries of all scenarios of a workspace.
 
-    See :func:`~segloc_lab.studies.paper.scenarios.scenarios`.
+    See :func:`scenarios`.
     """
     found = scenarios(workspace)
     return compare(workspace, found, "localization", "Localization", [published.localizations()])
