@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from samples.mapfiles import assert_identical, assert_refused, header_end, with_header
 from samples.maps import town
-from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localizer, SegmentMap, _native, build_map
+from segloc import SegmentMap, _native
 from segloc.map import coding
 from segloc.map import file as mapfile
 from segloc.map.coding import MOST_GROWTH
@@ -173,20 +172,6 @@ def test_merged_maps_of_other_origins_are_packed_again(tmp_path: Path) -> None:
     assert len(merged) == len(a) + len(b)
     merged.save(tmp_path / "a.segmap")
     assert b'"segmap_version":"2"' in (tmp_path / "a.segmap").read_bytes()
-
-
-@pytest.mark.slow
-def test_a_place_is_found_in_its_compact_map(plaza: Plaza, tmp_path: Path) -> None:
-    run = PlazaSequence(plaza)
-    config = Config.preset("geo").model_copy(update={"threads": 1})
-    for mapping in (config.mapping, config.mapping.smallest()):
-        site = build_map(run, config.model_copy(update={"mapping": mapping}))
-        site.save(tmp_path / "a.segmap")
-        result = Localizer(SegmentMap.load(tmp_path / "a.segmap")).localize(
-            plaza.scan(run.poses[7], seed=99)
-        )
-        assert result.localized
-        assert np.linalg.norm(result.T_map_sensor[:3, 3] - run.poses[7][:3, 3]) < 0.5
 
 
 # --- files that are damaged or forged -------------------------------------------------------------

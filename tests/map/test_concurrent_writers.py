@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -42,7 +41,7 @@ with replacing(sys.argv[1]) as stream:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
     """A map of a plaza, and the walk as a folder of scans with poses."""
-    folder, run = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=8)
+    folder, run = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=5)
     config = Config.preset("geo").model_copy(update={"threads": 1})
     build_map(run, config).save(folder / "site.segmap")
     for name, seed in (("one", 100), ("two", 200)):
@@ -88,27 +87,6 @@ def test_of_two_updates_at_once_both_sessions_are_there(place: Path, tmp_path: P
     assert names(tmp_path) == ["site.segmap"]
 
 
-@pytest.mark.slow
-def test_of_two_merges_onto_one_map_both_are_there(place: Path, tmp_path: Path) -> None:
-    config = Config.preset("geo").model_copy(update={"threads": 1})
-    for seed in (1, 2):
-        run = PlazaSequence(Plaza(0), steps=6)
-        run.poses[:, 0, 3] += seed
-        build_map(run, config).save(tmp_path / f"{seed}.segmap")
-    site = tmp_path / "site.segmap"
-    site.write_bytes((place / "site.segmap").read_bytes())
-    merges = [
-        subprocess.Popen(
-            [*SEGLOC, "map", "merge", site, tmp_path / f"{seed}.segmap", "--out", site],
-            stdout=subprocess.DEVNULL,
-        )
-        for seed in (1, 2)
-    ]
-    assert [process.wait(200) for process in merges] == [0, 0]
-    assert len(np.unique(SegmentMap.load(site).session)) == 3
-    assert names(tmp_path) == ["1.segmap", "2.segmap", "site.segmap"]
-
-
 def test_a_killed_holder_blocks_nobody(tmp_path: Path) -> None:
     path = tmp_path / "site.segmap"
     child = started(HOLD, path)
@@ -134,7 +112,7 @@ def test_locks_are_passed_on_one_at_a_time(tmp_path: Path) -> None:
     inside, most = [0], [0]
 
     def work() -> None:
-        for _ in range(25):
+        for _ in range(8):
             with exclusive(tmp_path / "a"):
                 inside[0] += 1
                 most[0] = max(most[0], inside[0])
@@ -188,7 +166,7 @@ def test_many_writers_of_one_file_never_break_it(tmp_path: Path) -> None:
 
     def write(seed: int) -> None:
         try:
-            for k in range(10):
+            for k in range(5):
                 make_map(1, seed=10 * seed + k).save(path)
         except Exception as error:  # whatever it is
             failures.append(error)
@@ -200,13 +178,3 @@ def test_many_writers_of_one_file_never_break_it(tmp_path: Path) -> None:
         assert len(SegmentMap.load(path)) == 3
     assert not failures
     assert names(tmp_path) == ["a.segmap"]
-
-
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written_is_said_in_a_line(tmp_path: Path) -> None:
-    from segloc.errors import SeglocError
-
-    tmp_path.chmod(0o500)
-    with pytest.raises(SeglocError, match="cannot be written"), exclusive(tmp_path / "a"):
-        pass
-    tmp_path.chmod(0o700)

@@ -77,20 +77,13 @@ def _older(config: Config) -> str:
     return yaml.safe_dump(values)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stored", ["older", "none", "damaged", "deep"])
-def test_maps_with_the_configuration_of_another_version_localize(
-    plaza: Plaza, stored: str, tmp_path: Path
+def test_a_map_with_the_configuration_of_another_version_localizes(
+    plaza: Plaza, tmp_path: Path
 ) -> None:
     config = Config.preset("geo").model_copy(update={"threads": 1})
-    run = PlazaSequence(plaza)
+    run = PlazaSequence(plaza, steps=8)
     site = build_map(run, config)
-    site.metadata["config"] = {
-        "older": _older(config),
-        "none": "",
-        "damaged": "segmentation: [",
-        "deep": "[" * 20_000,
-    }[stored]
+    site.metadata["config"] = _older(config)
     site.save(tmp_path / "older.segmap")
     loaded = SegmentMap.load(tmp_path / "older.segmap")
     assert map_config(loaded) == Config.preset("geo")

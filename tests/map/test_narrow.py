@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from samples.real import real
 from samples.walk import Walk
 
 from segloc import Config, Localizer
-from segloc.datasets import open_sequence
-from segloc.datasets.base import parse_select
 from segloc.map.build import (
     NARROW_SEGMENTATION,
     NARROW_VIEWS,
@@ -40,21 +36,3 @@ def test_settings_follow_the_field_of_view_where_they_have_their_defaults() -> N
 def test_queries_in_a_map_of_a_narrow_sensor_are_segmented_like_it() -> None:
     localizer = Localizer(build_map(Walk(in_view), Config()))
     assert localizer.config.segmentation == NARROW_SEGMENTATION
-
-
-@pytest.mark.data
-@pytest.mark.slow
-def test_a_flash_lidar_indoors_is_found_where_it_was_mapped() -> None:
-    folder = real("robosense_e1r_indoor")
-    recording = open_sequence(folder / "scans", folder / "poses.tum")
-    localizer = Localizer(build_map(recording.select(parse_select("0:49")), Config()))
-    assert recording.poses is not None
-    errors = []
-    for last in range(50, 81):
-        scans = [recording.scan(i) for i in range(50, last + 1)]
-        found = localizer.localize(scans)
-        if found.T_map_sensor is not None:
-            step = found.T_map_sensor[:3, 3] - recording.poses[last, :3, 3]
-            errors.append(float(np.linalg.norm(step)))
-    assert len(errors) >= 5  # of 7 that were taken within the map
-    assert max(errors) < 0.3

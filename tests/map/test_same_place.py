@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from samples.real import real
 
-from segloc import Config, SegmentMap, build_map, cli, geometry, open_sequence
+from segloc import Config, SegmentMap, build_map, cli, geometry
 from segloc.errors import MapMismatch
-from segloc.map.same_place import MIN_AGREEMENT, Meeting, check_same_place, meeting
+from segloc.map.same_place import Meeting, check_same_place, meeting
 from segloc.map.voxel_cloud import VoxelCloud
 from segloc.types import Float64, Pose
 
@@ -19,7 +18,7 @@ CONFIG = Config.preset("geo").model_copy(update={"threads": 1})
 
 
 def plaza_map(seed: int, offset: Float64 | None = None) -> SegmentMap:
-    run = PlazaSequence(Plaza(seed), steps=10)
+    run = PlazaSequence(Plaza(seed), steps=7)
     if offset is not None:
         run.poses[:, :3, 3] += offset
     return build_map(run, CONFIG)
@@ -90,21 +89,6 @@ def test_another_place_and_another_frame_are_refused(one: SegmentMap, again: Seg
         check_same_place(one, storey)
 
 
-@pytest.mark.slow
-def test_a_small_place_turned_by_ten_degrees_is_refused() -> None:
-    """Two sessions of one day in a laboratory, each in its own frame."""
-    folder = real("mid360_lab")
-    maps = [
-        build_map(open_sequence(folder / name / "scans", folder / name / poses), CONFIG)
-        for poses in ("poses_own_frame.tum", "poses.tum")
-        for name in ("0622b", "0622c")
-    ]
-    assert meeting(*maps[:2]).agreement > MIN_AGREEMENT
-    with pytest.raises(MapMismatch, match="much better if one is turned"):
-        check_same_place(*maps[:2])
-    check_same_place(*maps[2:])
-
-
 def test_what_cannot_be_judged_passes(one: SegmentMap) -> None:
     nothing = SegmentMap.empty("geo", one.fingerprint, one.dim)
     check_same_place(one, nothing)
@@ -144,22 +128,3 @@ def test_maps_of_a_row_need_no_order(tmp_path: Path) -> None:
     a, b, c = save(tmp_path, **row)
     assert not meeting(row["a"], row["b"]).places
     assert merge(a, b, c, "--out", str(tmp_path / "out.segmap")) == 0
-
-
-@pytest.mark.slow
-def test_passes_of_kitti_agree_and_shuffled_ones_do_not() -> None:
-    pytest.importorskip("laspy")
-    folder = real("kitti00") / "keyframes"
-    first, second = (
-        build_map(open_sequence(folder, folder.with_suffix(".tum"), part), CONFIG)
-        for part in ("948:975", "1361:1390")
-    )
-    found = meeting(first, second)
-    assert found.agreement is not None and found.agreement > 0.75
-    rng = np.random.default_rng(0)
-    for turn in (0.0, np.pi, 1.0):
-        i, j = rng.integers(len(first.trajectory)), rng.integers(len(second.trajectory))
-        here, there = (geometry.levelled(m.trajectory[k]) for m, k in ((first, i), (second, j)))
-        T = here @ geometry.yaw_transform(turn, (6.0, 3.0, 0.0)) @ geometry.inverse(there)
-        found = meeting(first, moved(second, T))
-        assert found.agreement is None or found.agreement < MIN_AGREEMENT
