@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -110,13 +108,12 @@ def test_moving_changes_nothing(descriptor: Descriptor) -> None:
     assert np.linalg.norm(moved - first, axis=1).max() < 1e-3 * separation(first)
 
 
-@pytest.mark.parametrize("yaw", [math.pi / 2, 2.0, -0.7])
-def test_turning_changes_little(descriptor: Descriptor, yaw: float) -> None:
+def test_turning_changes_little(descriptor: Descriptor) -> None:
     if descriptor.name in FRAME_BOUND:
         pytest.skip("sees the axes of the frame")
     clouds = objects()
     first = descriptor.describe(packed(clouds)).vectors
-    turn = geometry.yaw_transform(yaw)
+    turn = geometry.yaw_transform(2.0)
     turned = descriptor.describe(packed([geometry.transform(turn, c) for c in clouds])).vectors
     change = np.linalg.norm(turned - first, axis=1)
     assert np.median(change) < 0.2 * separation(first)
@@ -130,28 +127,25 @@ def test_no_segments(descriptor: Descriptor) -> None:
     assert descriptor.describe(nothing).vectors.shape == (0, descriptor.dim)
 
 
-@pytest.mark.parametrize(
-    "cloud",
-    {
-        "one point": np.array([[3.0, -2.0, 1.0]]),
-        "two points": np.array([[3.0, -2.0, 1.0], [3.5, -2.0, 1.0]]),
-        "one place": np.full((50, 3), 7.25),
-        "line": np.linspace([0.0, 0, 0], [3, 2, 1], 64),
-        "upright line": np.linspace([1.0, 1, 0], [1, 1, 4], 64),
-        "plane": np.stack(
-            [*np.meshgrid(np.arange(8.0), np.arange(8.0)), np.ones((8, 8))], -1
-        ).reshape(-1, 3),
-        "far away": np.random.default_rng(0).normal(1e5, 1.0, (80, 3)),
-        "huge": np.random.default_rng(0).normal(0, 1e4, (80, 3)),
-    }.items(),
-    ids=lambda item: item[0],
-)
-def test_odd_segments_have_finite_descriptors(
-    descriptor: Descriptor, cloud: tuple[str, np.ndarray]
-) -> None:
-    ordinary = objects(2)
-    vectors = descriptor.describe(packed([ordinary[0], cloud[1], ordinary[1]])).vectors
-    assert np.isfinite(vectors).all()
+ODD = {
+    "one point": np.array([[3.0, -2.0, 1.0]]),
+    "two points": np.array([[3.0, -2.0, 1.0], [3.5, -2.0, 1.0]]),
+    "one place": np.full((50, 3), 7.25),
+    "line": np.linspace([0.0, 0, 0], [3, 2, 1], 64),
+    "upright line": np.linspace([1.0, 1, 0], [1, 1, 4], 64),
+    "plane": np.stack([*np.meshgrid(np.arange(8.0), np.arange(8.0)), np.ones((8, 8))], -1).reshape(
+        -1, 3
+    ),
+    "far away": np.random.default_rng(0).normal(1e5, 1.0, (80, 3)),
+    "huge": np.random.default_rng(0).normal(0, 1e4, (80, 3)),
+}
+
+
+def test_odd_segments_have_finite_descriptors(descriptor: Descriptor) -> None:
+    first, second = objects(2)
+    vectors = descriptor.describe(packed([first, *ODD.values(), second])).vectors
+    finite = np.isfinite(vectors).all(axis=1)
+    assert finite.all(), [name for name, fine in zip(ODD, finite[1:-1], strict=True) if not fine]
     # Their neighbours do not feel them.
-    expected = descriptor.describe(packed(ordinary)).vectors
-    np.testing.assert_allclose(vectors[[0, 2]], expected, rtol=1e-5, atol=1e-5)
+    expected = descriptor.describe(packed([first, second])).vectors
+    np.testing.assert_allclose(vectors[[0, -1]], expected, rtol=1e-5, atol=1e-5)

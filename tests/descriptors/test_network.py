@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
 
 from segloc import _native
 from segloc.descriptors import create
@@ -18,7 +18,6 @@ from segloc.descriptors.pointset import (
     load_weights,
     save_weights,
 )
-from segloc.descriptors.weightfile import shipped_weights
 from segloc.errors import WeightsError
 from segloc.types import Segments
 
@@ -67,12 +66,6 @@ def relative_error(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b).max() / np.abs(b).max())
 
 
-def test_parameter_counts() -> None:
-    """The paper: 280 thousand for DSM, 300 thousand for ESM."""
-    assert random_model("dsm").trunk_parameters() == 283_112
-    assert random_model("esm").trunk_parameters() == 300_328
-
-
 @pytest.mark.parametrize("isa", ["portable", "avx2", "avx512"])
 @pytest.mark.parametrize("name", ["dsm", "esm", "odd"])
 def test_inference_equals_pytorch(name: str, isa: str) -> None:
@@ -93,20 +86,6 @@ def test_inference_equals_pytorch(name: str, isa: str) -> None:
     found, found_quality = network.describe(segments, 1)
     assert relative_error(found, vectors.numpy()) < 1e-5
     np.testing.assert_allclose(found_quality, quality.numpy(), atol=1e-5)
-
-
-def test_extreme_weights_stay_finite() -> None:
-    """ELU saturates on one side and grows on the other; neither may overflow."""
-    model = random_model("dsm")
-    with torch.no_grad():
-        for xconv in model.xconvs:
-            xconv.lift1.mul_(1e4)
-    segments = prepared(3)
-    found = native(model, 256).activations(segments, 0)
-    with torch.no_grad():
-        expected = model.activations(torch.from_numpy(segments))[0].numpy()
-    assert np.isfinite(found).all()
-    assert relative_error(found, expected) < 1e-4
 
 
 def test_threads_and_neighbours_in_the_batch_do_not_matter() -> None:
@@ -144,12 +123,6 @@ def test_extreme_segments() -> None:
     assert np.isfinite(network.describe(segments)[0][[0, 2, 3]]).all()
 
 
-def test_no_segments() -> None:
-    vectors, quality = native(random_model("dsm"), 256).describe(np.empty((0, 256, 3), np.float32))
-    assert vectors.shape == (0, 16)
-    assert quality.shape == (0,)
-
-
 def test_wrong_input() -> None:
     model = random_model("dsm")
     network = native(model, 256)
@@ -171,14 +144,10 @@ def write(path: Path, change: str) -> None:
     tensors = export.folded(random_model("dsm"))
     if change == "missing tensor":
         del tensors["fc2.weight"]
-    if change == "unknown tensor":
-        tensors["fc9.weight"] = np.zeros((2, 2), np.float32)
     if change == "wrong shape":
         tensors["layers.1.x0.weight"] = tensors["layers.1.x0.weight"][:, :-1]
     if change == "not finite":
         tensors["fc1.weight"][3, 5] = np.nan
-    if change == "wrong dtype":
-        tensors["fc1.weight"] = tensors["fc1.weight"].astype(np.float64)
     layers = [Layer(160, 8, 64, 32), *DSM_LAYERS[1:]] if change == "bad table" else DSM_LAYERS
     save_weights(path, tensors, layers, "pca2d", {"data": "test"})
     if change == "truncated":
@@ -197,10 +166,8 @@ def write(path: Path, change: str) -> None:
     ("change", "message"),
     [
         ("missing tensor", "'fc2.weight' is missing"),
-        ("unknown tensor", "'fc9.weight' is not part"),
         ("wrong shape", "'layers.1.x0.weight' has shape"),
         ("not finite", "'fc1.weight' has values that are not finite"),
-        ("wrong dtype", "'fc1.weight' is float64"),
         ("bad table", "layer table"),
         ("truncated", "safetensors"),
         ("garbage", "safetensors"),
@@ -217,11 +184,6 @@ def test_damaged_weights_are_refused(tmp_path: Path, change: str, message: str) 
     assert text.startswith(str(path)) and "\n" not in text
 
 
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match="no such file"):
-        load_weights(tmp_path / "none.safetensors")
-
-
 def test_weights_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "network.safetensors"
     model, card = random_model("dsm"), {"data": "a test", "licence": "MIT"}
@@ -233,7 +195,7 @@ def test_weights_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(weights.network.describe(segments)[0], expected)
 
 
-@pytest.mark.parametrize("kind", ["linear", "quadratic", "two_layer"])
+@pytest.mark.parametrize("kind", ["linear", "two_layer"])
 def test_fc4_travels_with_the_weights_and_changes_no_descriptor(
     kind: HeadKind, tmp_path: Path
 ) -> None:
@@ -265,7 +227,6 @@ def test_fc4_travels_with_the_weights_and_changes_no_descriptor(
         ({"pair.0.weight": (16, 1)}, "FC4 has the tensors pair.0.weight"),
         ({"pair.0.weight": (15, 1), "pair.0.bias": (1,)}, "15 inputs for descriptors of 16"),
         ({"pair.0.weight": (16, 2), "pair.0.bias": (2,)}, "2 outputs, not 1"),
-        ({"pair.0.weight": (16, 4), "pair.0.bias": (3,)}, "do not fit together"),
     ],
 )
 def test_a_damaged_fc4_is_named(
@@ -299,9 +260,3 @@ def test_shipped_descriptor() -> None:
     plain = create("dsm", threads=2)
     assert plain.fingerprint == descriptor.fingerprint
     assert plain.describe(segments).quality is None
-
-
-def test_shipped_weights_are_small() -> None:
-    path = shipped_weights("dsm.safetensors")
-    assert path.stat().st_size < 2_000_000
-    assert len(load_file(path)) > 40

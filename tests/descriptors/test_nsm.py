@@ -50,7 +50,7 @@ def reference(points: np.ndarray, radius: float) -> tuple[np.ndarray, bool]:
     return numbers, below == len(p) or bool(np.min(gaps) < ROUNDING_M)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000), st.integers(20, 400), st.floats(1.0, 8.0))
 def test_equals_the_reference(seed: int, count: int, radius: float) -> None:
     rng = np.random.default_rng(seed)

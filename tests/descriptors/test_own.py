@@ -13,7 +13,7 @@ import pytest
 from samples.plaza import Plaza, PlazaSequence
 from typer.testing import CliRunner
 
-from segloc import ConfigError, Localizer, MapMismatch, SegmentMap
+from segloc import Localizer, MapMismatch, SegmentMap
 from segloc.cli import app
 from segloc.descriptors import create
 from segloc.descriptors.weightfile import read_weights, shipped_weights, write_weights
@@ -78,11 +78,6 @@ def test_trained_weights_can_be_used(recording: Path, tmp_path: Path) -> None:
     assert run.invoke(app, [*localize, *moved]).exit_code == 0
     done = run.invoke(app, [*localize, "--weights", str(shipped_weights("profile.safetensors"))])
     assert isinstance(done.exception, MapMismatch) and "weights" in str(done.exception)
-
-
-def test_methods_without_weights_say_so(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="geo has no weights"):
-        create("geo", weights=tmp_path / "x.safetensors")
 
 
 @pytest.mark.slow

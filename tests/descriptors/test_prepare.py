@@ -53,14 +53,6 @@ def test_small_segment_is_aligned_as_a_whole() -> None:
         )
 
 
-def test_output_is_in_sampling_order() -> None:
-    out = prepare([segment(900, 3)], count=128)[0]
-    distance = np.full(128, np.inf)
-    for step in range(127):
-        distance = np.minimum(distance, ((out - out[step]) ** 2).sum(axis=1))
-        assert distance[step + 1] >= distance.max() * (1 - 1e-5)
-
-
 def test_alignment_removes_yaw() -> None:
     points = segment(700, 5)
     turned = [yaw(points - points.mean(axis=0), a) for a in np.linspace(0, 6, 13)]
@@ -99,7 +91,7 @@ def _matched(points: np.ndarray, out: np.ndarray) -> np.ndarray:
     return found
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(3, 6000), st.integers(0, 1000), st.sampled_from(["none", "pca2d", "pca3d"]))
 def test_order_of_points_does_not_matter(n: int, seed: int, alignment: str) -> None:
     """Equal distances aside, which two points always have from their centroid."""
@@ -115,22 +107,6 @@ def test_threads_and_instruction_sets_do_not_matter(isa: str) -> None:
     parts = [segment(n, n) for n in (1, 2, 5, 100, 256, 257, 3000, 9000)] * 3
     expected = prepare(parts, threads=1, isa="auto")
     np.testing.assert_array_equal(prepare(parts, threads=4, isa=isa), expected)
-
-
-def test_few_points_repeat() -> None:
-    points = segment(10, 1)
-    out = prepare([points], alignment="none")[0]
-    np.testing.assert_array_equal(out[:250], np.tile(out[:10], (25, 1)))
-    assert len(np.unique(out, axis=0)) == 10
-
-
-def test_large_segments_are_thinned_evenly() -> None:
-    """Thinning keeps a fair sample: the result covers the segment."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-5, 5, (60_000, 3)).astype(np.float32)
-    out = prepare([points], alignment="none")[0]
-    gap = np.sqrt(((points[:500, None] - points.mean(0) - out[None]) ** 2).sum(-1)).min(axis=1)
-    assert gap.max() < 2.0
 
 
 def test_no_segments_and_empty_segments() -> None:

@@ -115,14 +115,6 @@ def test_neither_batches_nor_threads_change_a_bit() -> None:
         np.testing.assert_array_equal(alone[0], together[i])
 
 
-def test_an_empty_grid_is_described_too() -> None:
-    network = _native.VoxelNetwork(random_tensors(2, (32, 32, 32)))
-    nothing = np.empty(0, np.int32), np.array([0, 0]), np.ones((1, 3), np.float32)
-    assert np.isfinite(network.describe(*nothing)).all()
-    with pytest.raises(ValueError, match="outside the grid"):
-        network.describe(np.array([16384], np.int32), np.array([0, 1]), np.ones((1, 3), "f4"))
-
-
 def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
     path, tensors = tmp_path / "w.safetensors", random_tensors()
     segmap.save_weights(path, tensors, {"data": "none"})

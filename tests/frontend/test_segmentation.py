@@ -40,6 +40,7 @@ def partition(members: np.ndarray, offsets: np.ndarray) -> set[frozenset[int]]:
     return {frozenset(part.tolist()) for part in np.split(members, offsets[1:-1]) if len(part)}
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400), st.floats(0.05, 3.0))
 def test_voxel_grid_is_the_mean_of_each_voxel(seed: int, count: int, size: float) -> None:
     points = np.random.default_rng(seed).uniform(-5, 5, (count, 3)).astype(np.float32)
@@ -49,7 +50,7 @@ def test_voxel_grid_is_the_mean_of_each_voxel(seed: int, count: int, size: float
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 600), st.floats(0.05, 1.5))
 def test_clusters_are_the_connected_components(seed: int, count: int, radius: float) -> None:
     points = np.random.default_rng(seed).uniform(-3, 3, (count, 3)).astype(np.float32)
@@ -60,7 +61,7 @@ def test_clusters_are_the_connected_components(seed: int, count: int, radius: fl
     assert kept == {part for part in expected if 2 <= len(part) <= 5}
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.integers(0, 2**32 - 1),
     st.integers(0, 600),
@@ -97,7 +98,7 @@ def hillside(rng: np.random.Generator, slope: float, count: int = 20_000) -> np.
     return np.column_stack([xy, z])
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.1, -0.15])
+@pytest.mark.parametrize("slope", [0.0, -0.15])
 def test_heights_are_those_above_a_sloping_ground(slope: float) -> None:
     rng = np.random.default_rng(0)
     ground = hillside(rng, slope)
@@ -107,13 +108,6 @@ def test_heights_are_those_above_a_sloping_ground(slope: float) -> None:
     heights = _native.heights_above_ground(points, 1.0, 0.2, 0.3)
     assert np.percentile(np.abs(heights[: len(ground)]), 99) < 0.3
     assert np.abs(heights[len(ground) :] - above).max() < 0.4
-
-
-def test_a_stray_return_below_ground_lifts_nothing() -> None:
-    points = hillside(np.random.default_rng(1), 0.0).astype(np.float32)
-    stray = np.vstack([points, [[0, 0, -4.0], [10, 5, -9.0]]]).astype(np.float32)
-    heights = _native.heights_above_ground(stray, 1.0, 0.2, 0.3)
-    assert np.percentile(np.abs(heights[:-2]), 99) < 0.3
 
 
 def test_a_clump_of_mirror_images_below_ground_lifts_nothing() -> None:
@@ -151,6 +145,7 @@ def test_pillars_become_segments_in_any_order_of_points() -> None:
         )
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 300), st.floats(0.05, 2.0))
 def test_spacing_is_the_median_distance_to_the_second_nearest_other(
     seed: int, count: int, least: float
@@ -164,7 +159,7 @@ def test_spacing_is_the_median_distance_to_the_second_nearest_other(
 
 
 @pytest.mark.parametrize("num_scans", [1, 5])
-@pytest.mark.parametrize("voxel", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
+@pytest.mark.parametrize("voxel", [0.05, 0.3, 1.0])
 def test_walls_become_segments_however_coarse_the_cloud(voxel: float, num_scans: int) -> None:
     rng = np.random.default_rng(4)
     places = np.array([[8.0, 0.0], [-8.0, 6.0], [0.0, -14.0]])
@@ -175,18 +170,6 @@ def test_walls_become_segments_however_coarse_the_cloud(voxel: float, num_scans:
     assert len(segments) == 2 * len(places)  # once above each height cut
     gap = np.linalg.norm(segments.centroids[:, None, :2] - places, axis=2)
     assert gap.min(axis=1).max() < 0.3 + 1.5 * voxel and set(gap.argmin(axis=1)) == {0, 1, 2}
-
-
-def test_settings_change_only_for_clouds_that_they_cannot_link() -> None:
-    rng = np.random.default_rng(5)
-    wall = rng.uniform(0, 1, (40_000, 3)) * [30, 0.05, 10]
-    for config in (Segmenter().config.single, Segmenter().config.accumulated):
-        fine = _native.voxel_grid(wall.astype(np.float32), 0.3)
-        assert config.widened(fine) is config
-        assert config.widened(fine[:1]) is config
-        coarse = config.widened(_native.voxel_grid(wall.astype(np.float32), 1.0))
-        assert coarse.tolerance > 1.0 and coarse.min_points <= config.min_points
-        assert coarse.max_points == config.max_points
 
 
 def test_a_moved_cloud_gives_moved_segments() -> None:

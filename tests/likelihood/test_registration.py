@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from segloc import geometry
 from segloc._native import Surface, voxel_grid
-from segloc.datasets import open_sequence
 from segloc.likelihood.registration import MIN_POINTS, Aligner
 from segloc.types import Float32, Float64, Pose
 
@@ -74,7 +71,7 @@ def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, 
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 3, 4, 60, 400]))
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_normals(seed: int, count: int) -> None:
     points = voxel_grid(room(seed, count), 0.4)
     found = Surface(points, REACH, SUPPORT).normals()
@@ -103,7 +100,7 @@ def test_cost_and_curvature_are_those_of_the_paper() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_finds_the_pose_of_a_cloud_in_another(seed: int) -> None:
     aligner = Aligner(0.3, REACH, threads=1)
     truth = geometry.yaw_transform(seed % 7, (seed % 900, -40.0, 3.0))
@@ -117,17 +114,6 @@ def test_finds_the_pose_of_a_cloud_in_another(seed: int) -> None:
     assert geometry.rotation_angle(delta) < 0.02
     assert (np.linalg.eigvalsh(found.covariance) > 0).all()
     assert np.abs(found.covariance - found.covariance.T).max() == 0
-
-
-def test_rough_alignment_is_near_the_other() -> None:
-    aligner = Aligner(0.15, REACH, threads=1)
-    there, here = aligner.surface(room(1, 40_000)), aligner.surface(room(2, 40_000))
-    assert len(here) > 1200  # so that there are points to leave out
-    found = [aligner.align(there, here, small_pose(3), roughly=rough) for rough in (False, True)]
-    assert found[0] is not None and found[1] is not None
-    between = geometry.inverse(found[0].T_target_source) @ found[1].T_target_source
-    assert 0 < np.linalg.norm(between[:3, 3]) < 0.05
-    assert geometry.rotation_angle(between) < 0.01
 
 
 def test_is_the_same_at_any_number_of_threads_and_in_any_order() -> None:
@@ -145,7 +131,7 @@ def test_is_the_same_at_any_number_of_threads_and_in_any_order() -> None:
             assert np.array_equal(a, b)
 
 
-@pytest.mark.parametrize("count", [0, 1, 3, MIN_POINTS - 1])
+@pytest.mark.parametrize("count", [0, MIN_POINTS - 1])
 def test_too_little_is_no_pose(count: int) -> None:
     aligner = Aligner(0.1, REACH)
     full, few = aligner.surface(room(1)), aligner.surface(room(1)[:count])
@@ -178,21 +164,3 @@ def test_refuses_wrong_input() -> None:
     with pytest.raises(ValueError, match="does not turn"):
         surface.align(surface, np.diag([1.0, 1.0, 2.0, 1.0]))
     assert Aligner(0.3, REACH).align(surface, surface, np.full((4, 4), np.nan)) is None
-
-
-def test_real_scans_agree_from_wherever_one_starts(kitti: Path) -> None:
-    scans = open_sequence(kitti / "scans", kitti / "scans.tum")
-    poses = scans.poses
-    assert poses is not None
-    aligner = Aligner(0.8, REACH, threads=1)
-    for i in (20, 180, 330):
-        there, here = (
-            aligner.surface(scans.scan(i).points),
-            aligner.surface(scans.scan(i + 1).points),
-        )
-        guess = geometry.inverse(poses[i]) @ poses[i + 1]
-        found = [aligner.align(there, here, guess @ small_pose(s, 0.3, 0.02)) for s in range(4)]
-        ends = np.array([f.T_target_source for f in found if f is not None])
-        assert len(ends) == 4
-        assert np.ptp(ends[:, :3, 3], axis=0).max() < 0.05
-        assert np.abs(ends[0, :3, 3] - guess[:3, 3]).max() < 0.4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -11,18 +10,16 @@ from samples.plaza import Plaza, PlazaSequence
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
-from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc import Config, Localizer, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
 from segloc.frontend.segmentation import Segmentation
-from segloc.geometry import Separation
 from segloc.likelihood import VerificationConfig, Verifier
-from segloc.likelihood.observation import MapCloud
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.proposals.matching import MatchingConfig
 from segloc.proposals.occupancy import OccupancyConfig
-from segloc.types import Descriptors, Float32, Float64, Int64, Pose, Segments
+from segloc.types import Float32, Float64, Int64, Pose, Segments
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -34,7 +31,7 @@ def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], ND
     return points[:, 2] <= np.maximum(high, low + 3) + 0.5, ~around.any(axis=1)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 500), st.floats(0.05, 1.0), st.floats(0.1, 1.0))
 def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, share: float) -> None:
     rng = np.random.default_rng(seed)
@@ -57,6 +54,7 @@ def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, shar
         assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.1, 80.0))
 def test_points_within_a_circle_between_heights(seed: int, count: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
@@ -111,7 +109,7 @@ def reference_visibility(
     return int(seen.sum()), int((~seen & np.isfinite(image[at]) & behind).sum())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(1.0, 8.0), st.floats(5.0, 30.0))
 def test_what_of_a_map_is_seen_and_what_violates_free_space(
     seed: int, count: int, bin_deg: float, reach: float
@@ -165,65 +163,19 @@ def test_the_extent_is_what_stands_around_the_sensor() -> None:
     assert extent(wall, wall + [0.0, 9.0, 0.0]) == 20
 
 
-def test_how_far_a_pose_is_from_the_path_is_measured_from_above() -> None:
-    def off_path(path: Float64) -> float | None:
-        origin = np.array([1000.0, 0.0, 0.0])
-        cloud = MapCloud(
-            np.zeros((1, 3), np.float32), origin, VerificationConfig(), Separation(), 1, False, path
-        )
-        return cloud.off_path(geometry.yaw_transform(1.0, (1003.0, 24.0, 50.0)))
-
-    along = np.array([[1000.0, 0.0, 1.0], [1000.0, 20.0, 1.0], [1010.0, 0.0, 1.0]])
-    assert off_path(along) == pytest.approx(5.0)
-    assert off_path(np.empty((0, 3))) is None
-
-
-@pytest.mark.parametrize(
-    ("gate", "reason"),
-    [
-        ({"min_inliers": 10_000}, Reason.TOO_FEW_INLIERS),
-        ({"min_confidence": 1.0}, Reason.TOO_UNCERTAIN),
-    ],
-)
-def test_each_gate_refuses_and_says_so(
-    plaza: Plaza, gate: dict[str, float], reason: Reason
-) -> None:
+def test_each_gate_refuses_and_says_so(plaza: Plaza) -> None:
     config = Config.preset("geo")
     prior_map = build_map(PlazaSequence(plaza, steps=6), config)
     scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
     assert Localizer(prior_map, config).localize(scan).localized
-    gates = VerificationConfig(**gate)  # type: ignore[arg-type]
-    result = Localizer(prior_map, config.model_copy(update={"verification": gates})).localize(scan)
-    assert not result.localized and result.reason is reason and reason.value in result.message
-    assert result.T_map_sensor is None
-
-
-def twice(prior_map: SegmentMap, by: float) -> SegmentMap:
-    """A map that holds its place a second time, so many metres farther."""
-    both = prior_map.crop((0.0, 0.0), np.inf)
-    move = np.array([by, 0.0, 0.0])
-    both.add(
-        Descriptors(prior_map.vectors, prior_map.quality),
-        prior_map.centroids + move,
-        prior_map.sizes,
-        session=1,
-        stamp=0.0,
-        cloud=prior_map.cloud + prior_map.origin + move,
-    )
-    return both
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["geo", "profile"])
-def test_a_place_that_the_map_holds_twice_is_ambiguous(plaza: Plaza, method: str) -> None:
-    config = Config.preset(method)
-    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
-    scans = [plaza.scan(geometry.yaw_transform(yaw, (-8.0, 1.0, 1.7))) for yaw in (0.3, 2.0)]
-    for scan in scans:
-        assert Localizer(prior_map, config).localize(scan).localized
-        result = Localizer(twice(prior_map, 500.0), config).localize(scan)
-        assert not result.localized and result.reason is Reason.AMBIGUOUS
-        assert result.runner_up is not None
+    for gates, reason in (
+        (VerificationConfig(min_inliers=10_000), Reason.TOO_FEW_INLIERS),
+        (VerificationConfig(min_confidence=1.0), Reason.TOO_UNCERTAIN),
+    ):
+        changed = config.model_copy(update={"verification": gates})
+        result = Localizer(prior_map, changed).localize(scan)
+        assert not result.localized and result.reason is reason and reason.value in result.message
+        assert result.T_map_sensor is None
 
 
 def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) -> None:

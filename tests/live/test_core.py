@@ -36,9 +36,9 @@ def test_a_robot_is_found_and_followed_and_the_same_stream_gives_the_same_states
     streams = []
     for _ in range(2):
         core = LiveCore(localizer, CONFIG)
-        said = drive(core, walked(plaza, 12))
+        said = drive(core, walked(plaza, 8))
         assert all(state.status is Status.LOCALIZED and error < 0.3 for state, error in said)
-        assert core.scans == 12 and core.dropped == 0
+        assert core.scans == 8 and core.dropped == 0
         streams.append([state.record() for state, _ in said])
     assert streams[0] == streams[1]
     last = said[-1][0]
@@ -84,7 +84,7 @@ def test_beyond_the_map_odometry_carries_on_and_in_the_end_gives_up(
     drive(core, walked(plaza, 8))
     begin = (2.0, 1.0)
     said = []
-    for events, truth in walked(elsewhere, 30, begin=begin, start_s=108.0, step=4.0):
+    for events, truth in walked(elsewhere, 24, begin=begin, start_s=108.0, step=4.0):
         beyond = []  # what is seen there is of another plaza, far off the map
         for e in events:
             points = None if e.scan is None else Scan(e.scan.points * np.float32(1.3))
@@ -98,10 +98,10 @@ def test_beyond_the_map_odometry_carries_on_and_in_the_end_gives_up(
     assert all(error < 1.0 and state.reason for state, error in degraded)
 
 
-@pytest.mark.parametrize("reset", [np.eye(4), geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0))])
 def test_odometry_that_begins_anew_is_followed_and_confirmed(
-    localizer: Localizer, plaza: Plaza, reset: np.ndarray
+    localizer: Localizer, plaza: Plaza
 ) -> None:
+    reset = geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0))
     core = LiveCore(localizer, CONFIG)
     drive(core, walked(plaza, 6))
     T_map_odom = geometry.yaw_transform(0.02 * 6, (-2.0, 1.6, 1.8)) @ geometry.inverse(reset)
@@ -230,10 +230,10 @@ def feed_one(core: LiveCore, event: Event) -> None:
 def test_memory_is_bounded(localizer: Localizer, plaza: Plaza) -> None:
     core = LiveCore(localizer, CONFIG)
     T = np.eye(4)
-    for k in range(9000):
+    for k in range(4200):
         core.add_odometry(0.001 * k, T)
     assert len(core._odometry) <= 4096
-    for k in range(3000):
+    for k in range(300):
         core.add_odometry(9.0 + 0.1 * k, T)
     assert len(core._odometry) <= 101
 

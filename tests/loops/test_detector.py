@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from samples.plaza import Plaza
 
 from segloc import Config, InvalidScan, LoopDetector, Scan, geometry
-from segloc.datasets import open_sequence
 from segloc.loops import LoopClosure, LoopConfig
 from segloc.types import Float64
 
@@ -104,17 +102,12 @@ def test_the_second_lap_is_tied_to_the_first(two_laps: Driven) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_drive_gives_the_same_loops_and_lone_ones_are_kept_back(
-    plaza: Plaza, two_laps: Driven
-) -> None:
+def test_the_same_drive_gives_the_same_loops(plaza: Plaza, two_laps: Driven) -> None:
     again = round_and_round(plaza, 120.0, SETTINGS)
     once = list(itertools.chain(*two_laps.told[: len(again.told)]))
     assert once and len(once) == len(again.loops)
     assert [(a.i, a.j) for a in once] == [(b.i, b.j) for b in again.loops]
     assert all(np.array_equal(a.T_i_j, b.T_i_j) for a, b in zip(once, again.loops, strict=True))
-    alone = SETTINGS.model_copy(update={"min_support": 0})
-    at_once = round_and_round(plaza, 120.0, alone).loops
-    assert at_once[0].j <= once[0].j and len(at_once) >= len(once)
 
 
 @pytest.mark.slow
@@ -138,18 +131,6 @@ def test_another_place_is_no_loop() -> None:
         loops += detector.add(seen.points, odometry)
     gathered = 12.0 / STEP_M  # scans of the first plaza in the clouds of the second
     assert not [loop for loop in loops if loop.i <= changed < loop.j - gathered]
-
-
-@pytest.mark.slow
-def test_a_street_driven_twice(kitti: Path) -> None:
-    drive = open_sequence(kitti / "keyframes", "keyframes.tum", "940:1005,1355:1415")
-    assert drive.poses is not None
-    detector = LoopDetector(Config.preset("profile").model_copy(update={"threads": 1}))
-    loops = []
-    for k, T in enumerate(drifted(drive.poses, 0.005, 0.004)):
-        loops += detector.add(Scan(drive.scan(k).points), T)
-    off = errors(loops, drive.poses)  # ground truth is good to a metre across passes
-    assert len(loops) >= 8 and off[:, 0].max() < 3.0 and off[:, 1].max() < 5.0
 
 
 def test_wrong_input_is_refused(plaza: Plaza) -> None:

@@ -57,7 +57,7 @@ def _drifted(truth: Float64, rng: np.random.Generator) -> tuple[Float64, Edges]:
     return np.stack(poses), edges
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), turn=st.floats(0.0, 2.5))
 def test_jacobians_are_the_derivatives(seed: int, turn: float) -> None:
     rng = np.random.default_rng(seed)
@@ -102,7 +102,7 @@ def test_finds_the_exact_poses_again_and_leaves_the_fixed_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wrong", [0, 5, 15])
+@pytest.mark.parametrize("wrong", [0, 15])
 def test_right_loops_win_against_wrong_ones_in_spite_of_drift(wrong: int) -> None:
     rng = np.random.default_rng(3)
     truth = _circle()

@@ -36,7 +36,7 @@ def test_matches_brute_force(isa: str, Q: int, M: int, D: int, k: int) -> None:
     check(queries, rng.normal(size=(M, D)).astype(np.float32), k, isa)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(
     st.integers(1, 9), st.integers(1, 400), st.integers(1, 6), st.integers(1, 60), st.integers(0)
 )
@@ -51,23 +51,6 @@ def test_far_from_the_origin() -> None:
     rng = np.random.default_rng(0)
     database = (1e4 + rng.normal(size=(2000, 16))).astype(np.float32)
     check(database[:20] + np.float32(0.01), database, 30)
-
-
-def test_many_equal_descriptors() -> None:
-    database = np.zeros((30_000, 8), np.float32)
-    database[::1000] = 1.0
-    indices, distances = _native.knn(np.zeros((3, 8), np.float32), database, 40)
-    np.testing.assert_array_equal(indices, np.tile(np.delete(np.arange(41), 0), (3, 1)))
-    assert not distances.any()
-
-
-def test_threads_do_not_matter() -> None:
-    rng = np.random.default_rng(1)
-    queries = rng.normal(size=(100, 16)).astype(np.float32)
-    database = rng.normal(size=(4000, 16)).astype(np.float32)
-    one, many = _native.knn(queries, database, 25, 1), _native.knn(queries, database, 25, 4)
-    np.testing.assert_array_equal(one[0], many[0])
-    np.testing.assert_array_equal(one[1], many[1])
 
 
 def test_fewer_points_than_neighbours() -> None:
@@ -117,7 +100,7 @@ def test_few_lists_hold_most_neighbours_and_always_enough() -> None:
     np.testing.assert_array_equal(np.sort(everything, axis=1), np.tile(np.arange(20_000), (2, 1)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 300), st.integers(1, 5), st.integers(0))
 def test_matches_come_by_score_then_query_then_segment(n: int, levels: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -150,11 +133,3 @@ def test_a_longer_search_begins_with_the_shorter_one() -> None:
             assert len(proposed) == 40 * neighbours
             for name in ("query", "map", "distance", "score"):
                 np.testing.assert_array_equal(getattr(proposed, name), getattr(expected, name))
-
-
-def test_an_index_refuses_wrong_input() -> None:
-    a = np.zeros((3, 16), np.float32)
-    with pytest.raises(ValueError, match="at least one list"):
-        _native.DescriptorIndex(a, 0)
-    with pytest.raises(ValueError, match="number of columns"):
-        _native.DescriptorIndex(a, 2).search(np.zeros((3, 15), np.float32), 1, 1)

@@ -10,20 +10,12 @@ import pytest
 from samples import stems
 from samples.source import PROJECT
 
-from segloc import Localizer, geometry
-from segloc.errors import InvalidScan, MapFormatError, SeglocError
-from segloc.map.segment_map import SegmentMap
+from segloc import geometry
+from segloc.errors import InvalidScan
 from segloc.proposals.landmarks import LandmarkConfig, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.proposals.landmarks.landmarks import levelling
 
 THREE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 7, 1]])
-
-
-def test_the_defaults_say_that_nothing_is_known() -> None:
-    plain = Landmarks(THREE.astype(np.float32))
-    assert len(plain) == 3 and plain.positions.dtype == np.float64
-    np.testing.assert_array_equal(plain.directions, np.tile([0, 0, 1.0], (3, 1)))
-    np.testing.assert_array_equal(plain.diameters, 0)
 
 
 @pytest.mark.parametrize(
@@ -84,19 +76,6 @@ def test_what_was_seen_once_is_left_out() -> None:
     assert len(mapper.map()) == 2
 
 
-def test_a_mapper_refuses_other_things() -> None:
-    with pytest.raises(SeglocError, match="a map is made of Landmarks, not of ndarray"):
-        LandmarkMapper().add(THREE, np.eye(4))  # type: ignore[arg-type]
-    with pytest.raises(InvalidScan, match="T_map_sensor"):
-        LandmarkMapper().add(Landmarks(THREE), 2 * np.eye(4))
-
-
-def test_a_map_of_wrong_arrays_is_refused() -> None:
-    none = np.empty((0, 4, 4))
-    with pytest.raises(InvalidScan, match="views must have shape"):
-        LandmarkMap(THREE, THREE, np.zeros(3), np.zeros(2, np.int64), none)
-
-
 def test_a_map_comes_back_from_its_file(tmp_path: Path) -> None:
     made = stems.surveyed(stems.stand(5))
     made.save(tmp_path / "trees.segmap")
@@ -105,18 +84,6 @@ def test_a_map_comes_back_from_its_file(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
     np.testing.assert_allclose(read.axes, made.axes, atol=1e-6)
     np.testing.assert_allclose(read.diameters, made.diameters, atol=1e-6)
-
-
-def test_a_map_of_segments_is_refused(tmp_path: Path) -> None:
-    SegmentMap.empty("geo", "geo-1", 7).save(tmp_path / "geo.segmap")
-    with pytest.raises(MapFormatError, match="a map of geo, not of landmarks"):
-        LandmarkMap.load(tmp_path / "geo.segmap")
-
-
-def test_a_localizer_of_segments_refuses_a_map_of_landmarks(tmp_path: Path) -> None:
-    stems.surveyed(stems.stand(5)).save(tmp_path / "trees.segmap")
-    with pytest.raises(SeglocError, match="landmarks"):
-        Localizer(SegmentMap.load(tmp_path / "trees.segmap"))
 
 
 def test_the_page_shows_what_works(
