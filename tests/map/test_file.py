@@ -83,7 +83,7 @@ def test_every_flipped_bit_is_noticed(tmp_path: Path, saved: tuple[SegmentMap, b
     path.write_bytes(data)
     with path.open("r+b", buffering=0) as file:
         for position in [*range(end), *range(end, len(data), 23)]:
-            for bit in range(8) if position < 16 else [position % 8]:
+            for bit in range(8) if position < end else [position % 8]:
                 for byte in (data[position] ^ 1 << bit, data[position]):  # damaged, mended
                     file.seek(position)
                     file.write(bytes([byte]))
@@ -152,7 +152,7 @@ def test_newer_versions_are_refused(tmp_path: Path, saved: tuple[SegmentMap, byt
 def test_missing_and_strange_paths(tmp_path: Path, saved: tuple[SegmentMap, bytes]) -> None:
     for path, fault in [
         (tmp_path / "none.segmap", "no such file"),
-        (tmp_path, "not a regular file"),
+        (tmp_path, "is a folder"),
         (Path("/dev/null"), "not a regular file"),
     ]:
         with pytest.raises(MapFormatError, match=fault):

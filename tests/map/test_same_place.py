@@ -18,7 +18,7 @@ CONFIG = Config.preset("geo").model_copy(update={"threads": 1})
 
 
 def plaza_map(seed: int, offset: Float64 | None = None) -> SegmentMap:
-    run = PlazaSequence(Plaza(seed), steps=7)
+    run = PlazaSequence(Plaza(seed), steps=10)
     if offset is not None:
         run.poses[:, :3, 3] += offset
     return build_map(run, CONFIG)
