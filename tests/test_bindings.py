@@ -105,7 +105,7 @@ def go_on():
     while not stop.is_set(): find(2)
 others = [threading.Thread(target=go_on) for _ in range(2)]
 for t in others: t.start()
-for k in range(40):
+for k in range(10):
     child = os.fork()
     if child == 0: os._exit(0 if find(2) == expected and find(3) == expected else 1)
     end = time.monotonic() + 20

@@ -137,28 +137,3 @@ def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = studies.run("counting", workspace)
     assert study.tables[0].rows == (("geo", 7), ("profile", 32))
     assert (tmp_path / "out" / "counting" / "study.json").is_file()
-
-
-def test_every_study_has_a_module() -> None:
-    studies = pytest.importorskip("segloc_lab.studies.paper.workspace")
-    folder = ROOT / "lab" / "src" / "segloc_lab" / "studies" / "paper"
-    missing = [name for name in studies.STUDIES if not (folder / f"{name}.py").is_file()]
-    assert not missing
-
-
-def test_a_kernel_is_named_where_the_recipe_says() -> None:
-    files = listed("Add a kernel")
-    (code,) = (name for name in files if name.endswith(".cpp") and "/tests/" not in name
-               and "/bindings/" not in name)  # fmt: skip
-    short = code.removeprefix("cpp/")
-    assert short in (ROOT / "cpp" / "CMakeLists.txt").read_text("utf-8")
-    header = short.replace(".cpp", ".h")
-    for user in ("cpp/bindings/segmentation.cpp", "cpp/tests/segmentation_tests.cpp", code):
-        assert user in files
-        assert f'#include "{header}"' in (ROOT / user).read_text("utf-8")
-    bound = (ROOT / "cpp" / "bindings" / "segmentation.cpp").read_text("utf-8")
-    (function,) = re.findall(r'm\.def\("(voxel\w*)"', bound)
-    assert f"def {function}(" in (ROOT / "src" / "segloc" / "_native.pyi").read_text("utf-8")
-    room = (ROOT / "cpp" / "bindings" / "bindings.cpp").read_text("utf-8")
-    assert "bind_segmentation(m);" in room
-    assert "bindings/segmentation.cpp" in (ROOT / "CMakeLists.txt").read_text("utf-8")

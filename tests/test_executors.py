@@ -31,14 +31,14 @@ ELSEWHERE = ("processes", "dask")
 
 @pytest.fixture(scope="module")
 def walks(plaza: Plaza) -> list[Walk]:
-    return [Walk(plaza, lane) for lane in (0.0, 1.0, 2.0, 3.0)]
+    return [Walk(plaza, lane) for lane in (0.0, 1.0, 2.0)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("by", EXECUTORS)
 def test_tasks_come_in_their_order_and_survive_a_killed_worker(by: str) -> None:
     with EXECUTORS[by]() as (executor, kill):
-        assert all_of(square, range(40), executor, kill) == [n * n for n in range(40)]
+        assert all_of(square, range(12), executor, kill) == [n * n for n in range(12)]
 
 
 def test_without_an_executor_this_process_does_it() -> None:
@@ -82,7 +82,7 @@ ALIGN = AlignConfig(every_m=3.0, searched_parts=2)
 
 @pytest.fixture(scope="module")
 def moved(plaza: Plaza) -> list[Moved]:
-    return [Moved(plaza, lane, 8) for lane in (0.0, 1.0, 2.0)]
+    return [Moved(plaza, lane, 6) for lane in (0.0, 2.0)]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_aligned_sessions(moved: list[Moved], aligned_here: Alignment, tmp_path:
             yield kill
 
         there = align_sessions(moved, GEO, ALIGN, stage, executor=executor, folder=tmp_path)
-    assert here.components == there.components == [[0, 1, 2]]
+    assert here.components == there.components == [[0, 1]]
     for a, b in zip(here.poses, there.poses, strict=True):
         np.testing.assert_array_equal(a, b)
     assert loops_jsonl(here) == loops_jsonl(there)

@@ -11,7 +11,7 @@ import pytest
 from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localizer, SegmentMap, build_map, geometry
+from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.batch.run import LONGEST_GAP_S, gnss_priors, localize_sequence
 from segloc.datasets.fixes import Fixes, read_fixes
 from segloc.errors import ConfigError, DatasetError, MapFormatError, MapMismatch, MissingDependency
@@ -123,10 +123,10 @@ def test_a_query_has_the_nearest_fix_in_time() -> None:
 
 
 @pytest.mark.slow
-def test_wrong_fixes_are_survived(plaza: Plaza) -> None:
+def test_wrong_fixes_are_survived(plaza: Plaza, plaza_map: SegmentMap) -> None:
     pytest.importorskip("pyproj")
     drive = PlazaSequence(plaza, steps=6)
-    localizer = Localizer(build_map(PlazaSequence(plaza), GEO))
+    localizer = Localizer(plaza_map)
     positions = np.array([2, 4])
     near = localize_sequence(localizer, drive, positions)
     for off in (0.0, 3000.0):

@@ -57,8 +57,3 @@ def test_every_page_of_docs_can_be_reached() -> None:
             linked.add((page.parent / link.partition("#")[0]).resolve())
     lost = [page for page in ROOT.glob("docs/**/*.md") if page.resolve() not in linked]
     assert not lost
-
-
-def test_pictures_of_the_concepts_are_small() -> None:
-    drawn = list(ROOT.glob("docs/images/concept_*"))
-    assert drawn and all(path.stat().st_size < 150_000 for path in drawn)

@@ -25,23 +25,18 @@ from segloc import (
     build_map,
     geometry,
 )
-from segloc.datasets import open_sequence
 from segloc.errors import ConfigError, DatasetError
-from segloc.likelihood import Evidence, QueryCloud, Score, Verdict
+from segloc.likelihood import QueryCloud, Verdict
 from segloc.localization import Localization, Reason
-from segloc.pipeline import Search
-from segloc.proposals.landmarks.config import StemConfig
-from segloc.proposals.occupancy import OccupancyConfig
 from segloc.proposals.proposer import Proposals, Query
 from segloc.types import Candidate, Float64, Matches, Pose
 
 GEO = Config.preset("geo")
-DECISIVE = Evidence(Score(np.eye(4), 20, 0.9, 900, 1000, 0.1), 4.0, ())
 
 
 @pytest.fixture(scope="module")
-def prior_map(plaza: Plaza) -> SegmentMap:
-    return build_map(PlazaSequence(plaza), GEO)
+def prior_map(plaza_map: SegmentMap) -> SegmentMap:
+    return plaza_map
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +50,7 @@ def pose_error(result: Localization, T: np.ndarray) -> tuple[float, float]:
     return float(np.linalg.norm(delta[:3, 3])), math.degrees(geometry.rotation_angle(delta))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("yaw", [0.0, 1.0, math.pi, -2.0])
-@pytest.mark.parametrize("posed", [True, False])
+@pytest.mark.parametrize(("yaw", "posed"), [(1.0, True), (math.pi, False), (-2.0, False)])
 def test_a_single_scan_is_localized(
     plaza: Plaza, localizer: Localizer, yaw: float, posed: bool
 ) -> None:
@@ -91,7 +84,6 @@ def test_a_tilted_sensor_with_a_pose_is_localized(plaza: Plaza, localizer: Local
     assert pose_error(localizer.localize(plaza.scan(T, seed=5)), T) < (0.1, 0.5)
 
 
-@pytest.mark.slow
 def test_the_map_may_lie_far_from_its_origin(plaza: Plaza) -> None:
     """UTM coordinates: the same answer, moved."""
     shift = geometry.yaw_transform(0.0, (4.5e5, 5.4e6, 300.0))
@@ -109,14 +101,13 @@ def test_the_map_may_lie_far_from_its_origin(plaza: Plaza) -> None:
 
 
 def test_another_place_is_not_localized(localizer: Localizer) -> None:
-    for seed in range(1, 6):
+    for seed in range(1, 4):
         elsewhere = Plaza(seed).scan(geometry.yaw_transform(0.3, (0.0, 0, 1.7)))
         result = localizer.localize(elsewhere)
         assert not result.localized and result.T_map_sensor is None and result.covariance is None
         assert result.reason and result.counts["segments"] > 10
 
 
-@pytest.mark.slow
 def test_a_place_that_fits_twice_is_ambiguous(plaza: Plaza) -> None:
     twice = build_map(PlazaSequence(plaza), GEO)
     copy = PlazaSequence(plaza)
@@ -139,7 +130,7 @@ EMPTY: dict[str, Callable[[], np.ndarray]] = {
 POOR: dict[str, Callable[[], np.ndarray]] = {
     "one point": lambda: np.zeros((1, 3)),
     "three points": lambda: np.eye(3),
-    "one point many times": lambda: np.zeros((100_000, 3)),
+    "one point many times": lambda: np.zeros((20_000, 3)),
     "a line": lambda: np.linspace([0, 0, 0], [40.0, 0, 0], 2000),
     "a flat floor": lambda: np.random.default_rng(0).uniform([-30, -30, 0], [30, 30, 0], (9999, 3)),
     "noise": lambda: np.random.default_rng(0).normal(0, 15, (20_000, 3)),
@@ -153,7 +144,7 @@ def test_poor_scans_are_not_localized_and_say_why(localizer: Localizer, name: st
     assert result.reason is Reason.NO_POINTS if name in EMPTY else result.message
 
 
-@pytest.mark.parametrize("size", [0, 1, 2, 3])
+@pytest.mark.parametrize("size", [0, 1, 3])
 def test_maps_of_almost_nothing_localize_nothing(
     plaza: Plaza, prior_map: SegmentMap, size: int
 ) -> None:
@@ -220,7 +211,7 @@ def test_the_same_query_gives_the_same_bits_for_any_number_of_threads(
     scan = plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7)))
     results = [
         Localizer(prior_map, GEO.model_copy(update={"threads": n})).localize(scan)
-        for n in (1, 2, 8, 1)
+        for n in (1, 2, 8)
     ]
     for result in results[1:]:
         np.testing.assert_array_equal(result.T_map_sensor, results[0].T_map_sensor)
@@ -251,29 +242,6 @@ def test_nothing_that_localizes_imports_torch() -> None:
     assert output.stdout.strip() == "[]"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["geo", "dsm"])
-def test_real_revisits_are_found_and_other_places_are_not(kitti: Path, method: str) -> None:
-    """KITTI 00: the second pass over a street, single later scans, and places never mapped."""
-    config = Config.preset(method)
-    poses = kitti / "keyframes.tum"
-    prior_map = build_map(open_sequence(kitti / "keyframes", poses, "1361:1420"), config)
-    localizer = Localizer(prior_map, config)
-    first_pass = open_sequence(kitti / "keyframes", poses, "940:999")
-    queries = range(25, len(first_pass), 12)
-    found = [
-        localizer.localize([first_pass.scan(k) for k in range(i - 20, i + 1)]) for i in queries
-    ]
-    assert all(result.localized for result in found)
-    for i, result in zip(queries, found, strict=True):
-        metres, degrees = pose_error(result, first_pass.poses[i])
-        assert metres < 3 and degrees < 5
-    elsewhere = open_sequence(kitti / "keyframes", poses, "700:800")
-    for i in range(25, len(elsewhere), 25):
-        result = localizer.localize([elsewhere.scan(k) for k in range(i - 20, i + 1)])
-        assert not result.localized, result
-
-
 def test_a_query_is_configured_as_the_map_was_built(plaza: Plaza) -> None:
     matching = GEO.matching.model_copy(update={"neighbours": 7})
     segmentation = GEO.segmentation.model_copy(update={"ground_cell": 2.0})
@@ -296,32 +264,6 @@ def test_a_map_without_a_readable_configuration_uses_the_preset(prior_map: Segme
     for text in ("", ": [", "nonsense: 1", "- 1", "method: dsm"):
         other.metadata["config"] = text
         assert Localizer(other).config == GEO
-
-
-def test_by_segments_alone_the_best_of_all_attempts_counts(
-    plaza: Plaza, prior_map: SegmentMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    alone = {"occupancy": OccupancyConfig(enabled=False), "stems": StemConfig(enabled=False)}
-    localizer = Localizer(prior_map, GEO.model_copy(update=alone))
-    query = localizer.describe(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))))
-
-    def verdict(reason: Reason | None, confidence: float) -> Verdict:
-        return Verdict(reason, "", confidence, evidence=DECISIVE)
-
-    uncertain, less = (verdict(Reason.TOO_UNCERTAIN, p) for p in (0.7, 0.3))
-    nothing = verdict(Reason.NO_CONSISTENT_MATCHES, 0.0)
-    found, ambiguous = verdict(None, 0.9), verdict(Reason.AMBIGUOUS, 0.95)
-    for given, best in (
-        ((uncertain, nothing), uncertain),
-        ((less, uncertain), uncertain),
-        ((uncertain, found), found),
-        ((uncertain, ambiguous), ambiguous),
-        ((found, uncertain), found),
-        ((nothing, found), found),
-    ):
-        verdicts = iter(given)
-        monkeypatch.setattr(localizer.verifier, "verify", lambda *_, v=verdicts: next(v))
-        assert localizer.search(query).verdict is best
 
 
 def test_where_segments_say_little_all_that_was_tried_is_judged_at_once(
@@ -347,59 +289,6 @@ def test_where_segments_say_little_all_that_was_tried_is_judged_at_once(
         assert tried and {c.T_map_local.tobytes() for c in tried} <= poses
     agree = localizer.estimator.agreement(*where, first)  # as the confidence was fitted
     assert all(c.inliers == agree(c.T_map_local) for c in judged[0])
-
-
-@pytest.mark.parametrize(
-    ("inliers", "elsewhere", "attempts", "by_matches"),
-    [(30, 20, 1, True), (12, 4, 1, True), (12, 8, 2, True), (4, 4, 2, False)],
-)
-def test_what_segments_half_decide_is_judged_again_among_what_the_clouds_find(
-    plaza: Plaza,
-    prior_map: SegmentMap,
-    monkeypatch: pytest.MonkeyPatch,
-    inliers: int,
-    elsewhere: int,
-    attempts: int,
-    by_matches: bool,
-) -> None:
-    """Twelve may agree on the like of a place, where eight do at another; but they count."""
-    without = {"stems": StemConfig(enabled=False)}
-    localizer = Localizer(prior_map, GEO.model_copy(update=without))
-    query = localizer.describe(plaza.scan(geometry.yaw_transform(1.0, (3.0, -2.0, 1.7))))
-    score = Score(geometry.yaw_transform(0.0, (50.0, 0.0, 0.0)), inliers, 0.9, 900, 1000, 0.1)
-    believed = Verdict(None, "", 0.99, score, Evidence(score, inliers / elsewhere, ()))
-    judged: list[list[Candidate]] = []
-
-    def verify(_: QueryCloud, candidates: list[Candidate], *__: Any) -> Verdict:
-        judged.append(candidates)
-        return believed
-
-    monkeypatch.setattr(localizer.verifier, "verify", verify)
-    assert localizer.search(query).verdict is believed and len(judged) == attempts
-    assert all(c.fit is None for c in judged[0])
-    for *others, again in judged[1:]:
-        assert again.T_map_local is score.T_map_local and (again.fit is None) == by_matches
-        assert len(others) > len(judged[0]) and all(c.fit is not None for c in others)
-
-
-def test_of_two_attempts_the_decisive_one_counts() -> None:
-    def search(verdict: Verdict, *inliers: int) -> Search:
-        nothing = np.empty(0, np.int64)
-        matches = Matches(nothing, nothing, np.empty(0, np.float32), np.empty(0, np.float32))
-        return Search(0, matches, [Candidate(np.eye(4), n) for n in inliers], verdict)
-
-    candidates = [Candidate(np.eye(4), 4)]
-    little, found = Verdict.put_off(candidates), Verdict(None, "", 0.9)
-    refused, less = (Verdict(Reason.TOO_UNCERTAIN, "", p, evidence=DECISIVE) for p in (0.7, 0.3))
-    first, judged = search(little, 4), search(refused, 8)
-    assert first.or_better(search(found, 9), decisive=True).verdict is found
-    assert judged.or_better(search(less, 9), decisive=True) is judged
-    second = search(little, 9, 5)
-    assert first.or_better(second, decisive=True) is second
-    for kept, decisive in ((first, False), (judged, True), (judged, False)):
-        both = kept.or_better(second, decisive)
-        assert both.verdict is kept.verdict and both.matches is kept.matches
-        assert both.candidates == [*kept.candidates, *second.candidates]
 
 
 @dataclass

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 
-from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, build_map, geometry
-from segloc.datasets import open_sequence
+from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
 from segloc.tracker import Tracker, TrackerConfig
 from segloc.types import Descriptors, Float64
 
@@ -17,8 +14,8 @@ T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
 
 
 @pytest.fixture(scope="module")
-def prior_map(plaza: Plaza) -> SegmentMap:
-    return build_map(PlazaSequence(plaza), Config.preset("geo"))
+def prior_map(plaza_map: SegmentMap) -> SegmentMap:
+    return plaza_map
 
 
 def gated(prior_map: SegmentMap, **gates: float) -> Localizer:
@@ -43,7 +40,6 @@ def offset(T: Float64) -> float:
     return float(np.linalg.norm((geometry.inverse(T_MAP_ODOM) @ T)[:3, 3]))
 
 
-@pytest.mark.slow
 def test_a_view_that_passes_all_gates_is_believed_at_once(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
@@ -53,7 +49,6 @@ def test_a_view_that_passes_all_gates_is_believed_at_once(
     assert tracks[-1].confidence >= tracks[0].confidence
 
 
-@pytest.mark.slow
 def test_views_below_the_gates_are_believed_once_they_agree(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
@@ -62,12 +57,6 @@ def test_views_below_the_gates_are_believed_once_they_agree(
     assert not first.localized and first.reason == "no agreement yet"
     for track in (second, *later):
         assert track.localized and offset(track.T_map_odom) < 0.3
-
-
-@pytest.mark.slow
-def test_standing_still_is_no_second_view(prior_map: SegmentMap, plaza: Plaza) -> None:
-    tracker = Tracker(gated(prior_map, min_confidence=1.0))
-    assert not any(track.localized for track in walk(tracker, plaza, step=0.0))
 
 
 def test_scans_are_accumulated_and_every_few_metres_localized(
@@ -122,26 +111,11 @@ def test_a_track_survives_what_shows_nothing_but_not_for_ever(
         assert track.localized == expected
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_walk_elsewhere_is_never_localized(prior_map: SegmentMap, seed: int) -> None:
-    tracks = walk(Tracker(Localizer(prior_map)), Plaza(seed), count=8, step=4.0)
+def test_a_walk_elsewhere_is_never_localized(prior_map: SegmentMap) -> None:
+    tracks = walk(Tracker(Localizer(prior_map)), Plaza(1), count=8, step=4.0)
     assert not any(track.localized for track in tracks)
 
 
 def test_odometry_must_be_a_pose(prior_map: SegmentMap, plaza: Plaza) -> None:
     with pytest.raises(InvalidScan, match="T_odom_sensor"):
         Tracker(Localizer(prior_map)).update(plaza.scan(np.eye(4)), np.zeros((4, 4)))
-
-
-@pytest.mark.slow
-def test_a_street_that_goes_on_past_the_map_is_not_the_mapped_one(kitti: Path) -> None:
-    """From view to view, too, facades agree with the mapped ones, a hundred metres off."""
-    poses = "keyframes.tum"
-    config = Config.preset("profile").model_copy(update={"threads": 2})
-    part = build_map(open_sequence(kitti / "keyframes", poses, "240:379"), config)
-    drive = open_sequence(kitti / "keyframes", poses, "555:612")
-    assert drive.poses is not None
-    tracker = Tracker(Localizer(part, config))
-    for i in range(0, len(drive), 3):
-        assert not tracker.update(Scan(drive.scan(i).points), drive.poses[i]).localized

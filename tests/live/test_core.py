@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 from samples.streams import T_MAP_ODOM, Event, error_m, feed, walked
 
-from segloc import Config, InvalidScan, Localizer, Prior, Scan, build_map, geometry
+from segloc import InvalidScan, Localizer, Prior, Scan, SegmentMap, geometry
 from segloc.live import LiveConfig, LiveCore, State, Status
 from segloc.motion import Motion
 from segloc.tracker import TrackerConfig
@@ -19,8 +19,8 @@ CONFIG = LiveConfig(tracker=TrackerConfig(accumulate=True, every_m=4.0))
 
 
 @pytest.fixture(scope="module")
-def localizer(plaza: Plaza) -> Localizer:
-    return Localizer(build_map(PlazaSequence(plaza), Config.preset("geo")))
+def localizer(plaza_map: SegmentMap) -> Localizer:
+    return Localizer(plaza_map)
 
 
 def drive(core: LiveCore, stream: Iterable[tuple[list[Event], Pose]]) -> list[tuple[State, float]]:

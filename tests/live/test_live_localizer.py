@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 from samples.streams import error_m, feed, walked
 
-from segloc import Config, InvalidScan, Localizer, Scan, build_map
+from segloc import InvalidScan, Localizer, Scan, SegmentMap
 from segloc.errors import LiveError
 from segloc.live import LiveConfig, LiveCore, LiveLocalizer, State, Status
 from segloc.tracker import TrackerConfig
@@ -22,8 +22,8 @@ WAIT_S = 60.0
 
 
 @pytest.fixture(scope="module")
-def localizer(plaza: Plaza) -> Localizer:
-    return Localizer(build_map(PlazaSequence(plaza), Config.preset("geo")))
+def localizer(plaza_map: SegmentMap) -> Localizer:
+    return Localizer(plaza_map)
 
 
 def hand_over(live: LiveLocalizer, plaza: Plaza, count: int, settled: bool = True) -> np.ndarray:

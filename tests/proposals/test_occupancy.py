@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from samples.maps import occupancy
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 from segloc_lab.padding import mirrored
 
-from segloc import Config, Localizer, Scan, SegmentMap, _native, build_map, geometry
+from segloc import Config, Localizer, Scan, SegmentMap, _native, geometry
 from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, free_cells, storeys
 from segloc.types import Pose
 
@@ -140,8 +140,8 @@ def test_free_cells_are_ground_with_nothing_beside_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def localizer(plaza: Plaza) -> Localizer:
-    return Localizer(build_map(PlazaSequence(plaza, steps=10), Config.preset("geo")))
+def localizer(plaza_map: SegmentMap) -> Localizer:
+    return Localizer(plaza_map)
 
 
 def near(T: Pose, truth: Pose, metres: float = 2.0, degrees: float = 10.0) -> bool:

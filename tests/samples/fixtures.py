@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from .plaza import Plaza
+from segloc import Config, SegmentMap, build_map
+
+from .plaza import Plaza, PlazaSequence
 from .real import real
 
 
@@ -21,3 +23,10 @@ def kitti() -> Path:
 def plaza() -> Plaza:
     """A small scene that needs no simulator."""
     return Plaza(0)
+
+
+@pytest.fixture(scope="session")
+def plaza_map(plaza: Plaza) -> SegmentMap:
+    """A map of the plaza by ``geo``; tests that change it copy it first."""
+    config = Config.preset("geo").model_copy(update={"threads": 1})
+    return build_map(PlazaSequence(plaza), config)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import subprocess
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +15,7 @@ import pytest
 from samples.maps import repeated, town
 from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, build_map, geometry
+from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, geometry
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.segment_map import along
@@ -36,7 +34,7 @@ AWAY = np.array([[400.0, 0, 0], [0, 400.0, 0], [800.0, 800.0, 0], [-400.0, 0, 0]
 
 def street() -> SegmentMap:
     """A compact map with a path through it."""
-    made = compacted(town(count=2700, points=20_000), CompactConfig())
+    made = compacted(town(count=1350, points=10_000), CompactConfig())
     steps = np.linspace(-59, 59, 60)
     path = [geometry.yaw_transform(0.0, (4e5 + s, 5e6 + s, 301.0)) for s in steps]
     return along(made, np.stack(path))
@@ -132,7 +130,7 @@ def test_a_cut_that_fails_leaves_the_old_tiles(
 # --- what is missing, damaged or slow -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["missing", "flipped", "cut short", "longer", "another"])
+@pytest.mark.parametrize("how", ["missing", "flipped", "cut short", "another"])
 def test_a_tile_that_cannot_be_had_is_named(cut: Path, how: str) -> None:
     tiles = TiledMap(cut)
     first, second, *_ = tiles.index.tiles
@@ -144,8 +142,7 @@ def test_a_tile_that_cannot_be_had_is_named(cut: Path, how: str) -> None:
         path.write_bytes((cut / second.file).read_bytes())
     else:
         data[len(data) // 2] ^= 4
-        longer = {"flipped": data, "cut short": data[:-9], "longer": data + b"0"}[how]
-        path.write_bytes(bytes(longer))
+        path.write_bytes(bytes(data if how == "flipped" else data[:-9]))
     with pytest.raises(MapFormatError, match=first.file) as caught:
         tiles.together(tiles.index.tiles)
     assert "\n" not in str(caught.value)
@@ -242,7 +239,7 @@ def test_a_url_that_nothing_opens_is_refused(tmp_path: Path) -> None:
 
 
 class Faulty:
-    """A store whose first answers for tiles are cut short, late or wrong."""
+    """A store whose first answers for tiles are late or wrong."""
 
     def __init__(self, where: str, how: str, times: int) -> None:
         self._store, self._how, self._left = Remote(where), how, times
@@ -257,15 +254,15 @@ class Faulty:
             time.sleep(30)
         if self._how == "error":
             raise ConnectionResetError("connection reset by peer")
-        return data[: len(data) // 2] if self._how == "cut short" else data[::-1]
+        return data[::-1]
 
 
-@pytest.mark.parametrize("how", ["late", "error", "cut short", "wrong"])
+@pytest.mark.parametrize("how", ["late", "error", "wrong"])
 def test_a_faulty_store_is_asked_twice_and_then_named(
     whole: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     pytest.importorskip("fsspec")
-    url = f"memory://segloc-faulty-{how.replace(' ', '-')}"
+    url = f"memory://segloc-faulty-{how}"
     index = cut_tiles(whole, url, size_m=50.0, margin_m=20.0)
     first, second, *_ = index.tiles
     for times, works in ((1, False),) if how == "late" else ((1, True), (2, False)):
@@ -280,37 +277,6 @@ def test_a_faulty_store_is_asked_twice_and_then_named(
         assert "\n" not in str(caught.value)
         assert len(tiles.tile(second)) == second.segments
         assert len(tiles.tile(first)) == first.segments  # once it answers
-
-
-def test_tiles_of_a_web_server(whole: SegmentMap, cut: Path, tmp_path: Path) -> None:
-    pytest.importorskip("fsspec")
-    pytest.importorskip("aiohttp")
-    server = subprocess.Popen(
-        [sys.executable, "-u", "-m", "http.server", "0", "--bind", "127.0.0.1", "-d", str(cut)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
-        assert server.stdout is not None
-        port = server.stdout.readline().split(" port ")[1].split()[0]
-        url = f"http://127.0.0.1:{port}"
-        tiles = TiledMap(url, cache=tmp_path / "cache")
-        assert rows(tiles.together(tiles.index.tiles)) == rows(
-            TiledMap(cut).together(tiles.index.tiles)
-        )
-        (cut / tiles.index.tiles[0].file).unlink()
-        with pytest.raises(MapFormatError, match=tiles.index.tiles[0].file):
-            TiledMap(url, cache=tmp_path / "other").tile(tiles.index.tiles[0])
-        again = TiledMap(url, cache=tmp_path / "cache")
-        assert len(again.tile(again.index.tiles[0])) == again.index.tiles[0].segments
-    finally:
-        server.kill()
-        server.wait()
-        if server.stdout is not None:
-            server.stdout.close()
-    with pytest.raises(MapFormatError, match=INDEX):
-        TiledMap(url, cache=tmp_path / "cache")
 
 
 def test_what_was_used_last_is_kept_within_its_bytes(cut: Path) -> None:
@@ -415,8 +381,8 @@ def session_of(whole: SegmentMap, centre: Any, radius: float, aside: float = 0.2
 
 
 @pytest.fixture(scope="module")
-def site(plaza: Plaza) -> SegmentMap:
-    return build_map(PlazaSequence(plaza), GEO)
+def site(plaza_map: SegmentMap) -> SegmentMap:
+    return plaza_map
 
 
 @pytest.mark.slow
@@ -517,28 +483,3 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
     (tmp_path / opened[0]).unlink()
     with pytest.raises(MapFormatError, match=opened[0]):
         Localizer(TiledMap(tmp_path)).localize(elsewhere)
-
-
-@pytest.mark.slow
-def test_the_verbs_cut_and_localize(
-    plaza: Plaza, site: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    from segloc import cli
-
-    site.save(tmp_path / "site.segmap")
-    scans = tmp_path / "scans"
-    scans.mkdir()
-    np.save(scans / "0.npy", plaza.scan(TRUE, seed=77).points)
-    monkeypatch.chdir(tmp_path)
-    for line in (
-        "map tile site.segmap --size 50 --out tiles",
-        "localize scans --map tiles --near 3,-2 --radius 20 --out found --threads 1",
-        "localize scans --map tiles --near 300,-2 --radius 20 --out lost --threads 1",
-    ):
-        monkeypatch.setattr("sys.argv", ["segloc", *line.split()])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        assert not end.value.code, capsys.readouterr().err
-    files = (tmp_path / name / "localizations.jsonl" for name in ("found", "lost"))
-    answers = [json.loads(file.read_text()) for file in files]
-    assert answers[0]["localized"] and answers[1]["reason"] == "not near the prior"
