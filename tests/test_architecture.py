@@ -6,7 +6,6 @@ import functools
 import sys
 from collections.abc import Iterator
 
-from samples import source
 from samples.source import PROJECT, ROOT, Package
 
 LAYERS = (
@@ -62,9 +61,6 @@ PACKAGES = {
 }
 """Where packages of others are imported. The laboratory's are in none of these rooms."""
 
-MAX_TOP_MODULES = 12
-MAX_FUNCTION_LINES = 60
-
 
 @functools.cache
 def package() -> Package:
@@ -116,16 +112,3 @@ def test_packages_of_others_stay_in_their_rooms() -> None:
         if not any(room == "*" or f"{importer}.".startswith(f"{room}.") for room in rooms):
             wrong.append(f"{importer} -> {other}")
     assert not wrong, "\n".join(["imports of packages where PACKAGES has none:", *wrong])
-
-
-def test_few_modules_lie_at_the_top() -> None:
-    top = [path.name for path in (PROJECT / "src" / "segloc").glob("*.py")]
-    assert len(top) <= MAX_TOP_MODULES, sorted(top)
-
-
-def test_functions_are_short() -> None:
-    python = source.lengths(source.files("src", "lab/src"), source.python_functions)
-    kernels = source.files("cpp", suffixes=(".cpp", ".h"))
-    found = [*python, *source.lengths(kernels, source.cpp_functions)]
-    long = [f"{item.lines:5} {item.where}" for item in found if item.lines > MAX_FUNCTION_LINES]
-    assert not long, "\n".join([f"functions of more than {MAX_FUNCTION_LINES} lines:", *long])

@@ -113,21 +113,6 @@ def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_allclose(recording.poses, poses, atol=1e-5)
 
 
-@pytest.mark.slow
-def test_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("embreex")
-    from segloc_lab.simulation import SENSORS, Route, simulate_session, town
-
-    make = loaded("lab/src/segloc_lab/simulation/sensors/lidar.py", tmp_path).pandar40
-    monkeypatch.setitem(SENSORS, "pandar40", make)
-    sensor = SENSORS["pandar40"](200)
-    assert len(sensor.rays(0.0).directions) == 40 * 200
-    world = town(seed=3, size_m=130.0)
-    way = world.roads.walk(np.random.default_rng(0), [0], 30.0, avoid=[])
-    drive = simulate_session(world, 0, Route(tuple(way)), sensor, seed=1)
-    assert len(drive.scan(0)) > 1000
-
-
 def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     studies = pytest.importorskip("segloc_lab.studies.paper.workspace")
     workspaces = importlib.import_module("segloc_lab.studies.paper.workspace")

@@ -7,7 +7,6 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from samples.plaza import Plaza, PlazaSequence
 
 from segloc import (
     Config,
-    InvalidScan,
     Localizer,
     MapMismatch,
     Prior,
@@ -164,14 +162,6 @@ def test_maps_of_almost_nothing_localize_nothing(
     assert not result.localized and result.T_map_sensor is None and result.reason
 
 
-def test_several_scans_need_poses(plaza: Plaza, localizer: Localizer) -> None:
-    bare = plaza.scan(np.eye(4), posed=False)
-    with pytest.raises(InvalidScan, match="T_odom_sensor"):
-        localizer.localize([bare, bare])
-    with pytest.raises(InvalidScan, match="no scan"):
-        localizer.localize([])
-
-
 def test_a_map_of_another_descriptor_is_refused(prior_map: SegmentMap) -> None:
     other = SegmentMap.empty(prior_map.descriptor, "another-fingerprint", prior_map.dim)
     with pytest.raises(MapMismatch, match="another-fingerprint"):
@@ -181,15 +171,6 @@ def test_a_map_of_another_descriptor_is_refused(prior_map: SegmentMap) -> None:
         Localizer(nonesuch)
     with pytest.raises(MapMismatch, match="'nonesuch', but the configuration is of method 'geo'"):
         Localizer(nonesuch, Config.preset("geo"))
-
-
-def test_a_configuration_of_another_method_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "segloc.yaml"
-    path.write_text("method: geo\nmatching: {neighbours: 7}\n")
-    assert Config.load(path).matching.neighbours == 7
-    assert Config.load(path, "geo").local_cloud == GEO.local_cloud
-    with pytest.raises(ConfigError, match="'geo', where 'dsm' is needed"):
-        Config.load(path, "dsm")
 
 
 def test_mapping_needs_poses_and_something_to_see(plaza: Plaza) -> None:
@@ -217,15 +198,6 @@ def test_the_same_query_gives_the_same_bits_for_any_number_of_threads(
         np.testing.assert_array_equal(result.T_map_sensor, results[0].T_map_sensor)
         np.testing.assert_array_equal(result.covariance, results[0].covariance)
         assert (result.inliers, result.overlap) == (results[0].inliers, results[0].overlap)
-
-
-def test_the_map_is_the_same_after_saving(
-    plaza: Plaza, prior_map: SegmentMap, localizer: Localizer, tmp_path: Path
-) -> None:
-    prior_map.save(tmp_path / "site.segmap")
-    scan = plaza.scan(geometry.yaw_transform(-1.0, (0.0, 2.0, 1.7)))
-    again = Localizer(SegmentMap.load(tmp_path / "site.segmap")).localize(scan)
-    np.testing.assert_array_equal(again.T_map_sensor, localizer.localize(scan).T_map_sensor)
 
 
 def test_nothing_that_localizes_imports_torch() -> None:

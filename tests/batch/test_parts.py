@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import signal
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from samples.executors import dask
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localization, Localizer, Prior, SeglocError, build_map
@@ -74,36 +70,3 @@ def test_parts_know_the_prior_and_their_faults(place: Path, drive: PlazaSequence
         assert localize_parts(str(place), GEO, drive, np.arange(0), executor) == []
         with pytest.raises((SeglocError, OSError)):
             localize_parts(str(place) + ".lost", GEO, drive, np.arange(3), executor)
-
-
-class Killing(Executor):
-    """Ends the process of every task."""
-
-    def __init__(self, pool: Executor) -> None:
-        self._pool = pool
-
-    def submit(self, fn: Any, /, *given: Any, **named: Any) -> Future[Any]:
-        return self._pool.submit(_die)
-
-
-def _die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.slow
-def test_a_process_that_is_ended_is_said(place: Path, drive: PlazaSequence) -> None:
-    with (
-        single_threaded_pool(1) as pool,
-        pytest.raises(SeglocError, match="fewer workers"),
-    ):
-        localize_parts(str(place), GEO, drive, np.arange(3), Killing(pool))
-
-
-@pytest.mark.slow
-def test_a_cluster_that_loses_a_worker_gives_the_same(
-    place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run, "QUERIES", 2)
-    with dask() as (executor, kill):
-        found = localize_parts(str(place), GEO, drive, np.arange(COUNT), executor, kill)
-    assert same(found, expected)

@@ -84,14 +84,6 @@ def test_clusters_above_several_heights_are_those_above_each(
     assert [f.tolist() for f in found] == [e.tolist() for e in expected]
 
 
-def test_clusters_of_points_on_a_lattice_touch_at_exactly_the_radius() -> None:
-    line = np.zeros((10, 3), np.float32)
-    line[:, 0] = np.arange(10) * 0.5
-    members, offsets = _native.euclidean_clusters(line, 0.5, 1, 100)
-    assert offsets.tolist() == [0, 10] and sorted(members.tolist()) == list(range(10))
-    assert len(_native.euclidean_clusters(line, 0.49, 1, 100)[1]) == 11
-
-
 def hillside(rng: np.random.Generator, slope: float, count: int = 20_000) -> np.ndarray:
     xy = rng.uniform(-30, 30, (count, 2))
     z = slope * xy[:, 0] + 0.3 * np.sin(xy[:, 1] / 4) + rng.normal(0, 0.02, count)

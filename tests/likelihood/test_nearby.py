@@ -159,33 +159,6 @@ def test_where_a_place_repeats_itself_nothing_is_believed() -> None:
     assert verdict.confidence < 0.8 or verdict.reason is Reason.AMBIGUOUS
 
 
-def test_storeys_that_a_query_cannot_see_take_no_place_of_what_it_can() -> None:
-    floors = np.concatenate([hall() + np.float32([0, 0, 6.0 * k]) for k in range(5)])
-    counts = []
-    for cloud, storeyed in ((hall(), False), (floors, False), (floors, True)):
-        judge = Verifier(cloud, np.zeros(3), storeyed=storeyed)
-        score = judge.refined(Candidate(np.eye(4), 3), judge.query(scene(hall())))
-        assert score.seen is not None and score.seen > 0.95
-        counts.append(score.judged)
-    alone, among_all, among_own = counts
-    assert among_all < 0.4 * alone < 0.6 * alone < among_own
-
-
-def test_of_storeys_the_likeliest_is_judged_once_it_is_refined() -> None:
-    """The query fits two storeys roughly better than its own place, where it stands beside it."""
-    wider = hall(marked=False) * np.float32([1, 1 + 0.6 / 14, 1])
-    cloud = np.concatenate([hall(), *(wider + np.float32([0, 60, z]) for z in (0.0, 6.0))])
-    own = Candidate(geometry.yaw_transform(np.radians(5.0), (1.3, 0.9, 0.0)), 0, 0.0)
-    like = [Candidate(geometry.yaw_transform(0.0, (0.0, 60.0, z)), 0, 0.0) for z in (0.0, 6.0)]
-    answers = []
-    for storeyed in (False, True):
-        judge = Verifier(cloud, np.zeros(3), storeyed=storeyed)
-        answers.append(judge.verify(judge.query(scene(hall())), [*like, own]))
-    assert answers[0].reason is not None
-    assert answers[1].reason is None and answers[1].best is not None
-    assert np.abs(answers[1].best.T_map_local - np.eye(4)).max() < 0.1
-
-
 def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
     """Rooms that are alike: nearly all points lie near a point of the other, few on its walls."""
     room = np.concatenate([hall(), hall()[:, [1, 0, 2]]])
@@ -204,20 +177,6 @@ def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
     assert fits > 0.95 and still_fits > 0.85
     assert flush > 0.85 and off < 0.35
     assert flush_share(surface, close_surface(room[:20]), np.eye(4), 0.1) is None
-
-
-def test_a_like_place_is_no_equal_where_its_walls_stand_otherwise() -> None:
-    """Two halls, one 0.4 m wider: each scan is found in its own, whichever is tried first."""
-    narrow, wide = hall(), hall() * np.float32([1, 1 + 0.4 / 14, 1])
-    far = np.float32([0, 60, 0])
-    judge = verifier(np.concatenate([narrow, wide + far]))
-    places = [geometry.yaw_transform(0.0, (0.0, y, 0.0)) for y in (0.0, 60.0)]
-    for k, own in enumerate((narrow, wide)):
-        candidates = [Candidate(T, 4) for T in (places[1 - k], places[k])]
-        verdict = judge.verify(judge.query(scene(own)), candidates, lambda T: 4)
-        assert verdict.reason is None, verdict.message
-        assert verdict.best is not None
-        assert np.abs(verdict.best.T_map_local[:2, 3] - places[k][:2, 3]).max() < 0.1
 
 
 def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:

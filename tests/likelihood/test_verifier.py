@@ -12,14 +12,13 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
-from segloc.frontend.segmentation import Segmentation
-from segloc.likelihood import VerificationConfig, Verifier
+from segloc.likelihood import VerificationConfig
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.proposals.matching import MatchingConfig
 from segloc.proposals.occupancy import OccupancyConfig
-from segloc.types import Float32, Float64, Int64, Pose, Segments
+from segloc.types import Float32, Float64, Int64, Pose
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -145,24 +144,6 @@ def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_j
     assert seen == 0 and through > 0.5 * len(y)
 
 
-def test_the_extent_is_what_stands_around_the_sensor() -> None:
-    """A wall of 40 m; neither the ground counts, nor a wall that is out of range."""
-    along = np.arange(-20.0, 20.0, 0.25)
-    wall = np.stack([along, np.full_like(along, 5.0), np.full_like(along, 1.5)], axis=1)
-    ground = np.stack([along, along, np.zeros_like(along)], axis=1).astype(np.float32)
-    judge = Verifier(wall.astype(np.float32), np.zeros(3))
-    no_points = np.zeros((0, 3), np.float32)
-
-    def extent(*walls: Float64) -> int:
-        none = Segments(no_points, np.zeros(1, np.int64), np.zeros((0, 3)), np.zeros(0))
-        structure = np.concatenate([no_points, *walls], dtype=np.float32)
-        return judge.query(Segmentation(none, structure, ground)).extent
-
-    assert extent() == 0
-    assert extent(wall) == extent(wall, wall) == extent(wall, wall + [0.0, 60.0, 0.0]) == 10
-    assert extent(wall, wall + [0.0, 9.0, 0.0]) == 20
-
-
 def test_each_gate_refuses_and_says_so(plaza: Plaza) -> None:
     config = Config.preset("geo")
     prior_map = build_map(PlazaSequence(plaza, steps=6), config)
@@ -199,11 +180,3 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
     assert not lost.localized and lost.reason is Reason.TOO_FEW_INLIERS
     assert found.localized
     assert found.counts["proposed"] == min(80, len(prior_map)) * found.counts["segments"]
-
-
-def test_neighbours_grow_with_the_map_up_to_a_limit() -> None:
-    config = MatchingConfig()
-    first = [config.schedule(n)[0] for n in (10, 50_000, 200_000, 1_000_000, 10**8)]
-    assert first[:2] == [25, 25] and first == sorted(first) and first[-1] == config.max_neighbours
-    assert Config.preset("nsm").matching.schedule(10**7) == (200,)
-    assert Config.preset("dsm").matching.schedule(10**7) == (25,)

@@ -138,18 +138,6 @@ def test_what_fails_in_a_thread_is_told_and_nothing_hangs(
     assert not any(thread.is_alive() for thread in live._threads)
 
 
-def test_a_query_that_cannot_be_made_is_no_fault(
-    localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(*_: Any) -> Any:
-        raise InvalidScan("not this one")
-
-    monkeypatch.setattr(localizer, "search", refused)
-    with LiveLocalizer(localizer, CONFIG) as live:
-        hand_over(live, plaza, 2)
-        assert live.state.status is Status.LOST
-
-
 def test_it_ends_at_once_with_work_waiting(localizer: Localizer, plaza: Plaza) -> None:
     before = threading.active_count()
     with pytest.raises(KeyError), LiveLocalizer(localizer, CONFIG) as live:

@@ -77,13 +77,6 @@ def test_jacobians_are_the_derivatives(seed: int, turn: float) -> None:
             )
 
 
-def test_residuals_do_not_depend_on_the_frame() -> None:
-    rng = np.random.default_rng(1)
-    poses, frame = _poses(rng, 6), _poses(rng, 1)[0]
-    edges = _edges(_poses(rng, 6), [0, 2, 4], [1, 5, 3])
-    np.testing.assert_allclose(residuals(frame @ poses, edges), residuals(poses, edges), atol=1e-9)
-
-
 def test_finds_the_exact_poses_again_and_leaves_the_fixed_one() -> None:
     rng = np.random.default_rng(2)
     truth = _circle()

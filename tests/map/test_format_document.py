@@ -14,10 +14,7 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localization, Localizer, SegmentMap, build_map
-from segloc.batch.run import localize_sequence
-from segloc.batch.score import Evaluation
-from segloc.cli.results import write_results
+from segloc import Config, SegmentMap, build_map
 from segloc.descriptors.weightfile import shipped_weights
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
@@ -143,13 +140,6 @@ def test_a_map_has_the_tensors_of_the_document(site: SegmentMap, saved: Path) ->
     assert set(lengths) == set("PDNV")
 
 
-def test_the_cloud_has_one_point_a_voxel(saved: Path) -> None:
-    header, tensors, _ = opened(saved)
-    voxel = float(header["__metadata__"]["cloud_voxel"])
-    cells = np.floor((tensors["origin"] + tensors["cloud"]) / voxel)
-    assert len(np.unique(cells, axis=0)) == len(cells)
-
-
 @pytest.mark.parametrize("version", [1, FORMAT_VERSION])
 def test_a_map_has_the_text_fields_and_checksums_of_the_document(
     saved: Path, packed: Path, version: int
@@ -193,61 +183,3 @@ def test_the_confidence_model_has_the_keys_of_the_document() -> None:
     assert list(model) == list(rows)
     for key in ("weights", "chance"):
         assert all(f"`{name}`" in rows[key] for name in model[key])
-
-
-def test_a_forest_is_walked_as_the_document_says() -> None:
-    from segloc import _native
-
-    _, nodes, _ = opened(shipped_weights("segmatch-eigen-forest.safetensors"))
-    rng = np.random.default_rng(0)
-    query, mapped = (rng.normal(0, 1, (5, 7)).astype(np.float32) for _ in range(2))
-    pairs = np.arange(5)
-    layout = (7, True, 0)
-    features = _native.pair_features(query, mapped, pairs, pairs, layout, 1)
-    forest = _native.Forest(**{name: nodes[name].copy() for name in nodes}, features=35)
-    expected = forest.predict_pairs(query, mapped, pairs, pairs, layout, 1)
-    for row, answer in zip(features, expected, strict=True):
-        answers = []
-        for node in nodes["roots"]:
-            while nodes["first_child"][node] >= 0:
-                larger = row[nodes["feature"][node]] > nodes["threshold"][node]
-                node = nodes["first_child"][node] + int(larger)
-            answers.append(nodes["threshold"][node])
-        assert np.mean(answers) == pytest.approx(answer, abs=1e-6)
-
-
-@pytest.fixture(scope="module")
-def results(
-    site: SegmentMap, plaza: Plaza, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, Evaluation]:
-    sequence = PlazaSequence(plaza, steps=6)
-    localizer = Localizer(site, Config(threads=1))
-    positions = np.array([3, 5])
-    answers: list[Localization] = localize_sequence(localizer, sequence, positions)
-    evaluation = Evaluation(positions, answers, site.trajectory, sequence.poses[positions])
-    out = tmp_path_factory.mktemp("results") / "out"
-    write_results(out, site, evaluation, None)
-    return out, evaluation
-
-
-def test_results_have_the_keys_of_the_document(results: tuple[Path, Evaluation]) -> None:
-    out, _ = results
-    lines = (out / "localizations.jsonl").read_text("utf-8").splitlines()
-    keys = [row[0] for row in table("localization fields")]
-    assert [list(json.loads(line)) for line in lines] == [keys] * 2
-    summary = json.loads((out / "summary.json").read_text("utf-8"))
-    assert list(summary) == [row[0] for row in table("summary fields")]
-    assert {path.name for path in out.iterdir()} == {
-        "poses.tum", "localizations.jsonl", "summary.json",
-    }  # fmt: skip
-
-
-def test_poses_are_those_of_the_localized_queries(results: tuple[Path, Evaluation]) -> None:
-    out, evaluation = results
-    first, *lines = (out / "poses.tum").read_text("ascii").splitlines()
-    assert first == "# stamp tx ty tz qx qy qz qw"
-    rows = np.array([[float(part) for part in line.split()] for line in lines])
-    assert evaluation.localized.all() and rows.shape == (2, 8)
-    np.testing.assert_array_equal(rows[:, 0], evaluation.indices)
-    np.testing.assert_allclose(rows[:, 1:4], evaluation.positions_found()[:, :3, 3], atol=1e-9)
-    assert (rows[:, 7] >= 0).all()

@@ -11,7 +11,7 @@ from samples.plaza import Plaza
 from segloc_lab.padding import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, _native, geometry
-from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, free_cells, storeys
+from segloc.proposals.occupancy import OccupancyConfig, free_cells, storeys
 from segloc.types import Pose
 
 CELL, LEVELS, YAWS, RANGE_M = 0.5, 4, 24, 15.0
@@ -192,12 +192,6 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
         assert occupancy(localizer).candidates(scene) == []
     empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
     assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
-
-
-def test_a_map_too_wide_for_it_has_no_candidates(plaza: Plaza, localizer: Localizer) -> None:
-    scene = localizer.describe(plaza.scan(geometry.yaw_transform(0.0, (0, 0, 1.7)))).scene
-    cloud = np.concatenate([localizer.prior_map.cloud, [[3e5, 3e5, 0]]]).astype(np.float32)
-    assert OccupancyProposer(cloud, np.zeros(3), np.empty((0, 4, 4))).candidates(scene) == []
 
 
 def storey(rng: np.random.Generator, z: float) -> tuple[np.ndarray, np.ndarray]:

@@ -70,13 +70,6 @@ def test_the_true_pose_comes_first(estimator: str, seed: int) -> None:
         assert np.linalg.det(R) > 0
 
 
-def test_prosac_needs_no_gravity() -> None:
-    tilt = Rotation.from_euler("zyx", [2.0, 0.3, -0.4]).as_matrix()
-    query, prior_map, matches, T = scene(7, T=geometry.rigid(tilt, np.array([50.0, -20, 3])))
-    found = PoseEstimator(PoseConfig(estimator="prosac")).estimate(query, prior_map, matches)
-    assert error(found[0], T, query) < 0.5
-
-
 @pytest.mark.parametrize("estimator", ["consensus", "prosac", "geometric_consistency"])
 def test_utm_coordinates_lose_no_precision(estimator: str) -> None:
     query, prior_map, matches, T = scene(3, origin=5e6)
@@ -168,23 +161,6 @@ def test_two_equal_places_are_both_reported() -> None:
     found = PoseEstimator().estimate(query, prior_map, both)
     assert min(error(h, T, query) for h in found[:2]) < 0.5
     assert min(error(h, twin, query) for h in found[:2]) < 0.5
-
-
-def test_equal_storeys_are_all_reported() -> None:
-    query, prior_map, matches, T = scene(3)
-    lift = np.array([0.0, 0.0, 3.1])
-    count, storeys = len(prior_map), 3
-    everywhere = np.concatenate([prior_map + k * lift for k in range(storeys)])
-    again = Matches(
-        np.tile(matches.query, storeys),
-        np.concatenate([matches.map + k * count for k in range(storeys)]),
-        np.tile(matches.distance, storeys),
-        np.tile(matches.score, storeys),
-    )
-    found = PoseEstimator().estimate(query, everywhere, again)[:storeys]
-    heights = sorted(c.T_map_local[2, 3] - T[2, 3] for c in found)
-    np.testing.assert_allclose(heights, [0.0, 3.1, 6.2], atol=0.3)
-    assert len({c.inliers for c in found}) == 1
 
 
 def test_close_segments_are_one_object() -> None:

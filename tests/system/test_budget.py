@@ -13,7 +13,7 @@ from samples import io as samples
 
 from segloc import geometry
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import read_scan, read_trajectory
+from segloc.io import read_scan
 from segloc.system import budget
 from segloc.system.processes import ProcessPool
 
@@ -47,18 +47,6 @@ def test_a_limit_that_is_none(text: str, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv(budget.OPTION, text)
     with pytest.raises(ConfigError, match=budget.OPTION):
         budget.most_points()
-
-
-def test_poses_in_large_files_are_those_in_small_ones(tmp_path: Path) -> None:
-    rows = [f"{k}.25 {k} {-k} 0.5 0 0 0 1  # note\n" for k in range(3000)]
-    (tmp_path / "a.tum").write_text("# stamp\n\n" + "".join(rows))
-    trajectory = read_trajectory(tmp_path / "a.tum")
-    np.testing.assert_array_equal(trajectory.stamps, np.arange(3000) + 0.25)
-    np.testing.assert_array_equal(trajectory.poses[7, :3, 3], [7, -7, 0.5])
-    rows[1000] = "1000.25 1 2 3 0 0 0 one\n"
-    (tmp_path / "a.tum").write_text("# stamp\n\n" + "".join(rows))
-    with pytest.raises(DatasetError, match=r"line 1003: .*'one'"):
-        read_trajectory(tmp_path / "a.tum")
 
 
 @settings(max_examples=20)

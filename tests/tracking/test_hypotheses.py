@@ -98,21 +98,6 @@ def test_where_places_are_alike_views_must_agree_for_some_metres() -> None:
     assert at(after(*agreed[:1], again), HERE)  # there was a track: nothing speaks against it
 
 
-def test_what_nothing_supports_degrades_and_ends() -> None:
-    track = after(view(0.0, HERE))
-    assert track.status(29.0)[0] is Status.LOCALIZED and track.status(31.0)[0] is Status.DEGRADED
-    track.forget(149.0)
-    assert at(track, HERE)
-    track.forget(151.0)
-    assert track.status(151.0)[0] is Status.LOST
-
-
-def test_where_little_of_the_map_is_seen_old_scans_support_nothing() -> None:
-    track = after(view(0.0, HERE), view(10.0, HERE, check=Check.UNMAPPED))
-    assert at(track, HERE) and track.status(10.0)[0] is Status.DEGRADED
-    assert track.track is not None and track.track.since == 0.0 and not track.contradicted
-
-
 def test_a_scan_that_does_not_confirm_the_track_degrades_it_whatever_older_scans_say() -> None:
     undecided = {"check": Check.UNDECIDED, "T_checked": HERE}
     track = after(view(0.0, HERE), view(10.0, HERE))
