@@ -13,10 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from segloc.batch.picture import draw, draw_errors, travelled
+from segloc.batch.picture import draw
 from segloc.batch.run import query_positions
 from segloc.batch.score import Evaluation, Tolerance, distances_to_path, pose_errors
-from segloc.errors import SeglocError
 from segloc.localization import Localization, Localized, NotLocalized, Reason, RunnerUp
 from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
@@ -156,14 +155,3 @@ def test_drawing(evaluation: Evaluation) -> None:
     pictures.append(draw(prior_map, evaluation, "a town"))
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert draw(prior_map, evaluation, "a town") == pictures[-1]
-
-
-def test_errors_are_drawn_along_the_way(evaluation: Evaluation) -> None:
-    pytest.importorskip("matplotlib")
-    drawn = draw_errors(evaluation, "a town")
-    assert drawn.startswith(b"\x89PNG") and drawn == draw_errors(evaluation, "a town")
-    blind = Evaluation(evaluation.indices, evaluation.results, line([0]))
-    with pytest.raises(SeglocError, match="only where the truth is"):
-        draw_errors(blind, "a town")
-    # A jump to another part of a recording is no way.
-    assert travelled(line([0, 3, 5, 205, 206])).tolist() == [0, 3, 5, 5, 6]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from samples.segments import packed
 
 from segloc import geometry
 from segloc.descriptors import Descriptor, available, create
@@ -12,13 +13,6 @@ from segloc.types import Segments
 
 FRAME_BOUND = {"segmatch-eigen-ethz"}
 """Descriptors that see the axes of the frame, by their definition."""
-
-
-def packed(clouds: list[np.ndarray], height: float = 1.0) -> Segments:
-    points = np.vstack([np.empty((0, 3), np.float32), *clouds]).astype(np.float32)
-    offsets = np.cumsum([0, *map(len, clouds)], dtype=np.int64)
-    centroids = np.stack([c.astype(np.float64).mean(axis=0) for c in clouds])
-    return Segments(points, offsets, centroids, np.full(len(clouds), height, np.float32))
 
 
 def objects(count: int = 12, seed: int = 0) -> list[np.ndarray]:

@@ -7,18 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.segments import packed
 
 from segloc import _native, geometry
 from segloc.descriptors import segmap
 from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import WeightsError
-from segloc.types import Segments
-
-
-def packed(*clouds: np.ndarray) -> Segments:
-    points = np.vstack([np.empty((0, 3)), *clouds]).astype(np.float32)
-    offsets = np.cumsum([0, *map(len, clouds)], dtype=np.int64)
-    return Segments(points, offsets, np.zeros((len(clouds), 3)), np.ones(len(clouds), "f4"))
 
 
 def clouds(count: int, seed: int = 0) -> list[np.ndarray]:
@@ -53,7 +47,7 @@ def random_tensors(
 
 
 def test_grids_follow_their_definition() -> None:
-    segments = packed(*clouds(20), np.zeros((3, 3)), np.array([[4.0, 1, 2]]))
+    segments = packed([*clouds(20), np.zeros((3, 3)), np.array([[4.0, 1, 2]])])
     shapes = segmap.prepare(segments, threads=1)
     grids = shapes.dense()
     size = np.array(segmap.GRID)
@@ -86,7 +80,7 @@ def test_network_equals_torch(isa: str) -> None:
     except ValueError:
         pytest.skip(f"this machine does not run {isa}")
     tensors = random_tensors()
-    shapes = segmap.prepare(packed(*clouds(9), np.zeros((1, 3))), threads=1)
+    shapes = segmap.prepare(packed([*clouds(9), np.zeros((1, 3))]), threads=1)
     ours = _native.VoxelNetwork(tensors, isa).describe(
         shapes.voxels, shapes.offsets, shapes.scales, threads=1
     )
@@ -104,7 +98,7 @@ def test_network_equals_torch(isa: str) -> None:
 
 def test_neither_batches_nor_threads_change_a_bit() -> None:
     network = _native.VoxelNetwork(random_tensors(1, (32, 32, 32)))
-    shapes = segmap.prepare(packed(*clouds(70)), threads=2)
+    shapes = segmap.prepare(packed([*clouds(70)]), threads=2)
     together = network.describe(shapes.voxels, shapes.offsets, shapes.scales, threads=1)
     threaded = network.describe(shapes.voxels, shapes.offsets, shapes.scales, threads=2)
     np.testing.assert_array_equal(threaded, together)
@@ -121,7 +115,7 @@ def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
     assert path.stat().st_size < 10_000_000
     descriptor = segmap.SegMapDescriptor(path, threads=1)
     assert descriptor.dim == 64 and descriptor.card == {"data": "none"}
-    segments = packed(*clouds(30))
+    segments = packed([*clouds(30)])
     shapes = descriptor.prepare(segments)
     full = _native.VoxelNetwork(tensors).describe(shapes.voxels, shapes.offsets, shapes.scales)
     stored = descriptor.describe(segments).vectors

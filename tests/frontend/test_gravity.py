@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from samples.plaza import Plaza
@@ -11,8 +9,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from segloc import InvalidScan, Scan, _native, geometry
-from segloc.config import Config
-from segloc.errors import ConfigError
 from segloc.frontend.gravity import Attitude, AttitudeConfig, AttitudeEstimator, angle_deg
 from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig
 from segloc.frontend.mounting import MountConfig, rotation
@@ -197,30 +193,6 @@ def test_what_is_no_gravity_is_refused(gravity: object) -> None:
     for error in (-1.0, np.nan, 181.0):
         with pytest.raises(InvalidScan, match="gravity_error_deg"):
             Scan(np.zeros((1, 3)), gravity=-Z, gravity_error_deg=error)
-
-
-def test_mounting_in_the_configuration(tmp_path: Path) -> None:
-    file = tmp_path / "robot.yaml"
-    file.write_text("local_cloud: {mount: {xyz_m: [0.3, 0, 1.2], rpy_deg: [0, 20, 0]}}")
-    config = Config.load(file)
-    T = config.local_cloud.mount.T_base_sensor
-    assert T is not None
-    np.testing.assert_allclose(T[:3, 3], [0.3, 0, 1.2])
-    np.testing.assert_allclose(T[2, :3], [-np.sin(np.radians(20)), 0, np.cos(np.radians(20))])
-    assert "rpy_deg: [0.0, 20.0, 0.0]" in config.explained()
-    matrix = MountConfig.model_validate({"matrix": T.tolist()})
-    np.testing.assert_array_equal(matrix.T_base_sensor, T)
-    assert MountConfig().T_base_sensor is None
-    for wrong, message in (
-        ("{rpy_deg: [0, 20]}", "rpy_deg"),
-        ("{xyz_m: [0, 0, .nan]}", "xyz_m"),
-        ("{poses_of_base: true}", "poses_of_base needs xyz_m"),
-        ("{matrix: [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}", "not a rigid transform"),
-        ("{matrix: [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], xyz_m: [0,0,1]}", "in place of"),
-    ):
-        file.write_text(f"local_cloud: {{mount: {wrong}}}")
-        with pytest.raises(ConfigError, match=message):
-            Config.load(file)
 
 
 def test_from_the_air_the_ground_counts_and_not_the_roofs() -> None:

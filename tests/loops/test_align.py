@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.executors import Walk
 from samples.plaza import Plaza, PlazaSequence
 from segloc_lab.simulation import OdometryNoise
 
@@ -50,21 +51,11 @@ def errors_across(a: Float64, b: Float64, true_a: Float64, true_b: Float64) -> F
     return np.array(errors)
 
 
-class Walk(PlazaSequence):
-    """A walk across a plaza by another way."""
-
-    def __init__(self, plaza: Plaza, lane: float, name: str, steps: int = 15) -> None:
-        super().__init__(plaza, steps)
-        self.name = name
-        self.poses = self.poses.copy()
-        self.poses[:, 1, 3] += lane
-
-
 @pytest.fixture(scope="module")
 def walks(plaza: Plaza) -> list[Walk]:
     """Two sessions of one plaza, one of another."""
-    other = Walk(Plaza(7), 0.0, "other", steps=6)
-    return [Walk(plaza, 0.0, "first"), Walk(plaza, 2.0, "second"), other]
+    other = Walk(Plaza(7), 0.0, 6, "other")
+    return [Walk(plaza, 0.0, 15, "first"), Walk(plaza, 2.0, 15, "second"), other]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +80,7 @@ def test_sessions_of_one_place_are_joined_and_another_place_stays_apart(
 
 
 def test_threads_do_not_change_a_bit(plaza: Plaza) -> None:
-    walks = [Walk(plaza, 0.0, "first", steps=6), Walk(plaza, 2.0, "second", steps=6)]
+    walks = [Walk(plaza, 0.0, 6, "first"), Walk(plaza, 2.0, 6, "second")]
     settings = AlignConfig(every_m=3.0)
     one, two = (
         align_sessions(

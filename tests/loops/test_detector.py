@@ -111,16 +111,6 @@ def test_the_same_drive_gives_the_same_loops(plaza: Plaza, two_laps: Driven) -> 
 
 
 @pytest.mark.slow
-def test_old_parts_are_forgotten(plaza: Plaza) -> None:
-    settings = SETTINGS.model_copy(update={"max_parts": 2, "every_m": 8.0})
-    driven = round_and_round(plaza, 150.0, settings)
-    loops, detector = driven.loops, driven.detector
-    assert len(detector) <= (2 + 1) * (25.0 / 7.5 + 2)
-    assert len(detector._parts) == 2 and len(detector._submaps) == len(detector)
-    assert all(loop.i >= 0 for loop in loops)
-
-
-@pytest.mark.slow
 def test_another_place_is_no_loop() -> None:
     """The same circle, but what stands around is of another plaza the second time."""
     truths, places = laps(150.0), (Plaza(0), Plaza(7))

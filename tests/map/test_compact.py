@@ -138,19 +138,6 @@ def test_what_is_rounded_stays_near() -> None:
         assert np.array_equal(getattr(small, column), getattr(made, column)[rows])
 
 
-def test_the_best_views_of_an_object_stay() -> None:
-    made = town()
-    small = compacted(made, CompactConfig(max_views=2))
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(small.centroids)
-    assert len(small) < len(made) / 2
-    assert made.quality is not None and small.quality is not None
-    assert small.quality.mean() > made.quality.mean()
-    left = tree.query(made.centroids)[0]
-    assert left.max() < 0.6  # no object is lost
-
-
 def test_merging_compact_maps_keeps_what_is_the_same_once() -> None:
     whole = compacted(town(), CompactConfig())
     left, right = (whole.crop(ORIGIN[:2] + [x, 0.0], 50.0) for x in (-30.0, 30.0))

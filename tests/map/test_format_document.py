@@ -175,11 +175,3 @@ def test_weights_have_the_fields_and_the_hash_of_the_document(file: str) -> None
     for name in sorted(tensors):
         digest.update(f"{name} {tensors[name].shape} ".encode() + raw[name])
     assert texts["sha256"] == digest.hexdigest()
-
-
-def test_the_confidence_model_has_the_keys_of_the_document() -> None:
-    model = json.loads(shipped_weights("confidence.json").read_text("utf-8"))
-    rows = {row[0]: row[1] for row in table("confidence fields")}
-    assert list(model) == list(rows)
-    for key in ("weights", "chance"):
-        assert all(f"`{name}`" in rows[key] for name in model[key])

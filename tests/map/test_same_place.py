@@ -100,27 +100,6 @@ def test_what_cannot_be_judged_passes(one: SegmentMap) -> None:
 
 
 @pytest.mark.slow
-def test_the_command(
-    one: SegmentMap, again: SegmentMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    far = moved(again, geometry.yaw_transform(0.0, (500.0, 0.0, 0.0)))
-    off = moved(again, geometry.yaw_transform(0.7))
-    paths = save(tmp_path, one=one, again=again, far=far, off=off)
-    out = ["--out", str(tmp_path / "out.segmap")]
-    assert merge(paths[0], paths[1], *out) == 0
-    (tmp_path / "out.segmap").unlink()
-    capsys.readouterr()
-    assert merge(paths[0], paths[2], *out) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("segloc: error: ") and "far.segmap: the paths" in said
-    assert said.count("\n") == 1
-    assert merge(paths[0], paths[3], *out, "--elsewhere") == 1
-    assert "off.segmap: the maps are in two frames" in capsys.readouterr().err
-    assert not (tmp_path / "out.segmap").exists()
-    assert merge(paths[0], paths[2], paths[1], *out, "--elsewhere") == 0
-
-
-@pytest.mark.slow
 def test_maps_of_a_row_need_no_order(tmp_path: Path) -> None:
     row = {
         name: plaza_map(0, np.array([x, 0.0, 0.0])) for name, x in (("a", -16), ("b", 16), ("c", 0))

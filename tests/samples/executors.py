@@ -69,8 +69,9 @@ EXECUTORS: dict[str, Any] = {"threads": threads, "processes": processes, "dask":
 class Walk(PlazaSequence):
     """A walk across a plaza along another lane."""
 
-    def __init__(self, plaza: Plaza, lane: float, steps: int = 6) -> None:
+    def __init__(self, plaza: Plaza, lane: float, steps: int = 6, name: str = "plaza") -> None:
         super().__init__(plaza, steps)
+        self.name = name
         self.poses = self.poses.copy()
         self.poses[:, 1, 3] += lane
 

@@ -108,25 +108,6 @@ def test_cutting_again_replaces_what_changed_alone(whole: SegmentMap, cut: Path)
     assert files == {index.coarse.file, *(tile.file for tile in index.tiles)}
 
 
-def test_a_cut_that_fails_leaves_the_old_tiles(
-    whole: SegmentMap, cut: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = (cut / INDEX).read_bytes()
-    plain = Folder.write
-
-    def fail(self: Folder, name: str, data: bytes) -> None:
-        if name == INDEX:
-            raise SeglocError("disk full")
-        plain(self, name, data)
-
-    monkeypatch.setattr(Folder, "write", fail)
-    with pytest.raises(SeglocError, match="disk full"):
-        cut_tiles(whole.crop(whole.origin[:2], 30.0), cut, size_m=60.0, margin_m=20.0)
-    assert (cut / INDEX).read_bytes() == before
-    tiles = TiledMap(cut)
-    assert len(tiles.together(tiles.index.tiles)) > 0.5 * len(whole)
-
-
 # --- what is missing, damaged or slow -------------------------------------------------------------
 
 
@@ -230,12 +211,6 @@ def test_the_cache_is_bounded(whole: SegmentMap, tmp_path: Path) -> None:
         tiles.tile(tile)
         assert sum(p.stat().st_size for p in (tmp_path / "cache").iterdir()) <= most
         assert (tmp_path / "cache" / tile.file).exists()
-
-
-def test_a_url_that_nothing_opens_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("fsspec")
-    with pytest.raises(SeglocError, match="nothing-of-that-name"):
-        TiledMap("nothing-of-that-name://bucket", cache=tmp_path)
 
 
 class Faulty:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -80,12 +78,6 @@ def test_likely_views_must_agree_and_two_places_alike_are_a_contradiction() -> N
     assert at(after(*both), HERE)
 
 
-def test_views_with_a_scan_in_common_count_as_one() -> None:
-    same = [view(5.0 * k, HERE, believed=False, reach_m=5.0 * k) for k in range(4)]
-    assert after(*same).track is None
-    assert at(after(*same, view(20.0, HERE, believed=False, reach_m=15.0)), HERE)
-
-
 def test_where_places_are_alike_views_must_agree_for_some_metres() -> None:
     alike = view(0.0, None, ambiguous=True)
     lone = after(alike, view(2.0, HERE))
@@ -96,48 +88,6 @@ def test_where_places_are_alike_views_must_agree_for_some_metres() -> None:
     again = view(7.0, None, ambiguous=True)
     assert after(alike, *agreed[:3], again, *agreed[3:]).track is None
     assert at(after(*agreed[:1], again), HERE)  # there was a track: nothing speaks against it
-
-
-def test_a_scan_that_does_not_confirm_the_track_degrades_it_whatever_older_scans_say() -> None:
-    undecided = {"check": Check.UNDECIDED, "T_checked": HERE}
-    track = after(view(0.0, HERE), view(10.0, HERE))
-    for k, found in enumerate((None, HERE, None)):
-        track.take(view(13.0 + 3 * k, found, **undecided))
-        assert at(track, HERE) and not track.contradicted
-        assert track.status(19.0) == (Status.DEGRADED, UNCONFIRMED)
-    fits = {"check": Check.HOLDS, "T_checked": HERE}
-    seen = [(22.0, fits), (24.0, undecided), *((26.0 + 2 * k, fits) for k in range(5))]
-    for at_m, scan in seen:  # a few fit by chance
-        track.take(view(at_m, HERE if at_m == 28.0 else None, **scan))
-        assert track.status(at_m)[0] is Status.DEGRADED
-    track.take(view(36.0, **fits))
-    assert track.status(36.0) == (Status.LOCALIZED, "")
-    track.take(view(38.0))  # nothing was checked
-    assert track.status(38.0)[0] is Status.LOCALIZED
-    for at_m, scan in ((40.0, undecided), (42.0, fits), (44.0, fits)):  # for as long as not
-        track.take(view(at_m, **scan))
-    assert track.status(44.0)[0] is Status.LOCALIZED
-
-
-def test_a_scan_that_fits_elsewhere_than_odometry_leads_confirms_nothing() -> None:
-    def fits(at_m: float, shift_m: float) -> View:
-        shifted = geometry.yaw_transform(0.0, (shift_m, 0.0, 0.0)) @ HERE
-        return view(at_m, check=Check.HOLDS, T_checked=shifted)
-
-    track = after(view(0.0, HERE), fits(2.0, 0.2), fits(4.0, 0.05))
-    assert track.status(4.0) == (Status.LOCALIZED, "")  # as odometry drifts, and scans are noisy
-    for k, shift_m in enumerate((0.7, 0.8, 0.8, 0.8, 0.8)):  # 8 m of it: by chance, perhaps
-        track.take(fits(6.0 + 2 * k, shift_m))
-        assert track.status(6.0 + 2 * k) == (Status.DEGRADED, UNCONFIRMED)
-    assert at(track, geometry.yaw_transform(0.0, (0.8, 0.0, 0.0)) @ HERE)
-    track.take(fits(16.0, 0.8))
-    assert track.status(16.0)[0] is Status.DEGRADED
-    track.take(fits(18.0, 0.8))
-    assert track.status(18.0) == (Status.LOCALIZED, "")
-    track.take(replace(fits(20.0, 2.0), T_map_odom=HERE))  # what older scans say does not count
-    assert track.status(20.0) == (Status.DEGRADED, UNCONFIRMED)
-    # and it is the newest scan that says where the robot is
-    assert at(track, geometry.yaw_transform(0.0, (2.0, 0.0, 0.0)) @ HERE)
 
 
 def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:

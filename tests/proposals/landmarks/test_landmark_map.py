@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples import stems
-from samples.source import PROJECT
 
 from segloc import geometry
 from segloc.errors import InvalidScan
-from segloc.proposals.landmarks import LandmarkConfig, LandmarkMap, LandmarkMapper, Landmarks
+from segloc.proposals.landmarks import LandmarkMap, LandmarkMapper, Landmarks
 from segloc.proposals.landmarks.landmarks import levelling
 
 THREE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 7, 1]])
@@ -60,14 +59,6 @@ def test_each_thing_is_in_the_map_once() -> None:
     np.testing.assert_allclose(np.linalg.norm(made.axes, axis=1), 1)
 
 
-def test_means_that_meet_are_joined() -> None:
-    steps = (0.0, 0.6, 0.25, 0.35)  # the second is new; the mean of the others comes near it
-    views = [(Landmarks(np.array([[x, 0.0, 0.0]])), np.eye(4)) for x in steps]
-    made = LandmarkMap.build(views, LandmarkConfig(min_views=1))
-    assert len(made) == 1 and made.views.tolist() == [4]
-    np.testing.assert_allclose(made.positions[0], [np.mean(steps), 0, 0])
-
-
 def test_what_was_seen_once_is_left_out() -> None:
     mapper = LandmarkMapper()
     mapper.add(Landmarks(THREE), np.eye(4))
@@ -84,13 +75,3 @@ def test_a_map_comes_back_from_its_file(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
     np.testing.assert_allclose(read.axes, made.axes, atol=1e-6)
     np.testing.assert_allclose(read.diameters, made.diameters, atol=1e-6)
-
-
-def test_the_page_shows_what_works(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    page = (PROJECT / "docs" / "landmarks.md").read_text("utf-8")
-    code = page.split("```python\n")[1].split("```")[0]
-    exec(compile(code, "docs/landmarks.md", "exec"), {})
-    assert capsys.readouterr().out.startswith("[25. 30.]")

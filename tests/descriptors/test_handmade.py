@@ -1,4 +1,4 @@
-"""SegMatch's features against closed forms and against NumPy."""
+"""Hand-made descriptors against closed forms and against NumPy."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from samples.segments import packed
 
-from segloc import _native
+from segloc import _native, geometry
+from segloc.descriptors import create
+from segloc.descriptors.geo import CENTRE, SPREAD
 from segloc.descriptors.segmatch import ETH_MAXIMA, eigen_features, eth_features
 from segloc.types import Segments
-
-
-def packed(*clouds: np.ndarray) -> Segments:
-    points = np.vstack(clouds).astype(np.float32)
-    offsets = np.cumsum([0, *map(len, clouds)], dtype=np.int64)
-    return Segments(
-        points, offsets, np.stack([c.mean(axis=0) for c in clouds]), np.ones(len(clouds), "f4")
-    )
 
 
 def test_eigenvalue_features_of_line_plane_and_sphere() -> None:
@@ -37,7 +32,7 @@ def test_eigenvalue_features_of_line_plane_and_sphere() -> None:
         [0, 1, 0, 0, 1, math.log(2), 0],
         [0, 0, 1, third, 0, math.log(3), third],
     ]
-    features = eigen_features(packed(line, plane, sphere))
+    features = eigen_features(packed([line, plane, sphere]))
     # Omnivariance is a cube root: it magnifies what rounding leaves of an eigenvalue of zero.
     np.testing.assert_allclose(features, expected, atol=3e-3)
 
@@ -49,7 +44,7 @@ def test_moments_are_those_of_numpy(seed: int, count: int, size: float) -> None:
     clouds = [
         rng.normal(rng.uniform(-50, 50, 3), rng.uniform(0, size, 3), (count, 3)) for _ in "ab"
     ]
-    segments = packed(*clouds)
+    segments = packed([*clouds])
     means, values = _native.segment_moments(segments.points, segments.offsets)
     for i in range(2):
         points = segments.segment(i).astype(np.float64)
@@ -61,7 +56,7 @@ def test_moments_are_those_of_numpy(seed: int, count: int, size: float) -> None:
 def test_the_variant_of_the_eth_code() -> None:
     rng = np.random.default_rng(0)
     flat, tall = rng.uniform(-1, 1, (2, 500, 3)) * [[[3, 2, 0.5]], [[1, 2, 3]]]
-    features = eth_features(packed(flat, tall))
+    features = eth_features(packed([flat, tall]))
     e1, e2, e3 = np.linalg.eigvalsh(np.cov(flat.T)) / np.trace(np.cov(flat.T))  # rising
     expected = [
         (e1 - e2) / e1 / ETH_MAXIMA[0],
@@ -171,3 +166,101 @@ def test_wrong_input_is_refused(points: np.ndarray, offsets: list[int], fault: s
     for kernel in (_native.esf, _native.segment_moments, _native.gestalt):
         with pytest.raises(ValueError, match=fault):
             kernel(points, np.array(offsets))
+
+
+# --- Gestalt -----
+
+RINGS, SECTORS = 4, 8
+
+
+ROUNDING_M = 2e-5
+
+
+def reference_gestalt(points: np.ndarray, radius: float) -> tuple[np.ndarray, bool]:
+    """The 66 numbers, and whether rounding could change them: a point in another bin, or a turn."""
+    p = points.astype(np.float64) - points.astype(np.float64).mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(p[:, :2].T))
+    x_axis = axes[:, 0]  # the minor one
+    along = p[:, :2] @ x_axis
+    below = 2 * int((along < (along.min() + along.max()) / 2).sum())
+    if below < len(p):
+        x_axis = -x_axis
+    x = p[:, :2] @ x_axis
+    y = p[:, :2] @ [-x_axis[1], x_axis[0]]
+    reach = np.hypot(x, y)
+    rings, sectors = reach / radius * RINGS, np.arctan2(y, x) % math.tau / math.tau * SECTORS
+    ring, sector = rings.astype(int), sectors.astype(int) % SECTORS
+    gaps = [
+        np.abs(rings - np.round(rings)) * radius / RINGS,
+        np.abs(sectors - np.round(sectors)) * math.tau / SECTORS * reach,
+        np.abs(along - (along.min() + along.max()) / 2),
+    ]
+    mean, variance = np.zeros((2, RINGS, SECTORS))
+    for r in range(RINGS):
+        for s in range(SECTORS):
+            heights = p[(ring == r) & (sector == s), 2]
+            if len(heights):
+                mean[r, s], variance[r, s] = heights.mean(), heights.var()
+            elif r:
+                mean[r, s], variance[r, s] = mean[r - 1, s], variance[r - 1, s]
+    low, middle, high = np.linalg.eigvalsh(np.cov(p.T, bias=True))
+    total = low + middle + high
+    shape = [2 * (middle - low) / total, (high - middle) / total]
+    numbers = np.concatenate([mean.ravel(), variance.ravel(), shape])
+    return numbers, below == len(p) or bool(np.min(gaps) < ROUNDING_M)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000), st.integers(20, 400), st.floats(1.0, 8.0))
+def test_gestalt_equals_the_reference(seed: int, count: int, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.gamma(2.0, [1.5, 0.5, 1.0], (count, 3))
+    turn = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-30, 30, 3)))
+    points = geometry.transform(turn, cloud).astype(np.float32)
+    ours = _native.gestalt(points, np.array([0, count]), radius)[0]
+    expected, uncertain = reference_gestalt(points, radius)
+    assume(not uncertain)
+    np.testing.assert_allclose(ours, expected, atol=1e-4)
+
+
+def test_a_wall_sees_its_own_height() -> None:
+    y, z = (a.ravel() for a in np.meshgrid(np.linspace(-4, 4, 161), np.linspace(0, 3, 61)))
+    wall = np.column_stack([np.zeros(len(y)), y, z]).astype(np.float32)
+    vector = _native.gestalt(wall, np.array([0, len(wall)]), 5.0)[0]
+    mean, variance, (planarity, cylindricality) = vector[:32], vector[32:64], vector[64:]
+    np.testing.assert_allclose(mean, 0, atol=1e-3)
+    # x is the wall's normal, so the wall lies in the sectors next to the y axis.
+    np.testing.assert_allclose(variance[variance > 0], 61.0 / 59.0 * 9 / 12, rtol=0.05)
+    spreads = 64 / 12, 9 / 12
+    assert abs(planarity - 2 * spreads[1] / sum(spreads)) < 0.02
+    assert abs(cylindricality - (spreads[0] - spreads[1]) / sum(spreads)) < 0.02
+
+
+# --- geo -----
+
+
+def numbers(segments: Segments) -> np.ndarray:
+    return create("geo").describe(segments).vectors * SPREAD + CENTRE
+
+
+def test_a_turned_box_has_its_own_extents_and_spreads() -> None:
+    size = np.array([4.0, 1.0, 2.0])
+    box = np.random.default_rng(0).uniform(-0.5, 0.5, (40_000, 3)) * size
+    for yaw in (0.0, 0.6, 2.0):
+        turned = geometry.transform(geometry.yaw_transform(yaw, (30.0, -7, 2)), box)
+        (values,) = numbers(packed([turned], height=1.5))
+        np.testing.assert_allclose(np.exp(values[:3]), size, rtol=0.02)
+        np.testing.assert_allclose(
+            np.exp(values[3:6]), np.sort(size)[::-1] / math.sqrt(12), rtol=0.02
+        )
+        assert abs(values[6] - 1.5) < 1e-4
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 99), st.floats(-math.pi, math.pi), st.floats(-40, 40))
+def test_turning_moving_and_reordering_change_nothing(seed: int, yaw: float, x: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.normal(0, [3.0, 1.0, 0.7], (200, 3))
+    moved = rng.permutation(geometry.transform(geometry.yaw_transform(yaw, (x, 5, 0)), cloud))
+    first, second = numbers(packed([cloud, moved]))
+    np.testing.assert_allclose(first, second, atol=2e-3)
