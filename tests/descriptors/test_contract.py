@@ -130,7 +130,7 @@ ODD = {
     "plane": np.stack([*np.meshgrid(np.arange(8.0), np.arange(8.0)), np.ones((8, 8))], -1).reshape(
         -1, 3
     ),
-    "far away": np.random.default_rng(0).normal(1e5, 1.0, (80, 3)),
+    "far away": np.random.default_rng(0).normal(9e4, 1.0, (80, 3)),
     "huge": np.random.default_rng(0).normal(0, 1e4, (80, 3)),
 }
 
