@@ -47,6 +47,7 @@ def same(found: list[Localization], expected: list[Localization]) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_any_executor_gives_the_same(
     place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -36,6 +36,7 @@ STUMP = Trees(
 """Pairs whose first values differ by 0.5 at most are the same with probability 0.9."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [1, 5, 12])
 def test_equals_scikit_learn(depth: int) -> None:
     ensemble = pytest.importorskip("sklearn.ensemble")

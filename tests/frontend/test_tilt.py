@@ -75,6 +75,7 @@ def test_what_shows_no_walls_says_nothing() -> None:
             levelled(way, None)
 
 
+@pytest.mark.slow
 def test_sweeps_are_gathered_until_they_show_walls(plaza: Plaza) -> None:
     """Of a planar scanner that looks sideways and forward, one sweep shows nothing."""
 
@@ -108,6 +109,7 @@ def test_levelling_turns_as_little_as_it_can_about_the_first_pose(seed: int) -> 
     np.testing.assert_array_equal(level_transform(Lean(Z, 0.0), np.eye(4)), np.eye(4))
 
 
+@pytest.mark.slow
 def test_a_map_of_a_leaning_odometry_is_levelled(plaza: Plaza) -> None:
     """The note, the level map, and where a scan without a pose is then found."""
     T_odom_world = tilt(4.0)

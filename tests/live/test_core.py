@@ -49,6 +49,7 @@ def test_a_robot_is_found_and_followed_and_the_same_stream_gives_the_same_states
         last.T_map_odom[0, 3] = 0.0
 
 
+@pytest.mark.slow
 def test_a_kidnapped_robot_is_noticed_and_found_again(localizer: Localizer, plaza: Plaza) -> None:
     """Its odometry notices nothing: it was carried."""
     core = LiveCore(localizer, CONFIG)
@@ -62,6 +63,7 @@ def test_a_kidnapped_robot_is_noticed_and_found_again(localizer: Localizer, plaz
     assert all(error < 0.5 for _, error in said[found:])
 
 
+@pytest.mark.slow
 def test_beyond_the_map_odometry_carries_on_and_in_the_end_gives_up(
     localizer: Localizer, plaza: Plaza
 ) -> None:

@@ -102,18 +102,9 @@ def test_the_second_lap_is_tied_to_the_first(two_laps: Driven) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_drive_gives_the_same_loops(plaza: Plaza, two_laps: Driven) -> None:
-    again = round_and_round(plaza, 120.0, SETTINGS)
-    once = list(itertools.chain(*two_laps.told[: len(again.told)]))
-    assert once and len(once) == len(again.loops)
-    assert [(a.i, a.j) for a in once] == [(b.i, b.j) for b in again.loops]
-    assert all(np.array_equal(a.T_i_j, b.T_i_j) for a, b in zip(once, again.loops, strict=True))
-
-
-@pytest.mark.slow
 def test_another_place_is_no_loop() -> None:
     """The same circle, but what stands around is of another plaza the second time."""
-    truths, places = laps(150.0), (Plaza(0), Plaza(7))
+    truths, places = laps(130.0), (Plaza(0), Plaza(7))
     changed = int(2 * math.pi * RADIUS_M / STEP_M)
     detector, loops = LoopDetector(small(), SETTINGS), []
     for k, (T, odometry) in enumerate(zip(truths, drifted(truths), strict=True)):

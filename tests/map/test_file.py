@@ -228,6 +228,7 @@ prior_map.save(sys.argv[1])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", ["fsync", "rename"])
 def test_a_killed_writer_leaves_the_old_map(tmp_path: Path, step: str) -> None:
     old = make_map(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from samples.walk import Walk
 
 from segloc import Config, Localizer
@@ -33,6 +34,7 @@ def test_settings_follow_the_field_of_view_where_they_have_their_defaults() -> N
     assert adapted_to_view(chosen, [narrow]) is chosen
 
 
+@pytest.mark.slow
 def test_queries_in_a_map_of_a_narrow_sensor_are_segmented_like_it() -> None:
     localizer = Localizer(build_map(Walk(in_view), Config()))
     assert localizer.config.segmentation == NARROW_SEGMENTATION

@@ -36,55 +36,20 @@ def check_found(answer: Localization, T: Pose, metres: float = 0.3, degrees: flo
     assert geometry.rotation_angle(delta) < math.radians(degrees)
 
 
-@pytest.mark.parametrize("T", POSES)
-def test_a_pose_is_found(localizer: LandmarkLocalizer, T: Pose) -> None:
-    answer = localizer.localize(stems.seen(stems.stand(1), T, seed=50))
-    check_found(answer, T)
-    assert answer.inliers > 40 and answer.overlap > 0.7 and answer.confidence > 0.9
-    assert answer.times_ms["total"] > 0 and answer.counts["efforts"] == 1
-
-
-@pytest.mark.parametrize("T", POSES[:1])
-def test_half_of_the_stems_and_noise_are_enough(localizer: LandmarkLocalizer, T: Pose) -> None:
-    query = stems.seen(stems.stand(1), T, keep=0.5, noise=0.1, seed=51)
-    check_found(localizer.localize(query), T, metres=0.5)
-
-
-def test_a_tilted_sensor_is_found(localizer: LandmarkLocalizer) -> None:
-    T = stems.pose(40, 42, 1.0, tilt=math.radians(25))
-    check_found(localizer.localize(stems.seen(stems.stand(1), T, seed=52)), T)
-
-
-@pytest.mark.parametrize("T", POSES[:1])
-def test_another_stand_is_refused(localizer: LandmarkLocalizer, T: Pose) -> None:
-    for seed in (2, 3):
-        answer = localizer.localize(stems.seen(stems.stand(seed), T))
-        assert not answer.localized and answer.confidence < 0.5
-        assert str(answer.reason) in answer.message and "\n" not in answer.message
-
-
-@pytest.mark.parametrize("T", POSES[:1])
-def test_a_mirror_image_is_refused(site: LandmarkMap, T: Pose) -> None:
+def test_a_mirror_image_is_refused(site: LandmarkMap) -> None:
     flip = np.array([-1.0, 1.0, 1.0])
     mirrored = dataclasses.replace(site, positions=site.positions * flip, axes=site.axes * flip)
-    answer = LandmarkLocalizer(mirrored).localize(stems.seen(stems.stand(1), T))
+    answer = LandmarkLocalizer(mirrored).localize(stems.seen(stems.stand(1), POSES[0]))
     assert not answer.localized
 
 
-@pytest.mark.parametrize("T", POSES[:1])
-def test_equal_trees_in_rows_are_ambiguous(T: Pose) -> None:
-    rows = stems.plantation()
-    answer = LandmarkLocalizer(stems.surveyed(rows)).localize(stems.seen(rows, T))
-    assert answer.reason is Reason.AMBIGUOUS
-    assert answer.runner_up is not None and "another place, at" in answer.message
-
-
-def test_the_order_of_the_landmarks_does_not_matter(localizer: LandmarkLocalizer) -> None:
+def test_a_pose_is_found_in_any_order_of_the_landmarks(localizer: LandmarkLocalizer) -> None:
     query = stems.seen(stems.stand(1), POSES[1])
     assert query.diameters is not None
     turned = Landmarks(query.positions[::-1], query.directions[::-1], query.diameters[::-1])
     a, b, again = (localizer.localize(q) for q in (query, turned, query))
-    assert a.localized and b.localized and again.localized
+    check_found(a, POSES[1])
+    assert a.inliers > 40 and a.overlap > 0.7 and a.confidence > 0.9
     np.testing.assert_array_equal(a.T_map_sensor, again.T_map_sensor)
     np.testing.assert_allclose(a.T_map_sensor, b.T_map_sensor, atol=1e-3)
 

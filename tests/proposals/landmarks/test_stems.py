@@ -130,6 +130,7 @@ def test_a_map_of_found_stems_is_localized_in() -> None:
     assert np.linalg.norm(answer.T_map_sensor[:3, 3] - T[:3, 3]) < 0.3
 
 
+@pytest.mark.slow
 def test_stems_settle_what_segments_leave_open() -> None:
     """Equal trees are equal segments: with few neighbours nothing is found but by stems."""
     config = Config.preset("geo").model_copy(update={"threads": 1})
