@@ -20,8 +20,6 @@ from segloc.map.build import build_merged_map
 from segloc.system.processes import all_of
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
-ELSEWHERE = ("processes", "dask")
-"""Those that pickle what they do, and lose a worker."""
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +28,7 @@ def walks(plaza: Plaza) -> list[Walk]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by", EXECUTORS)
+@pytest.mark.parametrize("by", ["threads", "processes"])
 def test_tasks_come_in_their_order_and_survive_a_killed_worker(by: str) -> None:
     with EXECUTORS[by]() as (executor, kill):
         assert all_of(square, range(12), executor, kill) == [n * n for n in range(12)]
@@ -44,11 +42,8 @@ def made_here(walks: list[Walk], tmp_path_factory: pytest.TempPathFactory) -> by
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by", ELSEWHERE)
-def test_a_map_of_many_recordings(
-    by: str, walks: list[Walk], made_here: bytes, tmp_path: Path
-) -> None:
-    with EXECUTORS[by]() as (executor, kill):
+def test_a_map_of_many_recordings(walks: list[Walk], made_here: bytes, tmp_path: Path) -> None:
+    with EXECUTORS["processes"]() as (executor, kill):
         made = build_merged_map(walks, GEO, kill, executor=executor, folder=tmp_path)
     made.save(tmp_path / "there.segmap")
     assert made_here == (tmp_path / "there.segmap").read_bytes()
