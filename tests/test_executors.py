@@ -65,7 +65,7 @@ ALIGN = AlignConfig(every_m=3.0, searched_parts=2)
 
 @pytest.fixture(scope="module")
 def moved(plaza: Plaza) -> list[Moved]:
-    return [Moved(plaza, lane, 6) for lane in (0.0, 2.0)]
+    return [Moved(plaza, lane, 8) for lane in (0.0, 2.0)]
 
 
 @pytest.fixture(scope="module")
