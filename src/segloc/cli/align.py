@@ -129,9 +129,9 @@ class _Read:
 
 def is_map(path: Path) -> bool:
     """Whether an argument names a map: a file, or tiles."""
-    from ..tiles import holds_tiles
+    from ..tiles.index import INDEX
 
-    return path.suffix == ".segmap" or (path.is_dir() and holds_tiles(str(path)))
+    return path.suffix == ".segmap" or (path / INDEX).exists()
 
 
 def _into_map(
