@@ -1,6 +1,6 @@
 """How reliable a model of the confidence is: fitted, held out world by world, and drawn.
 
-    python -m segloc_lab.calibration.reliability --real FILE --simulated FILE [--report FOLDER]
+python -m segloc_lab.calibration.reliability --real FILE --simulated FILE [--report FOLDER]
 """
 
 from __future__ import annotations
