@@ -16,7 +16,7 @@ from PIL import Image
 from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
 
 from segloc import Config, Localizer, build_map, geometry
-from segloc.datasets.base import parse_select
+from segloc.datasets.recorded import parse_select
 from segloc.inspect.pictures import (
     BLUE,
     DARK,

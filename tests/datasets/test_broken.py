@@ -16,9 +16,9 @@ from samples.datasets import START, Drive, kitti, mulran
 
 from segloc import geometry
 from segloc.datasets import RecordedSequence, open_sequence
-from segloc.datasets.binary import parse_float4
+from segloc.datasets.layout import parse_float4
 from segloc.datasets.loaders import boreas, helipr, nclt, robotcar
-from segloc.datasets.ros.bag_headers import _parse_cdr, _parse_ros1
+from segloc.datasets.ros.bags import _parse_cdr, _parse_ros1
 from segloc.datasets.ros.pointcloud2 import to_scan
 from segloc.datasets.tracks import clean_track, euler_poses, read_table, rising
 from segloc.errors import DatasetError

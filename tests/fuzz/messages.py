@@ -8,7 +8,7 @@ from common import Bench, fuzz, instrumented
 
 with instrumented:
     from segloc.datasets.packets import ouster_packets, velodyne
-    from segloc.datasets.ros import bag_headers, bag_ouster, laserscan, livox, pointcloud2
+    from segloc.datasets.ros import bag_messages, bag_ouster, bags, pointcloud2
 import struct
 
 import numpy as np
@@ -43,17 +43,17 @@ def headers(data: bytes, parse: object) -> None:
 READERS = (
     lambda data: pointcloud2.to_scan(message(data, CLOUD, True), 1.0),
     lambda data: pointcloud2.to_scan(message(data, CLOUD, False), 1.0),
-    lambda data: laserscan.to_scan(message(data, LASER, False)),
-    lambda data: livox.to_scan(data, cdr=True),
-    lambda data: livox.to_scan(data, cdr=False),
+    lambda data: bag_messages.sweep_scan(message(data, LASER, False)),
+    lambda data: bag_messages.livox_scan(data, cdr=True),
+    lambda data: bag_messages.livox_scan(data, cdr=False),
     lambda data: ouster_packets.read_sensor(data, "sensor"),
     lambda data: SENSOR.decode([data.ljust(SIZE, b"\0")[:SIZE]],
                                SENSOR.frame_id(data.ljust(32, b"\0")), "turn"),
     lambda data: velodyne.decode([(1.0 + k, data[k : k + 1206].ljust(1206, b"\0"))
                                   for k in range(0, len(data), 1206)], "turn"),
     lambda data: bag_ouster._array(data, cdr=True),
-    lambda data: headers(data, bag_headers._parse_cdr),
-    lambda data: headers(data, bag_headers._parse_ros1),
+    lambda data: headers(data, bags._parse_cdr),
+    lambda data: headers(data, bags._parse_ros1),
 )  # fmt: skip
 
 

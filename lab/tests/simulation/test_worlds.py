@@ -30,7 +30,7 @@ from segloc_lab.simulation.objects.works import lying_tank
 from segloc_lab.simulation.worlds.world import World
 
 from segloc.datasets import open_sequence
-from segloc.datasets.base import parse_select
+from segloc.datasets.recorded import parse_select
 from segloc.errors import ConfigError, DatasetError
 from segloc.system.processes import ProcessPool
 

@@ -31,7 +31,7 @@ from segloc_lab.training.shards import Session, finish, load_dataset, write_shar
 from segloc_lab.training.tasks import LOSSES  # noqa: E402
 from segloc_lab.training.train import draw_batch, train  # noqa: E402
 
-from segloc.datasets.base import Selection  # noqa: E402
+from segloc.datasets.recorded import Selection  # noqa: E402
 from segloc.descriptors.pointset import PairHead as NumpyHead  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
 

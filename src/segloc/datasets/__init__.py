@@ -9,12 +9,12 @@ import numpy as np
 from ..errors import DatasetError
 from ..types import Float64, Pose
 from ..types import Recording as Recording
-from .assembly import assembled
-from .base import Selection as Selection
-from .base import Sequence as Sequence
-from .base import parse_select as parse_select
 from .loaders import folder
 from .recorded import RecordedSequence as RecordedSequence
+from .recorded import Selection as Selection
+from .recorded import Sequence as Sequence
+from .recorded import assembled
+from .recorded import parse_select as parse_select
 from .swathes import Swathes as Swathes
 from .swathes import swathes as swathes
 

@@ -1,41 +1,37 @@
-"""GNSS fixes of a recording: where an antenna was, as receivers say it."""
+"""GNSS fixes of a bag: antenna positions as receivers report them."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ..errors import DatasetError
 from ..types import Float64
+from .ros.bag_file import fullest_topics, messages_of, opened, seconds
+
+_FIX = "sensor_msgs/msg/NavSatFix"
+_NO_FIX, _UNKNOWN = -1, 0
 
 
 @dataclass(frozen=True)
 class Fixes:
-    """K fixes, in the order of time.
+    """K fixes, in the order of time."""
 
-    Attributes
-    ----------
-    source : str
-        The topic.
-    stamps : (K,) float64
-        Seconds, on the clock of the scans.
-    degrees : (K, 3) float64
-        Longitude, latitude (degrees) and height above the ellipsoid (m), WGS 84.
-    error_m : (K,) float64
-        Standard deviation along the worse horizontal axis; NaN where the receiver does not say.
-    """
-
-    source: str
-    stamps: Float64
-    degrees: Float64
-    error_m: Float64
+    source: str  # the topic
+    stamps: Float64  # (K,) seconds, on the clock of the scans
+    degrees: Float64  # (K, 3) longitude, latitude (degrees), height above the WGS 84 ellipsoid (m)
+    error_m: Float64  # (K,) standard deviation along the worse horizontal axis; NaN if unknown
 
     def __len__(self) -> int:
         return len(self.stamps)
 
 
 def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
-    """The fixes of a bag: ``sensor_msgs/NavSatFix``, without those that say that there is none.
+    """Read ``sensor_msgs/NavSatFix`` messages of a bag; those without a fix are left out.
 
     Parameters
     ----------
@@ -51,13 +47,37 @@ def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
     MissingDependency
         If the package rosbags is not installed.
     """
-    from .ros import bag_fixes, bags
+    from .ros.bags import bag_paths
 
-    paths = bags.bag_paths(Path(path))
+    paths = bag_paths(Path(path))
     if not paths:
         raise DatasetError(f"{path}: no bag, so no GNSS fixes (sensor_msgs/NavSatFix)")
-    source, rows = bag_fixes.rows_of(paths, topic)
+    with opened(paths) as reader:
+        topics = fullest_topics(reader, _FIX)
+        if not topics or (topic is not None and topic not in topics):
+            listed = ", ".join(topics) or "none"
+            raise DatasetError(
+                f"{paths[0]}: no topic of GNSS fixes {topic or ''}: there is {listed}"
+            )
+        chosen = topic or topics[0]
+        found = [_row(message, logged) for message, logged in messages_of(reader, chosen)]
+    rows = np.array([row for row in found if row], np.float64)
     if not len(rows):
-        raise DatasetError(f"{path}: {source}: no message with a fix")
+        raise DatasetError(f"{path}: {chosen}: no message with a fix")
     rows = rows[rows[:, 0].argsort(kind="stable")]
-    return Fixes(source, rows[:, 0], rows[:, 1:4], rows[:, 4])
+    return Fixes(chosen, rows[:, 0], rows[:, 1:4], rows[:, 4])
+
+
+def _row(message: Any, logged: int) -> list[float] | None:
+    """Stamp, longitude, latitude, height and error; None without a fix."""
+    stamp = seconds(message.header.stamp) or logged * 1e-9
+    place = [float(message.longitude), float(message.latitude)]
+    sane = abs(place[0]) <= 180.0 and abs(place[1]) <= 90.0  # and not NaN
+    if message.status.status <= _NO_FIX or not sane or not math.isfinite(stamp):
+        return None
+    height = float(message.altitude)
+    spread = np.asarray(message.position_covariance, np.float64)
+    worse = max(spread[0], spread[4])
+    known = message.position_covariance_type != _UNKNOWN and 0.0 < worse < math.inf
+    error = math.sqrt(worse) if known else math.nan
+    return [stamp, *place, height if math.isfinite(height) else 0.0, error]

@@ -2,22 +2,188 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import DatasetError
+from ..errors import ConfigError, DatasetError, SeglocError
 from ..io.fields import faults_of
 from ..io.scans import read_file
 from ..motion import Motion, at_stamp
-from ..types import Float64, Int64, Pose, Scan, stamp_at
-from .base import Selection
-from .clocks import TimeUnit
+from ..types import Float64, Int64, Pose, Recording, Scan, stamp_at
+from .clocks import TimeUnit, period_of, time_unit
 from .gravity import GravitySource
-from .tracks import Track
+from .tracks import Track, read_track
+
+_RANGE = re.compile(r"(\d{0,18})(:?)(\d{0,18})", re.ASCII)
+
+
+class Sequence(Recording, Protocol):
+    """A recording that parts can be taken of."""
+
+    def select(self, selection: Selection) -> Sequence:
+        """The scans whose indices are in the selection, in the same order."""
+        ...
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Ranges of indices, both ends included; None is an open end."""
+
+    ranges: tuple[tuple[int, int | None], ...]
+
+    def mask(self, indices: Int64) -> NDArray[np.bool_]:
+        """Which of the indices are selected, (N,) bool."""
+        chosen = np.zeros(len(indices), dtype=bool)
+        for first, last in self.ranges:
+            chosen |= (indices >= first) & (True if last is None else indices <= last)
+        return chosen
+
+    def __str__(self) -> str:
+        return ",".join(f"{a}:{'' if b is None else b}" for a, b in self.ranges)
+
+
+def parse_select(text: str) -> Selection:
+    """A selection like ``100:947,1001:1100``: inclusive ranges, open ends, single numbers.
+
+    Raises
+    ------
+    ConfigError
+        If a part is not ``7``, ``100:947``, ``100:`` or ``:50``, or ends before it starts.
+    """
+    return Selection(tuple(_parse_range(part.strip(), text) for part in text.split(",")))
+
+
+def _parse_range(part: str, text: str) -> tuple[int, int | None]:
+    found = _RANGE.fullmatch(part)
+    if found is None or not (found[1] or found[3]):
+        raise ConfigError(f"selection {text[:80]!r}: {part[:40]!r} is no number and no range")
+    first = int(found[1] or 0)
+    last = first if not found[2] else int(found[3]) if found[3] else None
+    if last is not None and last < first:
+        raise ConfigError(f"selection {text[:80]!r}: {part} ends before it starts")
+    return first, last
+
+
+def assembled(
+    found: Found,
+    poses: Path | None,
+    *,
+    own_poses: bool = True,
+    deskewed: bool = True,
+    T_base_sensor: Pose | None = None,
+    selection: Selection | None = None,
+) -> RecordedSequence:
+    """A sequence of the scans that a reader found, with the poses that were asked for.
+
+    Scans that lie outside the poses in time, or in a gap of theirs, are left out and noted.
+
+    Parameters
+    ----------
+    found : Found
+    poses : path, optional
+        A file to take the poses from.
+    own_poses : bool
+        Whether to take the recording's own where no file is given.
+    deskewed : bool
+    T_base_sensor : (4, 4) float64, optional
+        Where the sensor is on the body that the poses are of, if they are not the sensor's.
+    selection : Selection, optional
+        Indices of the scans to keep.
+
+    Raises
+    ------
+    DatasetError
+        If there are no scans, none is selected, the poses cannot be read, or no scan has one.
+    """
+    if not len(found.source):
+        raise DatasetError(f"{found.name}: {found.format} without any scan")
+    track, at_scans, stamps, said = _posed(found, poses, own_poses, T_base_sensor)
+    notes, motion = [*found.notes, *said], None
+    if track is not None and deskewed and track.clock == "seconds" and len(track.keys) > 1:
+        motion = Motion(track.keys, track.poses)
+    unit = _time_unit(found, stamps)
+    notes += [unit.note] if unit is not None and unit.note else []
+    sequence = RecordedSequence(
+        found.name, found.format, found.frame, found.fields, found.source,
+        np.arange(len(found.source)), found.indices, stamps, at_scans, track, motion,
+        tuple(notes), found.T_base_sensor if T_base_sensor is None else T_base_sensor,
+        time_unit=unit,
+    )  # fmt: skip
+    if selection is not None:
+        sequence = sequence.select(selection)
+    if track is None or sequence.poses is None:
+        notes += [found.gravity.note] if found.gravity and found.gravity.note else []
+        return replace(sequence, gravity=found.gravity, notes=tuple(notes))
+    known = np.isfinite(sequence.poses[:, 0, 0])
+    if known.all():
+        return sequence
+    lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
+    if not known.any():
+        raise DatasetError(lost)
+    used = f"the other {int(known.sum())} are used (--select A:B,C:D uses fewer)"
+    return replace(sequence.part(known), notes=(*notes, f"{lost}; {used}"))
+
+
+def _posed(
+    found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
+) -> tuple[Track | None, Float64 | None, Float64 | None, list[str]]:
+    """The sensor's track, its poses at the scans, the scans' stamps, and notes."""
+    stamps = found.stamps
+    if poses is not None:
+        track = _of_file(found, poses, T_base_sensor)
+        notes = [track.note] * bool(track.note)
+        if stamps is None and track.clock == "seconds" and len(track.keys) == len(found.indices):
+            stamps = track.keys
+            notes.append(f"{track.source}: poses by time, scans without: paired in their order")
+        at_scans = track.at(found.indices, stamps)
+        return track, at_scans, stamps, notes
+    if not own_poses:
+        return None, None, stamps, []
+    try:
+        own = _own(found, T_base_sensor)
+        if own is None:
+            return None, None, stamps, []
+        return own, own.at(found.indices, stamps), stamps, [own.note] * bool(own.note)
+    except DatasetError as error:  # the scans are readable without
+        return None, None, stamps, [f"{error}: poses not used"]
+
+
+def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
+    """The unit of points' times, by some scans; None if the format defines it."""
+    if found.times_sure or stamps is None:
+        return None
+    count = len(found.source)
+    samples = []
+    for k in sorted({0, count // 2, count - 1}):
+        try:
+            times = found.source.read(k).times
+        except SeglocError:
+            continue  # told where the scan is needed
+        if times is not None:
+            samples.append((times, float(stamps[k])))
+    return time_unit(samples, period_of(stamps))
+
+
+def _of_file(found: Found, poses: Path, T_base_sensor: Pose | None) -> Track:
+    """The sensor's track in a file."""
+    if (track := found.own_poses(poses)) is not None:
+        return track
+    track = read_track(poses, found.indices, found.stamps)
+    return track if T_base_sensor is None else track.moved(T_base_sensor)
+
+
+def _own(found: Found, T_base_sensor: Pose | None) -> Track | None:
+    """The sensor's track that comes with the recording, if there is one."""
+    track = found.own_track()
+    if track is None and found.base_track is not None and T_base_sensor is not None:
+        return found.base_track.moved(T_base_sensor)
+    return track
 
 
 class Source(Protocol):

@@ -9,7 +9,7 @@ import numpy as np
 from .. import geometry
 from ..errors import ConfigError, DatasetError
 from ..types import Float64, Int64, Recording, Scan, stamp_at
-from .base import Selection
+from .recorded import Selection
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.base import Selection
+from ..datasets.recorded import Selection
 from ..errors import DatasetError
 from ..types import Float64, Int64, Scan
 

@@ -23,8 +23,7 @@ from samples.ouster import (
 )
 
 from segloc.datasets import RecordedSequence, open_sequence
-from segloc.datasets.packets.ouster_packets import read_sensor
-from segloc.datasets.packets.ouster_turns import gather
+from segloc.datasets.packets.ouster_packets import gather, read_sensor
 from segloc.errors import DatasetError
 from segloc.types import Float64, Scan
 

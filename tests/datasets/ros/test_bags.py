@@ -17,7 +17,7 @@ from samples.datasets import START, Drive, matrix
 from segloc import geometry
 from segloc.datasets import RecordedSequence, open_sequence
 from segloc.datasets.inspection import inspect
-from segloc.datasets.ros import livox
+from segloc.datasets.ros.bag_messages import livox_scan
 from segloc.errors import DatasetError
 from segloc.types import Float64
 
@@ -206,12 +206,12 @@ def test_livox_messages_in_other_bytes() -> None:
         bodies.append(body + rest + point[0] + b"\0" + point[1])
     little, big = b"\0\1\0\0" + bodies[0], b"\0\0\0\0" + bodies[1]
     for data in (little, big):
-        scan = livox.to_scan(data, cdr=True)
+        scan = livox_scan(data, cdr=True)
         np.testing.assert_array_equal(scan.points, [[1, 1, 2], [1, 2, 2]])
         np.testing.assert_allclose(scan.times, [1e-6, 2e-6])
         for length in range(len(data)):
             with pytest.raises(DatasetError, match="cut off"):
-                livox.to_scan(data[:length], cdr=True)
+                livox_scan(data[:length], cdr=True)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ...errors import DatasetError
 from ...types import Scan
-from ..binary import float_rows
-from ..layout import holds_scans, in_seconds, scan_files
+from ..layout import float_rows, holds_scans, in_seconds, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, read_table
 

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...types import Scan
-from ..binary import returned, rows_of
-from ..layout import choose, holds_scans, in_seconds, numbers, scan_files
+from ..layout import choose, holds_scans, in_seconds, numbers, returned, rows_of, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, quaternion_poses, read_table
 

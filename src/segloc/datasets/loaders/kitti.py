@@ -15,8 +15,7 @@ from ...errors import DatasetError
 from ...io.scans import read_file
 from ...io.trajectory import read_trajectory_and_kind
 from ...types import Float64, Int64, Pose
-from ..binary import parse_float4
-from ..layout import holds_scans, numbers, relative, scan_files
+from ..layout import holds_scans, numbers, parse_float4, relative, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, matrix_poses, read_table
 

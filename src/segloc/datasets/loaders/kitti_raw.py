@@ -14,8 +14,7 @@ from ... import geometry
 from ...errors import DatasetError
 from ...io.scans import read_file
 from ...types import Float64
-from ..binary import parse_float4
-from ..layout import holds_scans, numbers, scan_files
+from ..layout import holds_scans, numbers, parse_float4, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, euler_poses, matrix_poses
 from .kitti import read_values

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...types import Scan
-from ..binary import column_times, float_rows, returned
-from ..layout import holds_scans, in_seconds, scan_files
+from ..layout import column_times, float_rows, holds_scans, in_seconds, returned, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, matrix_poses, mount, read_table
 

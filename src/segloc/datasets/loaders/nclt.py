@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...types import Scan
-from ..binary import rows_of
-from ..layout import holds_scans, in_seconds, relative, scan_files
+from ..layout import holds_scans, in_seconds, relative, rows_of, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Z_UP, Track, clean_track, euler_poses, read_table
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...io.pcd import parse_pcd
 from ...types import Float64, Pose, Scan
-from ..binary import column_times, returned
+from ..layout import column_times, returned
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, quaternion_poses, read_table
 

@@ -18,8 +18,16 @@ from ... import geometry
 from ...errors import DatasetError
 from ...io.scans import read_file
 from ...types import Float64, Pose, Scan
-from ..binary import float_rows, rows_of
-from ..layout import choose, holds_scans, in_seconds, numbers, relative, scan_files
+from ..layout import (
+    choose,
+    float_rows,
+    holds_scans,
+    in_seconds,
+    numbers,
+    relative,
+    rows_of,
+    scan_files,
+)
 from ..recorded import FileSource, Found
 from ..tracks import Z_UP, Track, clean_track, euler_poses, mount, read_table
 

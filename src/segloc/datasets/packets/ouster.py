@@ -16,8 +16,7 @@ from ..gravity import Accelerometer, GravitySource
 from ..layout import choose
 from ..recorded import Found
 from .captures import datagrams, mapped
-from .ouster_packets import FIELDS, FRAME, Sensor, read_sensor
-from .ouster_turns import Turns, gather
+from .ouster_packets import FIELDS, FRAME, Sensor, Turns, gather, read_sensor
 
 NAME = "Ouster packets"
 INNER: tuple[str, ...] = ()

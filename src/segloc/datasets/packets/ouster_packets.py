@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,9 +19,87 @@ from ... import geometry
 from ...errors import DatasetError
 from ...io.fields import one_line
 from ...system.budget import check_points, most_points
-from ...types import Float64, Pose, Scan
-from ..binary import returned
-from .ouster_profiles import LEGACY, PIXEL_BYTES
+from ...types import Float64, Int64, Pose, Scan
+from ..layout import returned
+
+LEGACY = "LEGACY"
+PIXEL_BYTES = {
+    LEGACY: 12,
+    "RNG19_RFL8_SIG16_NIR16": 12,
+    "RNG19_RFL8_SIG16_NIR16_DUAL": 16,
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": 12,
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": 16,
+    "RNG19_RFL8_SIG16_NIR16_RGB16": 16,
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": 20,
+    "RNG15_RFL8_NIR8": 4,
+    "RNG15_RFL8_WIN8": 4,
+    "RNG15_RFL8_NIR8_DUAL": 8,
+    "RNG15_RFL8_NIR8_ZONE16": 8,
+    "FUSA_RNG15_RFL8_NIR8_DUAL": 8,
+}
+
+
+_FEWEST_PACKETS = 8  # of a turn; less is left from where the recording begins or ends
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Where the packets of each of T turns are.
+
+    Attributes
+    ----------
+    numbers : (T,) int64
+        What their packets are numbered by.
+    stamps : (T,) float64
+        When the first packet was recorded.
+    firsts, stops : (T,) int64
+        Where the first packet is, and behind the last.
+    notes : tuple of str
+    """
+
+    numbers: Int64
+    stamps: Float64
+    firsts: Int64
+    stops: Int64
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+
+@dataclass
+class _Turn:
+    number: int
+    stamp: float
+    first: int
+    stop: int
+    packets: int = 1
+
+
+def gather(packets: Iterable[tuple[int, float, int, int]], sensor: Sensor) -> Turns:
+    """The turns of packets, each a number, a stamp, and where it begins and ends.
+
+    A packet that comes late is counted to the turn before. Turns of which only a few packets are
+    there are left out, such as those in which the recording begins and ends.
+    """
+    turns: list[_Turn] = []
+    for number, stamp, first, stop in packets:
+        turn = next((turn for turn in turns[:-3:-1] if turn.number == number), None)
+        if turn is None:
+            turns.append(_Turn(number, stamp, first, stop))
+        else:
+            turn.stop, turn.packets = max(turn.stop, stop), turn.packets + 1
+    wanted = sensor.columns // sensor.packet["columns"].shape[0]
+    kept = [turn for turn in turns if turn.packets >= min(_FEWEST_PACKETS, wanted)]
+    missing = sum(turn.packets < wanted for turn in kept[1:-1])
+    return Turns(
+        np.array([turn.number for turn in kept], np.int64),
+        np.array([turn.stamp for turn in kept], np.float64),
+        np.array([turn.first for turn in kept], np.int64),
+        np.array([turn.stop for turn in kept], np.int64),
+        (f"{missing} of {len(kept)} turns miss packets",) if missing else (),
+    )
+
 
 FRAME = "os_sensor"
 FIELDS = "range reflectivity time"

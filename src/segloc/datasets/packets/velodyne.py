@@ -16,7 +16,7 @@ from ...errors import DatasetError, MissingDependency
 from ...io.fields import faults_of, one_line
 from ...system.budget import check_points
 from ...types import Float64, Int64, Scan
-from ..binary import returned
+from ..layout import returned
 from ..recorded import Found
 from .captures import mapped, records
 

@@ -2,15 +2,105 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import struct
+from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import DatasetError
+from ...system.budget import check_points
 from ...types import Scan
 from ..packets.velodyne import decode
-from . import bag_ouster, laserscan, livox, pointcloud2
-from .bag_headers import seconds
+from . import bag_ouster, pointcloud2
+from .bag_file import seconds
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
+
+
+class Sweep(Protocol):
+    """sensor_msgs/LaserScan."""
+
+    angle_min: float
+    angle_increment: float
+    time_increment: float
+    range_min: float
+    range_max: float
+    ranges: NDArray[np.float32]
+
+
+def sweep_scan(sweep: Sweep) -> Scan:
+    """The points of a sweep, and their times after its stamp where it has them.
+
+    Ranges outside the sensor's limits are no returns, as the message's definition has it.
+
+    Raises
+    ------
+    DatasetError
+        If its angles are not finite.
+    """
+    ranges = np.asarray(sweep.ranges, dtype=np.float64)
+    steps = np.arange(len(ranges))
+    angles = sweep.angle_min + steps * sweep.angle_increment
+    if not np.isfinite(angles).all():
+        raise DatasetError("the sweep's angles are not finite")
+    with np.errstate(invalid="ignore"):
+        hit = (ranges >= sweep.range_min) & (ranges <= sweep.range_max) & (ranges > 0)
+    reach, angles = ranges[hit], angles[hit]
+    points = np.column_stack([reach * np.cos(angles), reach * np.sin(angles), 0.0 * reach])
+    step_s = float(sweep.time_increment)
+    timed = np.isfinite(step_s) and step_s != 0
+    return Scan(points, times=steps[hit] * step_s if timed else None)
+
+
+_POINT = 19  # bytes
+
+
+def livox_scan(data: bytes, *, cdr: bool) -> Scan:
+    """The points of a message and their times after its stamp; firings without return left out.
+
+    Parameters
+    ----------
+    data : bytes
+        The message as a bag holds it.
+    cdr : bool
+        Whether that is ROS 2's CDR, behind four bytes that name the byte order; else ROS 1's.
+
+    Raises
+    ------
+    DatasetError
+        If the message has fewer bytes than its sizes promise.
+    """
+    order = "<" if not cdr or data[1:2] == b"\1" else ">"
+    body, header, step = (data[4:], 8, _POINT + 1) if cdr else (data, 12, _POINT)
+    try:
+        (length,) = struct.unpack_from(f"{order}I", body, header)
+        place = header + 4 + length
+        if cdr:
+            place += -place % 8  # timebase is aligned
+        (count,) = struct.unpack_from(f"{order}I", body, place + 16)
+    except struct.error as error:
+        raise DatasetError(f"cut off: {len(data)} bytes are no message of Livox") from error
+    check_points(count)
+    first = place + 20
+    rows = body[first:] + b"\0" * (step - _POINT)  # the last point is not padded
+    if count * step > len(rows):
+        raise DatasetError(f"cut off: {count} points in {max(0, len(body) - first)} bytes")
+    kinds = [f"{order}{kind}" for kind in ("u4", "f4", "f4", "f4")]
+    point = np.dtype(
+        {
+            "names": ["offset_time", "x", "y", "z"],
+            "formats": kinds,
+            "offsets": [0, 4, 8, 12],
+            "itemsize": step,
+        }
+    )
+    points = np.frombuffer(rows, point, count)
+    xyz = np.column_stack([points[axis].astype(np.float32) for axis in "xyz"])
+    hit = (xyz != 0).any(axis=1)
+    return Scan(xyz[hit], times=points["offset_time"][hit] * 1e-9)
+
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
@@ -36,11 +126,11 @@ def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str)
         If what is in it makes no scan; other errors come from bytes that are no such message.
     """
     if kind in _LIVOX:
-        return livox.to_scan(data, cdr=reader.is2)
+        return livox_scan(data, cdr=reader.is2)
     message: Any = reader.deserialize(data, kind)
     if kind == _PACKETS:
         return _unpacked(message, stamp, where)
-    return laserscan.to_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message, 0.0)
+    return sweep_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message, 0.0)
 
 
 def defines_times(reader: AnyReader, topic: str, fields: str) -> bool:

@@ -18,8 +18,7 @@ import numpy as np
 from ...errors import DatasetError
 from ...types import Scan
 from ..gravity import Accelerometer, GravitySource
-from ..packets.ouster_packets import FIELDS, FRAME, IMU_BYTES, Sensor, read_sensor
-from ..packets.ouster_turns import Turns, gather
+from ..packets.ouster_packets import FIELDS, FRAME, IMU_BYTES, Sensor, Turns, gather, read_sensor
 from ..recorded import Found
 from .bag_file import BagFile, faults_of
 from .bag_place import find_place

@@ -2,20 +2,256 @@
 
 from __future__ import annotations
 
+import math
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ...errors import DatasetError
+from ...motion import interpolated
 from ...types import Float64, Int64, Pose
-from ..gravity import GravitySource
-from .bag_file import optional
-from .bag_gravity import BagGravity, find_imu
-from .bag_poses import Tracks, find_tracks
-from .bag_tf import mount_on_base, read_tf
+from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, GravitySource, weighed
+from ..tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses
+from .bag_file import BagFile, faults_of, fullest_topics, optional, seconds
+from .bag_tf import (
+    Edges,
+    chain,
+    frame_name,
+    is_pose,
+    mount,
+    mount_on_base,
+    read_tf,
+    row,
+)
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
+
+_ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+class Tracks(NamedTuple):
+    """What a bag has of poses.
+
+    Attributes
+    ----------
+    sensor : Track or None
+        Of the sensor.
+    base : Track or None
+        Of a body that nothing says where the sensor is on; where there is none of the sensor.
+    remarks : list of str
+        On poses that are there and cannot be used as they are.
+    """
+
+    sensor: Track | None
+    base: Track | None
+    remarks: list[str]
+
+
+def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
+    """The track of a frame.
+
+    The odometry with the most messages whose body the sensor's place on is known, and else the
+    way from the frame up to the root of tf, if anything moves on it.
+
+    Parameters
+    ----------
+    reader : AnyReader
+        Open.
+    edges : Edges
+        What tf says.
+    frame : str
+        The sensor's.
+    """
+    remarks: list[str] = []
+    base: Track | None = None
+    for topic in fullest_topics(reader, _ODOMETRY):
+        with optional(topic, remarks):
+            stamps, poses, body = _read_odometry(reader, topic)
+            T_body_sensor = mount(edges, body, frame)
+            if T_body_sensor is not None:
+                return Tracks(clean_track(topic, stamps, poses @ T_body_sensor), None, remarks)
+            base = base or clean_track(topic, stamps, poses)
+            remarks.append(
+                f"no transform {body} -> {frame} in the bag, so {topic} is not used: record "
+                "/tf_static, or set local_cloud.mount"
+            )
+    track: Track | None = None
+    with optional("tf", remarks):
+        track = _tf_track(edges, frame)
+    return Tracks(track, base if track is None else None, remarks)
+
+
+def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str]:
+    """Stamps (K,), poses (K, 4, 4), NaN for those that are no pose, and the frame they are of."""
+    stamps, rows, bodies = [], [], set()
+    wanted = [item for item in reader.connections if item.topic == topic]
+    for item, logged, data in reader.messages(wanted):
+        message: Any = reader.deserialize(data, item.msgtype)
+        stamps.append(seconds(message.header.stamp) or logged * 1e-9)
+        pose = message.pose.pose
+        rows.append(row(pose.position, pose.orientation))
+        bodies.add(frame_name(message.child_frame_id))
+    if len(bodies) > 1:
+        raise DatasetError(f"{topic}: poses of several frames: {', '.join(sorted(bodies))}")
+    values = np.array(rows)
+    good = np.array([is_pose(each) for each in rows], dtype=bool)
+    poses = np.full((len(rows), 4, 4), np.nan)
+    poses[good] = quaternion_poses(values[good, :3], values[good, 3:], topic)
+    return np.array(stamps), poses, bodies.pop()
+
+
+def _tf_track(edges: Edges, frame: str) -> Track | None:
+    way = chain(edges, frame) or []
+    moving = [edge for edge in way if not edge.static and len(edge.stamps) > 1]
+    if not moving:
+        return None
+    finest = max(moving, key=lambda edge: len(edge.stamps))
+    stamps, _ = finest.poses()
+    T = np.tile(np.eye(4), (len(stamps), 1, 1))
+    for edge in way:
+        times, poses = edge.poses()
+        if edge.static or len(times) == 1:
+            T = poses[-1] @ T
+        else:
+            T = interpolated(times, poses, stamps, LONGEST_GAP_S) @ T
+    return clean_track(f"tf, {way[-1].parent} to {frame}", stamps, T)
+
+
+_IMU = "sensor_msgs/msg/Imu"
+_LATEST_S = 0.6  # by which one topic may be recorded later than another
+_MOST_MESSAGES = 8000  # around a scan: an IMU at 4 kHz
+_BELIED_DEG = 15.0  # between an orientation and accelerations
+_FARTHEST_DEG = 40.0  # off the vertical that is expected, where the IMU's place is not known
+
+
+class ImuTopic(NamedTuple):
+    """Where gravity is read from.
+
+    Attributes
+    ----------
+    topic : str
+    T_sensor_imu : (4, 4) float64 or None
+        None where nothing says how the two are turned against each other.
+    note : str
+    """
+
+    topic: str
+    T_sensor_imu: Pose | None
+    note: str
+
+
+def find_imu(reader: AnyReader, edges: Edges, frame: str) -> ImuTopic | None:
+    """The topic with an IMU whose place beside the sensor is known, or else the fullest one.
+
+    Parameters
+    ----------
+    reader : AnyReader
+        Open.
+    edges : Edges
+        What tf says.
+    frame : str
+        Of the points.
+    """
+    others: list[ImuTopic] = []
+    for topic in fullest_topics(reader, _IMU):
+        imu = _frame_of(reader, topic)
+        T = mount(edges, frame, imu)
+        if T is not None:
+            return ImuTopic(topic, T, "")
+        note = f"{topic}: nothing says how {imu!r} is turned against {frame!r}: taken as aligned"
+        others.append(ImuTopic(topic, None, note))
+    return others[0] if others else None
+
+
+def _frame_of(reader: AnyReader, topic: str) -> str:
+    wanted = [item for item in reader.connections if item.topic == topic]
+    for item, _, data in reader.messages(wanted):
+        message: Any = reader.deserialize(data, item.msgtype)
+        return frame_name(message.header.frame_id)
+    return ""
+
+
+class BagGravity:
+    """Gravity at the scans of a bag; a ``GravitySource``.
+
+    Parameters
+    ----------
+    paths : tuple of path
+    imu : ImuTopic
+    stamps : (N,) float64
+        Of the scans, seconds.
+    logged : (N,) int64
+        When they were recorded, nanoseconds.
+    expected : (3,) float64
+        Where up is in the sensor's frame while its robot stands level.
+    """
+
+    def __init__(
+        self,
+        paths: tuple[Path, ...],
+        imu: ImuTopic,
+        stamps: Float64,
+        logged: Int64,
+        expected: Float64,
+    ) -> None:
+        self.name, self.note = imu.topic, imu.note
+        self._file, self._imu, self._expected = BagFile(paths), imu, expected
+        self._stamps, self._logged = stamps, logged
+
+    def at(self, k: int) -> Gravity | None:
+        """In the frame of the points of the scan at position k."""
+        with faults_of(self._file.path):
+            accelerations, orientation = self._around(k)
+        felt = weighed(accelerations)
+        found = _oriented(orientation, accelerations) or felt
+        if found is None:
+            return None
+        T = self._imu.T_sensor_imu
+        if T is not None:
+            return Gravity(T[:3, :3] @ found.direction, found.error_deg)
+        near = -found.direction @ self._expected > math.cos(math.radians(_FARTHEST_DEG))
+        return found if near else None
+
+    def _around(self, k: int) -> tuple[Float64, Any]:
+        """Accelerations (K, 3), and the message nearest to the scan in time."""
+        reader = self._file.reader()
+        stamp, logged = float(self._stamps[k]), int(self._logged[k])
+        margin = round((HALF_WINDOW_S + _LATEST_S) * 1e9)
+        wanted = [item for item in reader.connections if item.topic == self._imu.topic]
+        rows, nearest, nearest_s = [], None, HALF_WINDOW_S
+        around = reader.messages(wanted, start=logged - margin, stop=logged + margin)
+        for item, time, data in islice(around, _MOST_MESSAGES):
+            message: Any = reader.deserialize(data, item.msgtype)
+            off = abs((seconds(message.header.stamp) or time * 1e-9) - stamp)
+            if off > HALF_WINDOW_S:
+                continue
+            a = message.linear_acceleration
+            rows.append([a.x, a.y, a.z])
+            if off <= nearest_s:
+                nearest, nearest_s = message, off
+        return np.array(rows, np.float64).reshape(-1, 3), nearest
+
+
+def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
+    """Gravity from an orientation that is known and fits what is felt."""
+    if message is None:
+        return None
+    q, spread = message.orientation, np.asarray(message.orientation_covariance)
+    values = np.array([q.x, q.y, q.z, q.w])
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = float(np.linalg.norm(values))
+        mean = accelerations.mean(axis=0)
+        length = float(np.linalg.norm(mean))
+    known = np.isfinite(spread).all() and spread[0] > 0 and spread[4] > 0
+    if not (known and abs(unit - 1.0) < 0.01 and 0.0 < length < math.inf):
+        return None
+    R = quaternion_poses(np.zeros((1, 3)), values[None], "orientation")[0, :3, :3]
+    down: Float64 = -R[2]
+    fits = -down @ mean / length > math.cos(math.radians(_BELIED_DEG))
+    return Gravity(down, ORIENTATION_ERROR_DEG) if fits else None
 
 
 class Place(NamedTuple):

@@ -12,8 +12,7 @@ from ... import geometry
 from ...system.checks import MOST_METRES
 from ...types import Float64, Pose
 from ..tracks import are_unit, quaternion_poses, rising
-from .bag_file import optional
-from .bag_headers import seconds
+from .bag_file import optional, seconds
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -107,15 +106,6 @@ def is_pose(values: list[float]) -> bool:
     with np.errstate(all="ignore"):
         near = np.isfinite(numbers).all() and np.abs(numbers[0, :3]).max() <= MOST_METRES
     return bool(near and are_unit(numbers[:, 3:])[0])
-
-
-def fullest_topics(reader: AnyReader, msgtype: str) -> list[str]:
-    """The topics of a type that have messages, those with the most first."""
-    counts: dict[str, int] = {}
-    for item in reader.connections:
-        if item.msgtype == msgtype and item.msgcount:
-            counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
-    return sorted(counts, key=lambda name: (-counts[name], name))
 
 
 def row(xyz: Any, q: Any) -> list[float]:

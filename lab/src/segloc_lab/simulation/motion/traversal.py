@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from segloc.datasets.base import Selection
+from segloc.datasets.recorded import Selection
 from segloc.errors import ConfigError, DatasetError
 from segloc.motion import Motion
 from segloc.types import Float64, Int64, Scan, stamp_at
