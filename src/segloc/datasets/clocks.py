@@ -56,24 +56,12 @@ def period_of(stamps: Float64) -> float | None:
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """Meaning of the times of points, and the way to seconds after the stamp.
+    """Meaning of the times of points, and the way to seconds after the stamp."""
 
-    Attributes
-    ----------
-    factor : float
-        Multiplies the times as read.
-    since_1970 : bool
-        Whether the stamp is then subtracted.
-    known : bool
-        False if the times have to be left out.
-    note : str
-        One line if the times aren't what their type stands for.
-    """
-
-    factor: float = 1.0
-    since_1970: bool = False
-    known: bool = True
-    note: str = ""
+    factor: float = 1.0  # multiplies the times as read
+    since_1970: bool = False  # whether the stamp is then subtracted
+    known: bool = True  # false if the times have to be left out
+    note: str = ""  # one line if the times aren't what their type stands for
 
     def applied(self, scan: Scan, stamp: float | None) -> Scan:
         """The scan with times in seconds after its stamp, or without times."""
@@ -90,12 +78,8 @@ class TimeUnit:
 def time_unit(samples: Sequence[tuple[Float64, float]], period_s: float | None) -> TimeUnit:
     """Recognise the unit of points' times.
 
-    Parameters
-    ----------
-    samples : sequence of ((N,) float64, float)
-        Times of the points of some scans, seconds as their type has it, and the scan's stamp.
-    period_s : float or None
-        Time between scans, seconds.
+    samples: times of the points of some scans, seconds as their type has it, and the scan's stamp
+    period_s: time between scans, seconds
     """
     finite = [(times[np.isfinite(times)], stamp) for times, stamp in samples]
     finite = [(times, stamp) for times, stamp in finite if len(times) > 1]

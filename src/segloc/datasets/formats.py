@@ -22,16 +22,10 @@ from .ros import bags
 
 
 class Format(Protocol):
-    """What each module of a format offers.
-
-    Attributes
-    ----------
-    NAME : str
-    INNER : tuple of str
-        Where scans lie inside a recording: a path to there means the recording.
-    """
+    """What each module of a format offers."""
 
     NAME: str
+    # where scans lie inside a recording: a path to there means the recording
     INNER: tuple[str, ...]
 
     @staticmethod

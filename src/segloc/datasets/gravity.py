@@ -23,29 +23,17 @@ _FEWEST = 5
 
 @dataclass(frozen=True)
 class Gravity:
-    """Which way is down at one moment.
+    """Which way is down at one moment."""
 
-    Attributes
-    ----------
-    direction : (3,) float64
-        Unit vector, down.
-    error_deg : float
-        How far off it may be.
-    """
-
-    direction: Float64
-    error_deg: float
+    direction: Float64  # (3,) unit vector, down
+    error_deg: float  # how far off it may be
 
 
 class GravitySource(Protocol):
     """Gravity at each scan of a source.
 
-    Attributes
-    ----------
-    name : str
-        What it comes from: a topic, or a kind of packet.
-    note : str
-        What had to be taken for granted, if anything.
+    name: what it comes from: a topic, or a kind of packet
+    note: what had to be taken for granted, if anything
     """
 
     @property
@@ -64,10 +52,7 @@ def weighed(accelerations: Float64) -> Gravity | None:
     None where the mean is no gravity by its length, values scatter, or there are too few: the
     sensor is shaken, or speeds up.
 
-    Parameters
-    ----------
-    accelerations : (K, 3) float64
-        Up, at rest.
+    accelerations: (K, 3) up, at rest
     """
     values = accelerations[np.isfinite(accelerations).all(axis=1)]
     if len(values) < _FEWEST:
@@ -84,24 +69,12 @@ def weighed(accelerations: Float64) -> Gravity | None:
 
 @dataclass(frozen=True)
 class Accelerometer:
-    """Gravity at scans from accelerations in memory; a ``GravitySource``.
-
-    Attributes
-    ----------
-    name : str
-    scans : (N,) float64
-        Stamps of the scans, seconds.
-    stamps : (K,) float64
-        Of the accelerations, seconds.
-    accelerations : (K, 3) float64
-        In the frame of the points, m/s2 or g.
-    note : str
-    """
+    """Gravity at scans from accelerations in memory; a ``GravitySource``."""
 
     name: str
-    scans: Float64
-    stamps: Float64
-    accelerations: Float64
+    scans: Float64  # (N,) stamps of the scans, seconds
+    stamps: Float64  # (K,) of the accelerations, seconds
+    accelerations: Float64  # (K, 3) in the frame of the points, m/s2 or g
     note: str = ""
 
     def at(self, k: int) -> Gravity | None:

@@ -50,47 +50,20 @@ class Inspectable(Protocol):
 
 @dataclass(frozen=True)
 class Inspection:
-    """Facts about a recording.
+    """Facts about a recording."""
 
-    Attributes
-    ----------
-    sensor : str
-        A guess from the points: "16 beams, -15.0 to 15.0 deg", "one plane", ...
-    sampled : int
-        How many scans were read.
-    points : int
-        Median of their sizes.
-    dropped : float
-        Share of points that are not finite or beyond ``MOST_METRES``, in [0, 1].
-    missing_returns : float
-        Share of points that stand for firings without a return, in [0, 1].
-    rate_hz : float or None
-        Median, where scans have stamps.
-    duration_s : float or None
-    length_m : float or None
-        Of the way, where there are poses.
-    poses : str
-        Where they come from, or "none".
-    timed : bool
-        Whether points have times.
-    problems : tuple of str
-        One line each.
-    sensor_changes : tuple of str
-        Likewise, where scans begin to be of another sensor.
-    """
-
-    sensor: str
-    sampled: int
-    points: int
-    dropped: float
-    missing_returns: float
-    rate_hz: float | None
+    sensor: str  # a guess from the points: "16 beams, -15.0 to 15.0 deg", "one plane",
+    sampled: int  # how many scans were read
+    points: int  # median of their sizes
+    dropped: float  # share of points that are not finite or beyond ``MOST_METRES``, in [0, 1]
+    missing_returns: float  # share of points that stand for firings without a return, in [0, 1]
+    rate_hz: float | None  # median, where scans have stamps
     duration_s: float | None
-    length_m: float | None
-    poses: str
-    timed: bool
-    problems: tuple[str, ...]
-    sensor_changes: tuple[str, ...]
+    length_m: float | None  # of the way, where there are poses
+    poses: str  # where they come from, or "none"
+    timed: bool  # whether points have times
+    problems: tuple[str, ...]  # one line each
+    sensor_changes: tuple[str, ...]  # likewise, where scans begin to be of another sensor
 
 
 def inspect(recording: Inspectable, sample: int = 20) -> Inspection:

@@ -16,10 +16,7 @@ from ..types import Float32, Float64, Int64, Scan
 def rows_of(data: bytes, dtype: np.dtype[np.void] | str, width: int = 0) -> NDArray[np.generic]:
     """The bytes as records, (N,), or as rows of ``width`` values, (N, width).
 
-    Raises
-    ------
-    DatasetError
-        If they are not a whole number of records, as in a file that was cut off.
+    Raise DatasetError if they are not a whole number of records, as in a file that was cut off.
     """
     kind = np.dtype(dtype)
     size = kind.itemsize * (width or 1)
@@ -61,10 +58,7 @@ def column_times(count: int, rows: int = 64, columns: int = 1024) -> NDArray[np.
 def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:
     """The files of a folder with a suffix and a name that ends in a number, sorted by it.
 
-    Raises
-    ------
-    DatasetError
-        If there are none, or two have the same number.
+    Raise DatasetError if there are none, or two have the same number.
     """
     try:
         names = [path for path in folder.iterdir() if path.name.endswith(suffix)]
@@ -111,10 +105,8 @@ def relative(path: Path, root: Path) -> str:
 def choose(path: Path, present: list[str], topic: str | None) -> str:
     """The one of several sensors that is asked for, or the only one.
 
-    Raises
-    ------
-    DatasetError
-        If there are several and none is asked for, or the one that is asked for is not there.
+    Raise DatasetError if there are several and none is asked for, or the one that is asked for is
+    not there.
     """
     if topic is not None and topic not in present:
         raise DatasetError(f"{path}: no {topic!r} in it, only {', '.join(present) or 'nothing'}")

@@ -167,10 +167,8 @@ def compute_odometry(
 ) -> Trajectory:
     """Run :func:`lidar_odometry` and keep its poses in a TUM file.
 
-    Raises
-    ------
-    DatasetError
-        If the file's folder cannot be written to, before the work; or as the odometry does.
+    Raise DatasetError if the file's folder cannot be written to, before the work; or as the
+    odometry does.
     """
     if not os.access(file.parent, os.W_OK):
         raise DatasetError(f"{file}: its folder cannot be written to: name another file by --out")

@@ -83,23 +83,14 @@ def assembled(
 
     Scans that lie outside the poses in time, or in a gap of theirs, are left out and noted.
 
-    Parameters
-    ----------
-    found : Found
-    poses : path, optional
-        A file to take the poses from.
-    own_poses : bool
-        Whether to take the recording's own where no file is given.
-    deskewed : bool
-    T_base_sensor : (4, 4) float64, optional
-        Where the sensor is on the body that the poses are of, if they are not the sensor's.
-    selection : Selection, optional
-        Indices of the scans to keep.
+    poses: a file to take the poses from
+    own_poses: whether to take the recording's own where no file is given
+    T_base_sensor: (4, 4) where the sensor is on the body that the poses are of, if they are not the
+      sensor's
+    selection: indices of the scans to keep
 
-    Raises
-    ------
-    DatasetError
-        If there are no scans, none is selected, the poses cannot be read, or no scan has one.
+    Raise DatasetError if there are no scans, none is selected, the poses cannot be read, or no scan
+    has one.
     """
     if not len(found.source):
         raise DatasetError(f"{found.name}: {found.format} without any scan")
@@ -202,17 +193,10 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class FileSource:
-    """One file a scan.
-
-    Attributes
-    ----------
-    paths : tuple of path
-    parse : callable
-        From the bytes of a file to a scan; raises DatasetError.
-    """
+    """One file a scan."""
 
     paths: tuple[Path, ...]
-    parse: Callable[[bytes], Scan]
+    parse: Callable[[bytes], Scan]  # from the bytes of a file to a scan; raises DatasetError
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -227,100 +211,52 @@ class FileSource:
 
 @dataclass(frozen=True)
 class Found:
-    """What the reader of a format finds at a path, before poses are chosen.
+    """What the reader of a format finds at a path, before poses are chosen."""
 
-    Attributes
-    ----------
-    name : str
-        Of the recording.
-    format : str
-    source : Source
-    indices : (N,) int64
-        Numbers of the source's scans.
-    stamps : (N,) float64 or None
-        When they were taken, seconds.
-    frame : str
-        The frame of the points.
-    fields : str
-        What the format has of each point.
-    notes : tuple of str
-        Faults that were met, one line each.
-    topic : str or None
-        Of several sensors, topics or scenes; None in formats that have one.
-    own_track : callable
-        Reads the poses that come with the recording; None where there are none.
-    own_poses : callable
-        A track from a file in the dataset's own format; None for a file of another format.
-    base_track : Track or None
-        The poses that come with the recording where they are of a body that nothing says where the
-        sensor is on.
-    T_base_sensor : (4, 4) float64 or None
-        How the sensor is mounted, where the recording says so.
-    gravity : GravitySource or None
-    times_sure : bool
-        Whether the format defines the unit of points' times; otherwise it is recognised.
-    """
-
-    name: str
+    name: str  # of the recording
     format: str
     source: Source
-    indices: Int64
-    stamps: Float64 | None
-    frame: str
-    fields: str
-    notes: tuple[str, ...] = ()
-    topic: str | None = None
+    indices: Int64  # (N,) numbers of the source's scans
+    stamps: Float64 | None  # (N,) when they were taken, seconds
+    frame: str  # the frame of the points
+    fields: str  # what the format has of each point
+    notes: tuple[str, ...] = ()  # faults that were met, one line each
+    topic: str | None = None  # of several sensors, topics or scenes; None in formats that have one
+    # reads the poses that come with the recording; None where there are none
     own_track: Callable[[], Track | None] = field(default=lambda: None, repr=False)
+    # a track from a file in the dataset's own format; None for a file of another format
     own_poses: Callable[[Path], Track | None] = field(default=lambda path: None, repr=False)
+    # the poses that come with the recording where they are of a body that nothing says
+    # where the sensor is on
     base_track: Track | None = field(default=None, repr=False)
+    # (4, 4) how the sensor is mounted, where the recording says so
     T_base_sensor: Pose | None = None
     gravity: GravitySource | None = None
+    # whether the format defines the unit of points' times; otherwise it is recognised
     times_sure: bool = True
 
 
 @dataclass(frozen=True)
 class RecordedSequence:
-    """The scans of a recording; a ``Sequence``. Scans are read when they are asked for.
+    """The scans of a recording; a ``Sequence``. Scans are read when they are asked for."""
 
-    Attributes
-    ----------
-    name, format, frame, fields : str
-        Of the recording, as in :class:`Found`.
-    source : Source
-    rows : (N,) int64
-        Positions in the source.
-    indices : (N,) int64
-    stamps : (N,) float64 or None
-        Seconds.
-    poses : (N, 4, 4) float64 or None
-        T_world_sensor.
-    track : Track or None
-        What the poses were interpolated from.
-    motion : Motion or None
-        What points with times are corrected by, to where they would be at the scan's stamp.
-    notes : tuple of str
-    T_base_sensor : (4, 4) float64 or None
-        How the sensor is mounted on its robot or vehicle, where that is known.
-    gravity : GravitySource or None
-        Of scans without poses.
-    time_unit : TimeUnit or None
-        Of the points' times as the source has them; None for seconds after the stamp.
-    """
-
-    name: str
+    name: str  # name and format and frame and fields: of the recording, as in :class:`Found`
     format: str
     frame: str
     fields: str
     source: Source
-    rows: Int64
-    indices: Int64
-    stamps: Float64 | None
-    poses: Float64 | None
-    track: Track | None
+    rows: Int64  # (N,) positions in the source
+    indices: Int64  # (N,)
+    stamps: Float64 | None  # (N,) seconds
+    poses: Float64 | None  # (N, 4, 4) T_world_sensor
+    track: Track | None  # what the poses were interpolated from
+    # what points with times are corrected by, to where they would be at the scan's stamp
     motion: Motion | None
     notes: tuple[str, ...]
+    # (4, 4) how the sensor is mounted on its robot or vehicle, where that is known
     T_base_sensor: Pose | None = None
-    gravity: GravitySource | None = None
+    gravity: GravitySource | None = None  # of scans without poses
+    # of the points' times as the source has them; None for seconds after the stamp
     time_unit: TimeUnit | None = None
 
     def __len__(self) -> int:
@@ -329,10 +265,7 @@ class RecordedSequence:
     def scan(self, i: int) -> Scan:
         """Read the scan at position i, de-skewed where points have times and poses are known.
 
-        Raises
-        ------
-        DatasetError
-            If there is no such position or the scan cannot be read.
+        Raise DatasetError if there is no such position or the scan cannot be read.
         """
         scan = self.raw(i)
         stamp = stamp_at(self, i)
@@ -358,10 +291,7 @@ class RecordedSequence:
     def select(self, selection: Selection) -> RecordedSequence:
         """The scans whose indices are in the selection, in the same order.
 
-        Raises
-        ------
-        DatasetError
-            If there are none.
+        Raise DatasetError if there are none.
         """
         mask = selection.mask(self.indices)
         if not mask.any():

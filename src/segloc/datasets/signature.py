@@ -23,18 +23,10 @@ _STEEP_DEG = -35.0  # no beams of a single turn look down so steeply, or those o
 
 @dataclass(frozen=True)
 class Signature:
-    """What tells scans of one sensor from those of another.
+    """What tells scans of one sensor from those of another."""
 
-    Attributes
-    ----------
-    beams : int
-        Separate elevation angles that points lie at; 1 for a sweep of one plane.
-    low_deg, high_deg : float
-        The lowest and the highest.
-    """
-
-    beams: int
-    low_deg: float
+    beams: int  # separate elevation angles that points lie at; 1 for a sweep of one plane
+    low_deg: float  # low_deg and high_deg: the lowest and the highest
     high_deg: float
 
     @property
@@ -79,10 +71,7 @@ def signature(points: NDArray[np.floating]) -> Signature | None:
 def is_push_broom(recording: Recording) -> bool:
     """Whether scans are sweeps of one plane, by the largest of a few.
 
-    Raises
-    ------
-    DatasetError
-        If one of them cannot be read.
+    Raise DatasetError if one of them cannot be read.
     """
     return sensor_of(recording) == PUSH_BROOM
 
@@ -93,10 +82,7 @@ def sensor_of(recording: Recording, sample: int = 5) -> str:
     Coarser than what :func:`inspect` says, so that sessions of one sensor are told alike: one of
     "a sweep of one plane", "few beams" (less than 48), "many beams".
 
-    Raises
-    ------
-    DatasetError
-        If one of them cannot be read.
+    Raise DatasetError if one of them cannot be read.
     """
     chosen = np.unique(np.linspace(0, len(recording) - 1, sample).round().astype(int))
     clouds = [recording.scan(int(i)).points for i in chosen if len(recording)]

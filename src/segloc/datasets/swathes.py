@@ -14,26 +14,15 @@ from .recorded import Selection
 
 @dataclass(frozen=True)
 class Swathes:
-    """A recording whose scans are those of another, gathered over stretches of its way.
+    """A recording whose scans are those of another, gathered over stretches of its way."""
 
-    Attributes
-    ----------
-    source : Recording
-        With poses.
-    indices : (S,) int64
-        Of the source's scans that give the swathes their poses.
-    poses : (S, 4, 4) float64
-        T_odom_sensor of those scans.
-    truth : (S, 4, 4) float64
-        T_world_sensor of those scans where the source knows it, and else ``poses``.
-    first, anchor, last : (S,) int64
-        Positions in the source: a swathe gathers from first up to last, without it.
-    """
-
-    source: Recording
-    indices: Int64
-    poses: Float64
+    source: Recording  # with poses
+    indices: Int64  # (S,) of the source's scans that give the swathes their poses
+    poses: Float64  # (S, 4, 4) T_odom_sensor of those scans
+    # (S, 4, 4) T_world_sensor of those scans where the source knows it, and else ``poses``
     truth: Float64
+    # first and anchor and last: (S,) positions in the source: a swathe gathers from first
+    # up to last, without it
     first: Int64
     anchor: Int64
     last: Int64
@@ -48,10 +37,7 @@ class Swathes:
     def scan(self, i: int) -> Scan:
         """The swathe at position i, in the frame of the scan in its middle.
 
-        Raises
-        ------
-        DatasetError
-            If there is no such position, or a scan cannot be read.
+        Raise DatasetError if there is no such position, or a scan cannot be read.
         """
         if not 0 <= i < len(self):
             raise DatasetError(f"{self.name}: no swathe at position {i}, there are {len(self)}")

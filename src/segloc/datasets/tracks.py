@@ -31,30 +31,15 @@ _ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
 class Track:
     """Where a sensor was.
 
-    Attributes
-    ----------
-    source : str
-        The file or topic that it comes from.
-    keys : (K,) float64
-        Strictly rising: seconds on the scans' clock, or numbers of scans.
-    poses : (K, 4, 4) float64
-        T_world_sensor, z up.
-    clock : str
-        What the keys are, "seconds" or "numbers".
-    note : str
-        What had to be left out, if anything.
-
-    Raises
-    ------
-    DatasetError
-        If a position is beyond all reason; names the source and the pose, counted from 1.
+    Raise DatasetError if a position is beyond all reason; names the source and the pose, counted
+    from 1.
     """
 
-    source: str
-    keys: Float64
-    poses: Float64
-    clock: Literal["seconds", "numbers"] = "seconds"
-    note: str = ""
+    source: str  # the file or topic that it comes from
+    keys: Float64  # (K,) strictly rising: seconds on the scans' clock, or numbers of scans
+    poses: Float64  # (K, 4, 4) T_world_sensor, z up
+    clock: Literal["seconds", "numbers"] = "seconds"  # what the keys are, "seconds" or "numbers"
+    note: str = ""  # what had to be left out, if anything
 
     def __post_init__(self) -> None:
         far, broken = too_far(self.poses), torn(self.poses)
@@ -72,10 +57,7 @@ class Track:
     def at(self, indices: Int64, stamps: Float64 | None) -> Float64:
         """T_world_sensor (N, 4, 4) of scans with these numbers and stamps; NaN where unknown.
 
-        Raises
-        ------
-        DatasetError
-            If there is no pose for any of them.
+        Raise DatasetError if there is no pose for any of them.
         """
         if self.clock == "seconds":
             if stamps is None:
@@ -111,10 +93,7 @@ def _span(values: Float64) -> str:
 def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
     """A track of poses in seconds without those that are not finite or do not come later.
 
-    Raises
-    ------
-    DatasetError
-        If none is left, or as a :class:`Track`.
+    Raise DatasetError if none is left, or as a :class:`Track`.
     """
     finite = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
     good = finite.copy()
@@ -140,10 +119,8 @@ def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
     without stamps are taken in the order of the scans if there are as many. Row i of a KITTI file
     is the pose of scan number i if it has that many rows, and else of the scan at position i.
 
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, there are no poses in it, or it has times and the scans have none.
+    Raise DatasetError if it cannot be read, there are no poses in it, or it has times and the scans
+    have none.
     """
     trajectory, kind = read_trajectory_and_kind(path)
     keys, poses = np.array(trajectory.stamps), np.array(trajectory.poses)
@@ -191,20 +168,12 @@ def read_table(
 ) -> Float64:
     """Columns of a file of numbers, (N, C) float64.
 
-    Parameters
-    ----------
-    path : path
-    columns : sequence of str or int
-        By their names, where the first line is a header, or by position.
-    separator : str or None
-        None for white space.
-    header : bool
-        Whether to leave out the first line.
+    columns: by their names, where the first line is a header, or by position
+    separator: None for white space
+    header: whether to leave out the first line
 
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read or has no rows, a column is missing, or a value is no number.
+    Raise DatasetError if the file cannot be read or has no rows, a column is missing, or a value is
+    no number.
     """
     try:
         lines = read_file(path).decode("utf-8-sig", "replace").splitlines()
@@ -241,10 +210,7 @@ def are_unit(xyzw: Float64) -> NDArray[np.bool_]:
 def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
     """Poses (N, 4, 4) from positions (N, 3) and quaternions (N, 4) as x, y, z, w.
 
-    Raises
-    ------
-    DatasetError
-        If a quaternion is not near unit length; names ``where`` and the row.
+    Raise DatasetError if a quaternion is not near unit length; names ``where`` and the row.
     """
     if not len(xyz):
         return np.empty((0, 4, 4))
@@ -261,10 +227,7 @@ def matrix_poses(rows: Float64, where: str) -> Float64:
 
     Positions of the size of UTM coordinates come with rotations that were rounded.
 
-    Raises
-    ------
-    DatasetError
-        If one is far from a rotation; names ``where`` and the row.
+    Raise DatasetError if one is far from a rotation; names ``where`` and the row.
     """
     matrices = rows.reshape(-1, 3, 4)
     if not len(matrices):

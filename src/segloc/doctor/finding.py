@@ -37,22 +37,12 @@ class Fault(str, Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is worth saying of a recording.
-
-    Attributes
-    ----------
-    fault : Fault
-    what : str
-        What was measured.
-    remedy : str
-        What mends it; "" where ``what`` says so.
-    wrong : bool
-        Whether nothing can be expected to work before it is mended; otherwise it is advice.
-    """
+    """One thing that is worth saying of a recording."""
 
     fault: Fault
-    what: str
-    remedy: str = ""
+    what: str  # what was measured
+    remedy: str = ""  # what mends it; "" where ``what`` says so
+    # whether nothing can be expected to work before it is mended; otherwise it is advice
     wrong: bool = True
 
     def __str__(self) -> str:

@@ -73,20 +73,11 @@ def _nowhere(poses: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class Reading:
-    """What poses may be meant as.
-
-    Attributes
-    ----------
-    fault : Fault
-    means : callable
-        (N, 4, 4) poses -> T_odom_sensor, (N, 4, 4).
-    what, remedy : str
-        Of the finding.
-    """
+    """What poses may be meant as."""
 
     fault: Fault
-    means: Callable[[Float64], Float64]
-    what: str
+    means: Callable[[Float64], Float64]  # (N, 4, 4) poses -> T_odom_sensor, (N, 4, 4)
+    what: str  # what and remedy: of the finding
     remedy: str
 
 
@@ -186,27 +177,13 @@ _GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
 
 @dataclass(frozen=True)
 class Fit:
-    """How well two neighbouring clouds agree, as shares of points with another near.
+    """How well two neighbouring clouds agree, as shares of points with another near."""
 
-    Attributes
-    ----------
-    as_is : float
-        At their poses.
-    read : (R,) float64
-        At the poses read as each of ``READINGS``.
-    chance : float
-        At the poses as they are, some metres aside.
-    aligned : float
-        Where they fit best near their poses.
-    off_m, off_deg : float
-        From their poses to there, horizontally.
-    """
-
-    as_is: float
-    read: Float64
-    chance: float
-    aligned: float
-    off_m: float
+    as_is: float  # at their poses
+    read: Float64  # (R,) at the poses read as each of ``READINGS``
+    chance: float  # at the poses as they are, some metres aside
+    aligned: float  # where they fit best near their poses
+    off_m: float  # off_m and off_deg: from their poses to there, horizontally
     off_deg: float
 
     @property

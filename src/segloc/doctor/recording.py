@@ -99,20 +99,11 @@ SAMPLE = 20
 
 @dataclass(frozen=True)
 class Examination:
-    """What a recording is, and what is wrong with it.
-
-    Attributes
-    ----------
-    inspection : Inspection
-    attitude : str
-        Where roll and pitch come from.
-    findings : tuple of Finding
-        What is wrong comes first.
-    """
+    """What a recording is, and what is wrong with it."""
 
     inspection: Inspection
-    attitude: str
-    findings: tuple[Finding, ...]
+    attitude: str  # where roll and pitch come from
+    findings: tuple[Finding, ...]  # what is wrong comes first
 
     @property
     def healthy(self) -> bool:

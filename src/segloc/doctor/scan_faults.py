@@ -29,19 +29,12 @@ _BESIDE_M = 0.3  # what lies at the sensor's own height is on neither side
 
 @dataclass(frozen=True)
 class Floors:
-    """What is flat on each side of the sensor, across each axis.
+    """What is flat on each side of the sensor, across each axis."""
 
-    Attributes
-    ----------
-    shares : (3, 2) float64
-        Of the flat places, those with normals along x, y or z on the negative and on the positive
-        side, in [0, 1].
-    metres : (3, 2) float64
-        How far off they lie along the axis, median; NaN where there are none.
-    """
-
+    # (3, 2) of the flat places, those with normals along x, y or z on the negative and on
+    # the positive side, in [0, 1]
     shares: Float64
-    metres: Float64
+    metres: Float64  # (3, 2) how far off they lie along the axis, median; NaN where there are none
 
 
 def floors(points: Float32) -> Floors | None:

@@ -37,10 +37,7 @@ def one_line(error: object) -> str:
 def faults_of(where: object) -> Iterator[None]:
     """Name the file in errors about what is in it, and say so where memory runs out.
 
-    Raises
-    ------
-    DatasetError
-        Naming ``where``.
+    Raise DatasetError: naming ``where``.
     """
     try:
         yield
@@ -55,10 +52,7 @@ def faults_of(where: object) -> Iterator[None]:
 def parse_count(word: str, what: str) -> int:
     """A number of things from a header.
 
-    Raises
-    ------
-    DatasetError
-        If it is not a whole number of 0 or more, or one beyond all reason.
+    Raise DatasetError if it is not a whole number of 0 or more, or one beyond all reason.
     """
     if not (word.isascii() and word.isdigit() and len(word) <= _MOST_DIGITS):
         raise DatasetError(f"{what} is {word[:40]!r}, not a whole number")
@@ -83,10 +77,7 @@ def wanted_columns(names: Sequence[str]) -> list[int]:
 
     Capital letters do where there are no small ones.
 
-    Raises
-    ------
-    DatasetError
-        If x, y or z is missing or there twice.
+    Raise DatasetError if x, y or z is missing or there twice.
     """
     chosen = []
     for axis in "xyz":
@@ -101,11 +92,9 @@ def wanted_columns(names: Sequence[str]) -> list[int]:
 def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | None = None) -> Scan:
     """A scan of the columns x, y, z and, where there is a fourth, the points' times.
 
-    Parameters
-    ----------
-    columns : 3 or 4 arrays (N,) of any number type
-    nanoseconds : bool, optional
-        Whether the times are nanoseconds; by default they are where their type is an integer.
+    columns: 3 or 4 arrays (N,) of any number type
+    nanoseconds: whether the times are nanoseconds; by default they are where their type is an
+      integer
     """
     check_points(len(columns[0]))
     points = np.empty((len(columns[0]), 3), dtype=np.float32)

@@ -14,21 +14,12 @@ from ..types import Float64, Int64
 
 @dataclass(frozen=True)
 class PoseEdges:
-    """E measured relative poses.
+    """E measured relative poses."""
 
-    Attributes
-    ----------
-    first, second : (E,) int64
-        Poses by number.
-    T : (E, 4, 4) float64
-        T_first_second.
-    covariance : (E, 6, 6) float64
-        Of rotation (rad), then translation (m), in the frame of ``second``.
-    """
-
-    first: Int64
+    first: Int64  # first and second: (E,) poses by number
     second: Int64
-    T: Float64
+    T: Float64  # (E, 4, 4) T_first_second
+    # (E, 6, 6) of rotation (rad), then translation (m), in the frame of ``second``
     covariance: Float64
 
 
@@ -41,14 +32,9 @@ def g2o_information(covariance: Float64) -> Float64:
     Its order is x, y, z, then the vector part of the unit quaternion, which is half of a small
     rotation vector. Both orders are of errors in the frame of the second pose.
 
-    Parameters
-    ----------
-    covariance : (6, 6) float64
-        Of rotation (rad), then translation (m).
+    covariance: (6, 6) of rotation (rad), then translation (m)
 
-    Returns
-    -------
-    (6, 6) float64
+    Return (6, 6) float64.
     """
     order = np.array([3, 4, 5, 0, 1, 2])
     information = np.linalg.inv(covariance)[np.ix_(order, order)]
@@ -60,13 +46,8 @@ def g2o_information(covariance: Float64) -> Float64:
 def format_g2o(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int] = ()) -> str:
     """A file of VERTEX_SE3:QUAT, FIX and EDGE_SE3:QUAT lines.
 
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        The first estimates, numbered from 0.
-    edges : sequence of PoseEdges
-    fixed : sequence of int
-        Poses that an optimisation is to leave where they are.
+    poses: (N, 4, 4) the first estimates, numbered from 0
+    fixed: poses that an optimisation is to leave where they are
     """
     return "".join(_lines(poses, edges, fixed))
 

@@ -27,23 +27,13 @@ _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of items; _BYTE14 has one for each byt
 def check_chunks(data: bytes, points_start: int, points: int, record_size: int, vlr: bytes) -> None:
     """Check the sizes in the chunk table and in front of each chunk against the file's length.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    points_start : int
-        Where the points start, at most ``len(data)``.
-    points : int
-        How many the header announces.
-    record_size : int
-        Bytes of a point.
-    vlr : bytes
-        The record "laszip encoded", which says how the points are compressed.
+    data: the whole file
+    points_start: where the points start, at most ``len(data)``
+    points: how many the header announces
+    record_size: bytes of a point
+    vlr: the record "laszip encoded", which says how the points are compressed
 
-    Raises
-    ------
-    DatasetError
-        If they do not fit, or the compression is of an unknown kind.
+    Raise DatasetError if they do not fit, or the compression is of an unknown kind.
     """
     compressor, items = _parse_vlr(vlr)
     if any(size != _SIZES.get(kind, size) for kind, size in items) or record_size != sum(
@@ -225,10 +215,8 @@ def format_laz(
 
     ``offset``, (3,), is near points that lie far from zero, so that their steps are few.
 
-    Raises
-    ------
-    DatasetError
-        If a coordinate is beyond what 32 bits of such steps can hold, about 2147 km from there.
+    Raise DatasetError if a coordinate is beyond what 32 bits of such steps can hold, about 2147 km
+    from there.
     """
     laspy = _import_laspy("writing .laz files")
     origin = np.zeros(3) if offset is None else offset

@@ -101,10 +101,7 @@ def read_scan(path: str | Path) -> Scan:
 def read_file(path: Path) -> bytes:
     """All bytes of a regular file.
 
-    Raises
-    ------
-    DatasetError
-        If there is none, it cannot be read, or it is larger than any scan may be.
+    Raise DatasetError if there is none, it cannot be read, or it is larger than any scan may be.
     """
     try:
         if not path.exists():

@@ -38,30 +38,17 @@ def parse_table(
 ) -> Float64:
     """Some columns of a table of numbers between white space.
 
-    Parameters
-    ----------
-    data : bytes
-        The lines; blank ones do not count.
-    columns : sequence of int
-        Which columns to parse; what stands in the others may be any text.
-    width : int or None
-        How many columns there are; checked on the last line, where a cut would show. None where
-        rows differ.
-    rows : int
-        How many rows there should be.
-    skipped : int
-        Lines before them.
-    more : bool
-        Whether there may be lines behind them.
+    data: the lines; blank ones do not count
+    columns: which columns to parse; what stands in the others may be any text
+    width: how many columns there are; checked on the last line, where a cut would show. None where
+      rows differ
+    rows: how many rows there should be
+    skipped: lines before them
+    more: whether there may be lines behind them
 
-    Returns
-    -------
-    (N, len(columns)) float64
+    Return (N, len(columns)) float64.
 
-    Raises
-    ------
-    DatasetError
-        If a number cannot be parsed, or there are too few rows or columns.
+    Raise DatasetError if a number cannot be parsed, or there are too few rows or columns.
     """
     check_points(rows)
     found = _selected(_blocks(data), skipped, rows if more else None)

@@ -93,23 +93,13 @@ _KINDS: dict[int, Literal["tum", "kitti"]] = {8: "tum", 12: "kitti"}
 class Trajectory:
     """Poses of a sensor over time.
 
-    Attributes
-    ----------
-    stamps : (N,) float64
-        Seconds, or any index; strictly rising.
-    poses : (N, 4, 4) float64
-        T_world_sensor.
-
-    Raises
-    ------
-    DatasetError
-        If a shape is wrong, a value is not finite, a pose is not rigid or lies beyond
-        ``MOST_METRES``, or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not
-        rise.
+    Raise DatasetError if a shape is wrong, a value is not finite, a pose is not rigid or lies
+    beyond ``MOST_METRES``, or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not
+    rise.
     """
 
-    stamps: Float64
-    poses: Float64
+    stamps: Float64  # (N,) seconds, or any index; strictly rising
+    poses: Float64  # (N, 4, 4) T_world_sensor
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps, dtype=np.float64)
@@ -136,10 +126,8 @@ class Trajectory:
     def interpolate(self, stamp: float) -> Pose:
         """The (4, 4) pose between two neighbours: linear in position, slerp in rotation.
 
-        Raises
-        ------
-        DatasetError
-            If the stamp lies before the first or after the last: nothing is extrapolated.
+        Raise DatasetError if the stamp lies before the first or after the last: nothing is
+        extrapolated.
         """
         exact = self.at(stamp)
         if exact is not None:

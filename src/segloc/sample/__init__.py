@@ -30,34 +30,17 @@ FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True)
 class SampleDrive:
-    """A recorded drive of a spinning LiDAR: N scans of B beams and F firings.
-
-    Attributes
-    ----------
-    name : str
-    indices : (N,) int64
-    stamps : (N,) float64
-        Start of each scan [s].
-    poses : (N, 4, 4) float64
-        T_odom_sensor. Those of "monday" are the truth; the others drift.
-    truth : (N, 4, 4) float64
-        T_world_sensor.
-    elevations : (B, 2) float64
-        Cosine and sine of each beam's elevation.
-    azimuths : (C, F, 2) float64
-        Cosine and sine of each firing's azimuth. Beam b takes row b modulo C.
-    ranges : (N, B, F) uint16
-        In units of ``RANGE_UNIT_M``; 0 is no return.
-    """
+    """A recorded drive of a spinning LiDAR: N scans of B beams and F firings."""
 
     name: str
-    indices: Int64
-    stamps: Float64
-    poses: Float64
-    truth: Float64
-    elevations: Float64
+    indices: Int64  # (N,)
+    stamps: Float64  # (N,) start of each scan [s]
+    poses: Float64  # (N, 4, 4) T_odom_sensor. Those of "monday" are the truth; the others drift
+    truth: Float64  # (N, 4, 4) T_world_sensor
+    elevations: Float64  # (B, 2) cosine and sine of each beam's elevation
+    # (C, F, 2) cosine and sine of each firing's azimuth. Beam b takes row b modulo C
     azimuths: Float64
-    ranges: NDArray[np.uint16]
+    ranges: NDArray[np.uint16]  # (N, B, F) in units of ``RANGE_UNIT_M``; 0 is no return
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -65,10 +48,7 @@ class SampleDrive:
     def scan(self, i: int) -> Scan:
         """Return the scan at position i, with its stamp and its pose.
 
-        Raises
-        ------
-        DatasetError
-            If there is no position i.
+        Raise DatasetError if there is no position i.
         """
         if not 0 <= i < len(self):
             raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")

@@ -62,17 +62,11 @@ def find(path: Path, poses: Path | None) -> Found:
     (``SEC.NSEC``, ``SEC_NSEC``, milli-, micro- or nanoseconds since 1970) give stamps; scans named
     by two numbers are counted by position.
 
-    Parameters
-    ----------
-    path : path
-        A folder, or the file of one scan.
-    poses : path or None
-        A file that is no scan.
+    path: a folder, or the file of one scan
+    poses: a file that is no scan
 
-    Raises
-    ------
-    DatasetError
-        If the folder is missing or has no scans, or two scans have the same number or stamp.
+    Raise DatasetError if the folder is missing or has no scans, or two scans have the same number
+    or stamp.
     """
     paths, notes = _scan_paths(path, poses)
     indices, stamps = _numbered(paths, path)

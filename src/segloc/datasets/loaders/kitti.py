@@ -83,10 +83,7 @@ def camera_track(file: Path, folder: Path, name: str) -> Track | None:
 def read_calibration(path: Path, key: str) -> Pose:
     """The rigid transform that a line ``key: 12 numbers`` of a calibration file holds.
 
-    Raises
-    ------
-    DatasetError
-        If the file or the line is missing, or it is no rigid transform.
+    Raise DatasetError if the file or the line is missing, or it is no rigid transform.
     """
     values = read_values(path, key)
     if values.shape != (12,):

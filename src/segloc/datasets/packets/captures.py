@@ -41,25 +41,13 @@ class Record(NamedTuple):
 
 
 class Datagram(NamedTuple):
-    """A UDP datagram.
+    """A UDP datagram."""
 
-    Attributes
-    ----------
-    stamp : float
-        When its first part was captured, seconds.
-    first, stop : int
-        Place of its first record in the file, and the one behind its last.
-    port : int
-        Its destination.
-    pieces : list of (int, int)
-        Start and size of the parts of its content.
-    """
-
-    stamp: float
-    first: int
+    stamp: float  # when its first part was captured, seconds
+    first: int  # first and stop: place of its first record in the file, and the one behind its last
     stop: int
-    port: int
-    pieces: list[tuple[int, int]]
+    port: int  # its destination
+    pieces: list[tuple[int, int]]  # start and size of the parts of its content
 
     @property
     def size(self) -> int:
@@ -74,10 +62,7 @@ class Datagram(NamedTuple):
 def mapped(path: Path) -> Iterator[mmap.mmap]:
     """The bytes of a capture.
 
-    Raises
-    ------
-    DatasetError
-        If it is none.
+    Raise DatasetError if it is none.
     """
     if path.stat().st_size < _HEADER:
         raise DatasetError(f"{path}: cut off: no header of a capture")

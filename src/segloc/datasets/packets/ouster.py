@@ -82,12 +82,7 @@ def _gravity(felt: list[tuple[float, ...]], turns: Turns) -> GravitySource | Non
 class TurnSource:
     """The turns of a capture.
 
-    Parameters
-    ----------
-    path : path
-    sensor : Sensor
-    turns : Turns
-        Places are bytes of the file.
+    turns: places are bytes of the file
     """
 
     def __init__(self, path: Path, sensor: Sensor, turns: Turns) -> None:

@@ -44,22 +44,11 @@ _FEWEST_PACKETS = 8  # of a turn; less is left from where the recording begins o
 
 @dataclass(frozen=True)
 class Turns:
-    """Where the packets of each of T turns are.
+    """Where the packets of each of T turns are."""
 
-    Attributes
-    ----------
-    numbers : (T,) int64
-        What their packets are numbered by.
-    stamps : (T,) float64
-        When the first packet was recorded.
-    firsts, stops : (T,) int64
-        Where the first packet is, and behind the last.
-    notes : tuple of str
-    """
-
-    numbers: Int64
-    stamps: Float64
-    firsts: Int64
+    numbers: Int64  # (T,) what their packets are numbered by
+    stamps: Float64  # (T,) when the first packet was recorded
+    firsts: Int64  # firsts and stops: (T,) where the first packet is, and behind the last
     stops: Int64
     notes: tuple[str, ...] = ()
 
@@ -115,46 +104,24 @@ _IMU_ACCELERATION = 24
 
 @dataclass(frozen=True)
 class Sensor:
-    """What its metadata say of a sensor.
+    """What its metadata say of a sensor."""
 
-    Attributes
-    ----------
-    packet : dtype
-        The layout of a packet: ``columns`` with ``time``, ``number``, ``status`` and ``pixels``.
-    columns : int
-        In a turn.
-    port : int
-        Where the packets are sent to; 0 if unknown.
-    id_type, id_place : str, int
-        Of the number of the turn in a packet.
-    mask, unit_m : int, float
-        Of ranges.
-    altitudes, azimuths : (P,) float64
-        Of the beams, radians.
-    T_lidar_beam : (4, 4) float64
-        Where beams start: off the sensor's axis.
-    T_sensor_lidar : (4, 4) float64
-    T_sensor_imu : (4, 4) float64
-    imu_port : int
-        Where the packets of its IMU are sent to; 0 if unknown.
-    legacy_imu : bool
-        Whether these have the layout that can be read.
-    """
-
+    # the layout of a packet: ``columns`` with ``time``, ``number``, ``status`` and
+    # ``pixels``
     packet: np.dtype[np.void]
-    columns: int
-    port: int
-    id_type: str
+    columns: int  # in a turn
+    port: int  # where the packets are sent to; 0 if unknown
+    id_type: str  # id_type and id_place: of the number of the turn in a packet
     id_place: int
-    mask: int
+    mask: int  # mask and unit_m: of ranges
     unit_m: float
-    altitudes: Float64
+    altitudes: Float64  # altitudes and azimuths: (P,) of the beams, radians
     azimuths: Float64
-    T_lidar_beam: Pose
-    T_sensor_lidar: Pose
-    T_sensor_imu: Pose
-    imu_port: int
-    legacy_imu: bool
+    T_lidar_beam: Pose  # (4, 4) where beams start: off the sensor's axis
+    T_sensor_lidar: Pose  # (4, 4)
+    T_sensor_imu: Pose  # (4, 4)
+    imu_port: int  # where the packets of its IMU are sent to; 0 if unknown
+    legacy_imu: bool  # whether these have the layout that can be read
 
     def sent(self, size: int, port: int) -> bool:
         """Whether a datagram of this size, to this port, can be a packet of the sensor."""
@@ -185,10 +152,7 @@ class Sensor:
 
         Times are seconds after the first column. Pixels without return are left out.
 
-        Raises
-        ------
-        DatasetError
-            If there is none of its packets; names ``where``.
+        Raise DatasetError if there is none of its packets; names ``where``.
         """
         if len(packets) > self.most_packets:
             check_points(most_points() + 1, "or more points in one turn")
@@ -221,10 +185,7 @@ class Sensor:
 def read_sensor(text: bytes | str, where: str) -> Sensor:
     """A sensor from its metadata, in any of the layouts that firmware and drivers write.
 
-    Raises
-    ------
-    DatasetError
-        If something is missing, or cannot be; names ``where``.
+    Raise DatasetError if something is missing, or cannot be; names ``where``.
     """
     try:
         document = json.loads(text)

@@ -89,17 +89,10 @@ def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
 class TurnSource:
     """The turns of a capture.
 
-    Parameters
-    ----------
-    path : path
-    stamps : (P,) float64
-        Of each packet.
-    places : (P,) int64
-        Where it is in the file.
-    turns : (T, 2) int64
-        First packet of each turn and the one behind its last.
-    model : str, optional
-        The sensor's model; by default the one that the packets name.
+    stamps: (P,) of each packet
+    places: (P,) where it is in the file
+    turns: (T, 2) first packet of each turn and the one behind its last
+    model: the sensor's model; by default the one that the packets name
     """
 
     def __init__(
@@ -141,21 +134,12 @@ def check_packets(count: int) -> None:
 def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None = None) -> Scan:
     """The points of stamped packets, with times after the first of them.
 
-    Parameters
-    ----------
-    packets : sequence of (float, bytes)
-    where : str
-        What errors name.
-    model : str, optional
-        The sensor's model. By default the one that the packets name, but for a VLP-16 that names
-        itself HDL-32E, as early firmware does.
+    where: what errors name
+    model: the sensor's model. By default the one that the packets name, but for a VLP-16 that names
+      itself HDL-32E, as early firmware does
 
-    Raises
-    ------
-    DatasetError
-        If they cannot be decoded; names ``where``.
-    MissingDependency
-        If velodyne-decoder is not installed.
+    Raise DatasetError if they cannot be decoded; names ``where``. Raise MissingDependency if
+    velodyne-decoder is not installed.
     """
     try:
         import velodyne_decoder

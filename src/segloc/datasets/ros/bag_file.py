@@ -36,10 +36,7 @@ class _Decompressor(Protocol):
 def unpacked(decompressor: _Decompressor, data: bytes, size: int | None = None) -> bytes:
     """What compressed data hold, at most ``size`` bytes where that is known.
 
-    Raises
-    ------
-    DatasetError
-        If it is more than that, or than a message may have.
+    Raise DatasetError if it is more than that, or than a message may have.
     """
     limit = most_message_bytes()
     if size is not None:
@@ -109,12 +106,7 @@ class _Zstd:
 
 
 def check_metadata(text: str, what: str) -> None:
-    """Refuse YAML that takes its parser minutes: long, or nested deep.
-
-    Raises
-    ------
-    DatasetError
-    """
+    """Refuse YAML that takes its parser minutes: long, or nested deep."""
     check_bytes(len(text), what, MOST_METADATA_BYTES)
     deepest = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
     depth = 0
@@ -169,10 +161,8 @@ def limit_rosbags() -> None:
 def limit_chunks(reader: AnyReader) -> None:
     """Let an opened ROS 1 bag unpack its chunks within the limit.
 
-    Raises
-    ------
-    DatasetError
-        If two of its connections have one number: each would have the messages of both.
+    Raise DatasetError if two of its connections have one number: each would have the messages of
+    both.
     """
     from rosbags.rosbag1.reader import Compression, decompressors
 
@@ -204,12 +194,8 @@ _DEFINITIONS = {
 def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
     """A reader of the bag; whatever goes wrong with it is a fault of the bag.
 
-    Raises
-    ------
-    DatasetError
-        If it is cut off, damaged or of a kind that cannot be read.
-    MissingDependency
-        If the package rosbags is not installed.
+    Raise DatasetError if it is cut off, damaged or of a kind that cannot be read. Raise
+    MissingDependency if the package rosbags is not installed.
     """
     with faults_of(paths[0]):
         _check_beginnings(paths)
@@ -305,10 +291,7 @@ def optional(what: str, remarks: list[str]) -> Iterator[None]:
 class BagFile:
     """A bag that is opened when it is first read, and by each process for itself.
 
-    Parameters
-    ----------
-    paths : tuple of path
-        What has to be opened.
+    paths: what has to be opened
     """
 
     def __init__(self, paths: tuple[Path, ...]) -> None:

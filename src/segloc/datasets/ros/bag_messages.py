@@ -35,10 +35,7 @@ def sweep_scan(sweep: Sweep) -> Scan:
 
     Ranges outside the sensor's limits are no returns, as the message's definition has it.
 
-    Raises
-    ------
-    DatasetError
-        If its angles are not finite.
+    Raise DatasetError if its angles are not finite.
     """
     ranges = np.asarray(sweep.ranges, dtype=np.float64)
     steps = np.arange(len(ranges))
@@ -60,17 +57,10 @@ _POINT = 19  # bytes
 def livox_scan(data: bytes, *, cdr: bool) -> Scan:
     """The points of a message and their times after its stamp; firings without return left out.
 
-    Parameters
-    ----------
-    data : bytes
-        The message as a bag holds it.
-    cdr : bool
-        Whether that is ROS 2's CDR, behind four bytes that name the byte order; else ROS 1's.
+    data: the message as a bag holds it
+    cdr: whether that is ROS 2's CDR, behind four bytes that name the byte order; else ROS 1's
 
-    Raises
-    ------
-    DatasetError
-        If the message has fewer bytes than its sizes promise.
+    Raise DatasetError if the message has fewer bytes than its sizes promise.
     """
     order = "<" if not cdr or data[1:2] == b"\1" else ">"
     body, header, step = (data[4:], 8, _POINT + 1) if cdr else (data, 12, _POINT)
@@ -120,10 +110,8 @@ _FIELDS = {
 def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str) -> Scan:
     """A message as a scan, its times in seconds after ``stamp``; a PointCloud2's as they are.
 
-    Raises
-    ------
-    DatasetError
-        If what is in it makes no scan; other errors come from bytes that are no such message.
+    Raise DatasetError if what is in it makes no scan; other errors come from bytes that are no such
+    message.
     """
     if kind in _LIVOX:
         return livox_scan(data, cdr=reader.is2)
@@ -136,12 +124,7 @@ def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str)
 def defines_times(reader: AnyReader, topic: str, fields: str) -> bool:
     """Whether the type of a topic's messages defines the unit of points' times, if they have any.
 
-    Parameters
-    ----------
-    reader : AnyReader
-    topic : str
-    fields : str
-        As :func:`fields_of` lists them.
+    fields: as :func:`fields_of` lists them
     """
     kinds = {item.msgtype for item in reader.connections if item.topic == topic}
     return _CLOUD not in kinds or not set(pointcloud2.TIMES) & set(fields.split())

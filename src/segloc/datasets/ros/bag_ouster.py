@@ -45,10 +45,7 @@ def inertial(item: Any) -> bool:
 def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, storage: str) -> Found:
     """Find where the turns are; reads the bag through once.
 
-    Raises
-    ------
-    DatasetError
-        If there are no metadata or no whole turn.
+    Raise DatasetError if there are no metadata or no whole turn.
     """
     sensor = _metadata(reader, topic)
     turns = gather(
@@ -133,13 +130,7 @@ def _array(data: bytes, *, cdr: bool) -> bytes:
 class BagTurns:
     """The turns of one topic.
 
-    Parameters
-    ----------
-    paths : tuple of path
-    topic : str
-    sensor : Sensor
-    turns : Turns
-        Places are times of recording, nanoseconds.
+    turns: places are times of recording, nanoseconds
     """
 
     def __init__(self, paths: tuple[Path, ...], topic: str, sensor: Sensor, turns: Turns) -> None:

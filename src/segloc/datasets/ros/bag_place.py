@@ -33,21 +33,12 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 class Tracks(NamedTuple):
-    """What a bag has of poses.
+    """What a bag has of poses."""
 
-    Attributes
-    ----------
-    sensor : Track or None
-        Of the sensor.
-    base : Track or None
-        Of a body that nothing says where the sensor is on; where there is none of the sensor.
-    remarks : list of str
-        On poses that are there and cannot be used as they are.
-    """
-
-    sensor: Track | None
+    sensor: Track | None  # of the sensor
+    # of a body that nothing says where the sensor is on; where there is none of the sensor
     base: Track | None
-    remarks: list[str]
+    remarks: list[str]  # on poses that are there and cannot be used as they are
 
 
 def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
@@ -56,14 +47,9 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
     The odometry with the most messages whose body the sensor's place on is known, and else the
     way from the frame up to the root of tf, if anything moves on it.
 
-    Parameters
-    ----------
-    reader : AnyReader
-        Open.
-    edges : Edges
-        What tf says.
-    frame : str
-        The sensor's.
+    reader: open
+    edges: what tf says
+    frame: the sensor's
     """
     remarks: list[str] = []
     base: Track | None = None
@@ -128,17 +114,10 @@ _FARTHEST_DEG = 40.0  # off the vertical that is expected, where the IMU's place
 
 
 class ImuTopic(NamedTuple):
-    """Where gravity is read from.
-
-    Attributes
-    ----------
-    topic : str
-    T_sensor_imu : (4, 4) float64 or None
-        None where nothing says how the two are turned against each other.
-    note : str
-    """
+    """Where gravity is read from."""
 
     topic: str
+    # (4, 4) None where nothing says how the two are turned against each other
     T_sensor_imu: Pose | None
     note: str
 
@@ -146,14 +125,9 @@ class ImuTopic(NamedTuple):
 def find_imu(reader: AnyReader, edges: Edges, frame: str) -> ImuTopic | None:
     """The topic with an IMU whose place beside the sensor is known, or else the fullest one.
 
-    Parameters
-    ----------
-    reader : AnyReader
-        Open.
-    edges : Edges
-        What tf says.
-    frame : str
-        Of the points.
+    reader: open
+    edges: what tf says
+    frame: of the points
     """
     others: list[ImuTopic] = []
     for topic in fullest_topics(reader, _IMU):
@@ -177,16 +151,9 @@ def _frame_of(reader: AnyReader, topic: str) -> str:
 class BagGravity:
     """Gravity at the scans of a bag; a ``GravitySource``.
 
-    Parameters
-    ----------
-    paths : tuple of path
-    imu : ImuTopic
-    stamps : (N,) float64
-        Of the scans, seconds.
-    logged : (N,) int64
-        When they were recorded, nanoseconds.
-    expected : (3,) float64
-        Where up is in the sensor's frame while its robot stands level.
+    stamps: (N,) of the scans, seconds
+    logged: (N,) when they were recorded, nanoseconds
+    expected: (3,) where up is in the sensor's frame while its robot stands level
     """
 
     def __init__(
@@ -255,18 +222,10 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
 
 
 class Place(NamedTuple):
-    """How a sensor stands.
-
-    Attributes
-    ----------
-    tracks : Tracks
-    T_base_sensor : (4, 4) float64 or None
-        By tf, on a frame that is named as a robot's body.
-    gravity : GravitySource or None
-    """
+    """How a sensor stands."""
 
     tracks: Tracks
-    T_base_sensor: Pose | None
+    T_base_sensor: Pose | None  # (4, 4) by tf, on a frame that is named as a robot's body
     gravity: GravitySource | None
 
 
@@ -275,16 +234,10 @@ def find_place(
 ) -> Place:
     """Read poses and tf; gravity is read around each scan when it is asked for.
 
-    Parameters
-    ----------
-    reader : AnyReader
-        Open.
-    paths : tuple of path
-        Of the bag.
-    frame : str
-        Of the points.
-    stamps, logged : (N,)
-        Of the scans: seconds, and nanoseconds of recording.
+    reader: open
+    paths: of the bag
+    frame: of the points
+    stamps, logged: (N,) of the scans: seconds, and nanoseconds of recording
     """
     edges, lost = read_tf(reader)
     tracks, T = find_tracks(reader, edges, frame), mount_on_base(edges, frame)

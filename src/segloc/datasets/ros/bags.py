@@ -35,22 +35,12 @@ _HEAD = 512  # bytes that hold a header
 
 @dataclass(frozen=True)
 class Headers:
-    """std_msgs/Header of N messages.
+    """std_msgs/Header of N messages."""
 
-    Attributes
-    ----------
-    stamps : (N,) float64
-        Seconds.
-    logged : (N,) int64
-        When the message was recorded, nanoseconds; rising, perhaps with repetitions.
-    ranks : (N,) int64
-        How many messages before it were recorded at the same time.
-    frames : tuple of N str
-    """
-
-    stamps: Float64
+    stamps: Float64  # (N,) seconds
+    # (N,) when the message was recorded, nanoseconds; rising, perhaps with repetitions
     logged: Int64
-    ranks: Int64
+    ranks: Int64  # (N,) how many messages before it were recorded at the same time
     frames: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -72,10 +62,7 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
     SQLite and ROS 1 bags without compression give the first bytes of a message alone; others are
     read through once, one message in memory at a time.
 
-    Raises
-    ------
-    DatasetError
-        If a message is too short to have a header.
+    Raise DatasetError if a message is too short to have a header.
     """
     wanted = [item for item in reader.connections if item.topic == topic]
     files = [file for path in paths for file in (path.glob("*.db3") if path.is_dir() else [path])]
@@ -216,10 +203,8 @@ def _stored(path: Path) -> list[Path]:
 def find(path: Path, topic: str | None) -> Found:
     """Read the headers of the clouds, and the poses.
 
-    Raises
-    ------
-    DatasetError
-        If the bag or its clouds cannot be read, or there are several topics and none is chosen.
+    Raise DatasetError if the bag or its clouds cannot be read, or there are several topics and none
+    is chosen.
     """
     paths = bag_paths(path)
     if packed := [file.name for file in paths if file.suffix == _PACKED]:
@@ -322,12 +307,7 @@ def _fields(reader: AnyReader, topic: str) -> str:
 class BagSource:
     """The clouds of one topic, found again by the time at which they were recorded.
 
-    Parameters
-    ----------
-    paths : tuple of path
-    topic : str
-    headers : Headers
-        Of the messages that are scans.
+    headers: of the messages that are scans
     """
 
     def __init__(self, paths: tuple[Path, ...], topic: str, headers: Headers) -> None:

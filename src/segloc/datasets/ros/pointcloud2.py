@@ -47,16 +47,11 @@ class Cloud(Protocol):
 def to_scan(cloud: Cloud, stamp: float) -> Scan:
     """The points of a message and their times after ``stamp``; firings without return left out.
 
-    Parameters
-    ----------
-    cloud : sensor_msgs/PointCloud2
-    stamp : float
-        Of the message, seconds.
+    cloud: sensor_msgs/PointCloud2
+    stamp: of the message, seconds
 
-    Raises
-    ------
-    DatasetError
-        If x, y or z is missing, or the message has fewer bytes than its sizes promise.
+    Raise DatasetError if x, y or z is missing, or the message has fewer bytes than its sizes
+    promise.
     """
     columns = _columns(cloud)
     try:
