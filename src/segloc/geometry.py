@@ -125,6 +125,13 @@ def stations(way: NDArray[np.float64], every_m: float, first_m: float = 0.0) -> 
     return np.flatnonzero(passed > before)
 
 
+def spread(length: int, count: int) -> list[int]:
+    """Return at most ``count`` positions spread evenly over 0 to ``length`` - 1, both included."""
+    if not length:
+        return []
+    return [int(k) for k in np.unique(np.linspace(0, length - 1, max(1, count)).round())]
+
+
 def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance travelled up to each of (N, 4, 4) poses, metres, (N,)."""
     return arc_length(poses[:, :3, 3])

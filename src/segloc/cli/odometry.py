@@ -28,14 +28,16 @@ def odometry(
     from typing import cast
 
     from .. import geometry
-    from ..datasets import NO_POSES
-    from ..datasets.odometry import Raw, compute_odometry, odometry_path
+    from ..datasets import NO_POSES, RecordedSequence
+    from ..datasets.odometry import compute_odometry, odometry_path
     from ..system.files import checked_target
     from .console import number, progress, table
     from .recording import open_recording
 
     file = checked_target(out) if out is not None else odometry_path(sequence, topic)
-    recording = cast(Raw, open_recording(sequence, Path(NO_POSES), select, topic=topic))
+    recording = cast(
+        RecordedSequence, open_recording(sequence, Path(NO_POSES), select, topic=topic)
+    )
     with progress("Odometry") as update:
         poses = compute_odometry(recording, file, update).poses
     travelled = geometry.travelled(poses)[-1]

@@ -72,12 +72,12 @@ def odometry_of(path: Path, topic: str | None = None) -> Path:
     """The file with the recording's odometry, computed where it is not kept yet."""
     from typing import cast
 
-    from ..datasets import NO_POSES, open_sequence
-    from ..datasets.odometry import Raw, compute_odometry, kept_odometry, odometry_path
+    from ..datasets import NO_POSES, RecordedSequence, open_sequence
+    from ..datasets.odometry import compute_odometry, kept_odometry, odometry_path
     from .console import note, progress
 
     file = odometry_path(path, topic)
-    recording = cast(Raw, open_sequence(path, NO_POSES, topic=topic))
+    recording = cast(RecordedSequence, open_sequence(path, NO_POSES, topic=topic))
     if kept_odometry(file, recording):
         note(f"odometry from {file}")
         return file

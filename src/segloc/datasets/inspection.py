@@ -52,7 +52,7 @@ class Inspectable(Protocol):
 class Inspection:
     """Facts about a recording."""
 
-    sensor: str  # a guess from the points: "16 beams, -15.0 to 15.0 deg", "one plane",
+    sensor: str  # a guess from the points: "16 beams, -15.0 to 15.0 deg", ...
     sampled: int  # how many scans were read
     points: int  # median of their sizes
     dropped: float  # share of points that are not finite or beyond ``MOST_METRES``, in [0, 1]
@@ -72,9 +72,8 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
     Scans that cannot be read are among the problems, not raised.
     """
     problems = list(recording.notes)
-    chosen = np.unique(np.linspace(0, len(recording) - 1, max(1, sample)).round().astype(int))
     scans: list[tuple[int, Scan]] = []
-    for i in map(int, chosen):
+    for i in geometry.spread(len(recording), sample):
         try:
             scans.append((i, recording.raw(i)))
         except DatasetError as error:

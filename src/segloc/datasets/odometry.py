@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,29 +16,16 @@ from .. import geometry
 from ..errors import DatasetError, MissingDependency
 from ..io.trajectory import Trajectory, read_trajectory, write_tum
 from ..motion import times_fit
-from ..types import Float64, Int64, Scan
+from ..types import Float64
+from .recorded import RecordedSequence
 
 _FEWEST_POINTS = 50
 _LONGEST_STEP_M = 20.0
 _MOST_IN_A_ROW = 5
 
 
-class Raw(Protocol):
-    """A recording whose scans can be read as they were recorded."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def indices(self) -> Int64: ...
-    @property
-    def stamps(self) -> Float64 | None: ...
-    def __len__(self) -> int: ...
-    def raw(self, i: int) -> Scan: ...
-    def where(self, i: int) -> str: ...
-
-
 def lidar_odometry(
-    recording: Raw,
+    recording: RecordedSequence,
     *,
     max_range_m: float = 100.0,
     progress: Callable[[int, int], None] | None = None,
@@ -50,7 +37,7 @@ def lidar_odometry(
 
     Parameters
     ----------
-    recording : Raw
+    recording : RecordedSequence
         Any sequence that :func:`~segloc.datasets.open_sequence` opens.
     max_range_m : float
         Points farther away are not used.
@@ -148,7 +135,7 @@ def odometry_path(path: Path, topic: str | None = None) -> Path:
     return place.parent / f"{place.name}{part}.odometry.tum"
 
 
-def kept_odometry(file: Path, recording: Raw) -> bool:
+def kept_odometry(file: Path, recording: RecordedSequence) -> bool:
     """Whether a file holds the odometry of the recording's scans: as many, at the same times."""
     if not file.is_file():
         return False
@@ -163,7 +150,7 @@ def kept_odometry(file: Path, recording: Raw) -> bool:
 
 
 def compute_odometry(
-    recording: Raw, file: Path, progress: Callable[[int, int], None] | None = None
+    recording: RecordedSequence, file: Path, progress: Callable[[int, int], None] | None = None
 ) -> Trajectory:
     """Run :func:`lidar_odometry` and keep its poses in a TUM file.
 

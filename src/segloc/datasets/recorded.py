@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError, DatasetError, SeglocError
 from ..io.fields import faults_of
-from ..io.scans import read_file
+from ..io.scans import read_file, read_scan
 from ..motion import Motion, at_stamp
 from ..types import Float64, Int64, Pose, Recording, Scan, stamp_at
 from .clocks import TimeUnit, period_of, time_unit
@@ -196,7 +196,7 @@ class FileSource:
     """One file a scan."""
 
     paths: tuple[Path, ...]
-    parse: Callable[[bytes], Scan]  # from the bytes of a file to a scan; raises DatasetError
+    parse: Callable[[bytes], Scan] | None = None  # of a file's bytes; None: by its suffix
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -205,6 +205,8 @@ class FileSource:
         return str(self.paths[k])
 
     def read(self, k: int) -> Scan:
+        if self.parse is None:
+            return read_scan(self.paths[k])
         with faults_of(self.paths[k]):
             return self.parse(read_file(self.paths[k]))
 
@@ -240,7 +242,7 @@ class Found:
 class RecordedSequence:
     """The scans of a recording; a ``Sequence``. Scans are read when they are asked for."""
 
-    name: str  # name and format and frame and fields: of the recording, as in :class:`Found`
+    name: str  # this and the next: as in :class:`Found`
     format: str
     frame: str
     fields: str

@@ -26,8 +26,8 @@ class Signature:
     """What tells scans of one sensor from those of another."""
 
     beams: int  # separate elevation angles that points lie at; 1 for a sweep of one plane
-    low_deg: float  # low_deg and high_deg: the lowest and the highest
-    high_deg: float
+    low_deg: float  # the lowest of these angles
+    high_deg: float  # the highest
 
     @property
     def many(self) -> bool:
@@ -84,8 +84,7 @@ def sensor_of(recording: Recording, sample: int = 5) -> str:
 
     Raise DatasetError if one of them cannot be read.
     """
-    chosen = np.unique(np.linspace(0, len(recording) - 1, sample).round().astype(int))
-    clouds = [recording.scan(int(i)).points for i in chosen if len(recording)]
+    clouds = [recording.scan(i).points for i in geometry.spread(len(recording), sample)]
     found = signature(max(clouds, key=len, default=np.empty((0, 3), np.float32)))
     if found is None:
         return ""

@@ -21,8 +21,7 @@ class Swathes:
     poses: Float64  # (S, 4, 4) T_odom_sensor of those scans
     # (S, 4, 4) T_world_sensor of those scans where the source knows it, and else ``poses``
     truth: Float64
-    # first and anchor and last: (S,) positions in the source: a swathe gathers from first
-    # up to last, without it
+    # (S,) positions in the source: a swathe gathers from first up to last, without it
     first: Int64
     anchor: Int64
     last: Int64

@@ -77,7 +77,7 @@ class Reading:
 
     fault: Fault
     means: Callable[[Float64], Float64]  # (N, 4, 4) poses -> T_odom_sensor, (N, 4, 4)
-    what: str  # what and remedy: of the finding
+    what: str  # of the finding
     remedy: str
 
 
@@ -183,8 +183,8 @@ class Fit:
     read: Float64  # (R,) at the poses read as each of ``READINGS``
     chance: float  # at the poses as they are, some metres aside
     aligned: float  # where they fit best near their poses
-    off_m: float  # off_m and off_deg: from their poses to there, horizontally
-    off_deg: float
+    off_m: float  # from their poses to there, horizontally
+    off_deg: float  # likewise
 
     @property
     def agreement(self) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from .. import geometry
 from ..datasets.inspection import UNUSABLE, Inspectable, Inspection, inspect
 from ..errors import DatasetError
 from ..frontend.gravity import angle_deg
@@ -54,11 +56,7 @@ def attitudes(recording: Recording, config: LocalCloudConfig, sample: int) -> St
 
 def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> Stands:
     accumulator, sources, off = Accumulator(config), Counter[str](), []
-    for i in np.unique(np.linspace(0, len(recording) - 1, max(1, sample)).round().astype(int)):
-        try:
-            scan = recording.scan(int(i))
-        except DatasetError:
-            continue
+    for scan in sampled(recording, sample):
         cloud = accumulator.gather(scan)
         sources["gravity" if cloud.attitude == "given" else cloud.attitude] += 1
         if cloud.attitude != "assumed":
@@ -207,9 +205,7 @@ def first_fault(
 def sampled(recording: Recording, count: int) -> list[Scan]:
     """Scans spread over a recording, without those that cannot be read."""
     scans = []
-    for i in np.unique(np.linspace(0, len(recording) - 1, max(1, count)).round().astype(int)):
-        try:
-            scans.append(recording.scan(int(i)))
-        except DatasetError:
-            continue
+    for i in geometry.spread(len(recording), count):
+        with suppress(DatasetError):
+            scans.append(recording.scan(i))
     return scans

@@ -34,7 +34,7 @@ def field_of_view_deg(recording: Recording, config: LocalCloudConfig) -> float:
     It is a full turn where the scans cannot be measured: few points, or points in one plane.
     """
     level, views = Accumulator(config).level, []
-    for i in np.unique(np.linspace(0, len(recording) - 1, _SAMPLE).round().astype(int)):
+    for i in geometry.spread(len(recording), _SAMPLE):
         try:
             scan = recording.scan(int(i))
         except DatasetError:

@@ -94,7 +94,7 @@ def _positions(poses: Float64) -> list[int]:
     """Scans spread over the path; over the recording where it does not move."""
     travelled = geometry.travelled(poses)
     if travelled[-1] < 1.0:
-        return [int(i) for i in np.unique(np.linspace(0, len(poses) - 1, 4).round())]
+        return geometry.spread(len(poses), 4)
     return [int(i) for i in geometry.stations(travelled, float(travelled[-1]) / _VIEWS)]
 
 

@@ -35,10 +35,7 @@ def one_line(error: object) -> str:
 
 @contextmanager
 def faults_of(where: object) -> Iterator[None]:
-    """Name the file in errors about what is in it, and say so where memory runs out.
-
-    Raise DatasetError: naming ``where``.
-    """
+    """Name the file in a DatasetError about its content, or where memory runs out."""
     try:
         yield
     except DatasetError as error:

@@ -16,8 +16,8 @@ from ..types import Float64, Int64
 class PoseEdges:
     """E measured relative poses."""
 
-    first: Int64  # first and second: (E,) poses by number
-    second: Int64
+    first: Int64  # (E,) poses by number
+    second: Int64  # (E,)
     T: Float64  # (E, 4, 4) T_first_second
     # (E, 6, 6) of rotation (rad), then translation (m), in the frame of ``second``
     covariance: Float64

@@ -5,16 +5,15 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import DatasetError
-from ...io.scans import read_scan, scan_suffix, scan_suffixes
-from ...types import Float64, Int64, Scan
+from ...io.scans import scan_suffix, scan_suffixes
+from ...types import Float64, Int64
 from ..clocks import epoch_unit
-from ..recorded import Found
+from ..recorded import FileSource, Found
 
 NAME = "folder of scans"
 _TEXT_SUFFIXES = frozenset({".csv", ".txt"})  # that poses and lists come in, too
@@ -35,24 +34,6 @@ _HINTS = {
 }
 
 
-@dataclass(frozen=True)
-class ScanFiles:
-    """One file a scan, in any format that :func:`~segloc.io.read_scan` knows."""
-
-    paths: tuple[Path, ...]
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    def where(self, k: int) -> str:
-        """The file of a scan."""
-        return str(self.paths[k])
-
-    def read(self, k: int) -> Scan:
-        """Read the scan at position k."""
-        return read_scan(self.paths[k])
-
-
 def find(path: Path, poses: Path | None) -> Found:
     """List the scans of a folder, sorted by name (numbers in names by value: 2 before 10).
 
@@ -62,9 +43,7 @@ def find(path: Path, poses: Path | None) -> Found:
     (``SEC.NSEC``, ``SEC_NSEC``, milli-, micro- or nanoseconds since 1970) give stamps; scans named
     by two numbers are counted by position.
 
-    path: a folder, or the file of one scan
-    poses: a file that is no scan
-
+    ``path`` may also be the file of one scan; ``poses`` is a file that is no scan.
     Raise DatasetError if the folder is missing or has no scans, or two scans have the same number
     or stamp.
     """
@@ -73,7 +52,7 @@ def find(path: Path, poses: Path | None) -> Found:
     return Found(
         name=path.resolve().name,
         format=NAME,
-        source=ScanFiles(tuple(paths)),
+        source=FileSource(tuple(paths)),
         indices=indices,
         stamps=stamps,
         frame="as recorded",

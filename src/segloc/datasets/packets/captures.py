@@ -44,8 +44,8 @@ class Datagram(NamedTuple):
     """A UDP datagram."""
 
     stamp: float  # when its first part was captured, seconds
-    first: int  # first and stop: place of its first record in the file, and the one behind its last
-    stop: int
+    first: int  # place of its first record in the file
+    stop: int  # place behind its last record
     port: int  # its destination
     pieces: list[tuple[int, int]]  # start and size of the parts of its content
 

@@ -48,8 +48,8 @@ class Turns:
 
     numbers: Int64  # (T,) what their packets are numbered by
     stamps: Float64  # (T,) when the first packet was recorded
-    firsts: Int64  # firsts and stops: (T,) where the first packet is, and behind the last
-    stops: Int64
+    firsts: Int64  # (T,) where the first packet is
+    stops: Int64  # (T,) behind the last
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -111,12 +111,12 @@ class Sensor:
     packet: np.dtype[np.void]
     columns: int  # in a turn
     port: int  # where the packets are sent to; 0 if unknown
-    id_type: str  # id_type and id_place: of the number of the turn in a packet
+    id_type: str  # of the number of the turn in a packet, and its place
     id_place: int
-    mask: int  # mask and unit_m: of ranges
+    mask: int  # of ranges, and their unit
     unit_m: float
-    altitudes: Float64  # altitudes and azimuths: (P,) of the beams, radians
-    azimuths: Float64
+    altitudes: Float64  # (P,) of the beams [rad]
+    azimuths: Float64  # (P,) of the beams [rad]
     T_lidar_beam: Pose  # (4, 4) where beams start: off the sensor's axis
     T_sensor_lidar: Pose  # (4, 4)
     T_sensor_imu: Pose  # (4, 4)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 from ...errors import DatasetError, MissingDependency, SeglocError
+from ...io import fields
 from ...io.fields import one_line
 from ...system.budget import check_bytes, check_points, most_bytes, most_message_bytes
 
@@ -260,20 +261,15 @@ def _reader(paths: tuple[Path, ...]) -> AnyReader:
 @contextmanager
 def faults_of(path: Path) -> Iterator[None]:
     """Turn any error into one of the file's: damaged bytes show in any way."""
-    try:
-        yield
-    except DatasetError as error:
-        if str(error).startswith(str(path)):
+    with fields.faults_of(path):
+        try:
+            yield
+        except (SeglocError, MemoryError):
             raise
-        raise DatasetError(f"{path}: {error}") from error
-    except SeglocError:
-        raise
-    except MemoryError as error:
-        raise DatasetError(f"{path}: not enough memory to read it") from error
-    except Exception as error:
-        raise DatasetError(
-            f"{path}: cannot be read as a bag: {one_line(error)}{remedy(path, error)}"
-        ) from error
+        except Exception as error:
+            raise DatasetError(
+                f"cannot be read as a bag: {one_line(error)}{remedy(path, error)}"
+            ) from error
 
 
 @contextmanager
@@ -336,7 +332,9 @@ def connections_of(reader: AnyReader, topic: str) -> list[Any]:
     return [item for item in reader.connections if item.topic == topic]
 
 
-def messages_of(reader: AnyReader, topic: str) -> Iterator[tuple[Any, int]]:
+def messages_of(
+    reader: AnyReader, topic: str, start: int | None = None, stop: int | None = None
+) -> Iterator[tuple[Any, int]]:
     """Deserialised messages of a topic with their times of recording [ns]."""
-    for item, logged, data in reader.messages(connections_of(reader, topic)):
+    for item, logged, data in reader.messages(connections_of(reader, topic), start, stop):
         yield reader.deserialize(data, item.msgtype), logged

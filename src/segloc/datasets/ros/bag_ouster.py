@@ -20,7 +20,7 @@ from ...types import Scan
 from ..gravity import Accelerometer, GravitySource
 from ..packets.ouster_packets import FIELDS, FRAME, IMU_BYTES, Sensor, Turns, gather, read_sensor
 from ..recorded import Found
-from .bag_file import BagFile, faults_of
+from .bag_file import BagFile, connections_of, faults_of
 from .bag_place import find_place
 
 if TYPE_CHECKING:
@@ -108,8 +108,7 @@ def _packets(
     reader: AnyReader, topic: str, sensor: Sensor, first: int | None = None, stop: int | None = None
 ) -> Iterator[tuple[int, bytes]]:
     """Packets of the sensor's size, with the times of recording."""
-    wanted = [item for item in reader.connections if item.topic == topic]
-    for _, time, data in reader.messages(wanted, start=first, stop=stop):
+    for _, time, data in reader.messages(connections_of(reader, topic), first, stop):
         packet = _array(data, cdr=reader.is2)
         if len(packet) >= sensor.packet.itemsize:  # drivers send their whole buffer
             yield time, packet[: sensor.packet.itemsize]

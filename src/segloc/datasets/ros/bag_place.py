@@ -14,7 +14,7 @@ from ...motion import interpolated
 from ...types import Float64, Int64, Pose
 from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, GravitySource, weighed
 from ..tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses
-from .bag_file import BagFile, faults_of, fullest_topics, optional, seconds
+from .bag_file import BagFile, faults_of, fullest_topics, messages_of, optional, seconds
 from .bag_tf import (
     Edges,
     chain,
@@ -47,9 +47,6 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
     The odometry with the most messages whose body the sensor's place on is known, and else the
     way from the frame up to the root of tf, if anything moves on it.
 
-    reader: open
-    edges: what tf says
-    frame: the sensor's
     """
     remarks: list[str] = []
     base: Track | None = None
@@ -73,9 +70,7 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
 def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str]:
     """Stamps (K,), poses (K, 4, 4), NaN for those that are no pose, and the frame they are of."""
     stamps, rows, bodies = [], [], set()
-    wanted = [item for item in reader.connections if item.topic == topic]
-    for item, logged, data in reader.messages(wanted):
-        message: Any = reader.deserialize(data, item.msgtype)
+    for message, logged in messages_of(reader, topic):
         stamps.append(seconds(message.header.stamp) or logged * 1e-9)
         pose = message.pose.pose
         rows.append(row(pose.position, pose.orientation))
@@ -123,12 +118,7 @@ class ImuTopic(NamedTuple):
 
 
 def find_imu(reader: AnyReader, edges: Edges, frame: str) -> ImuTopic | None:
-    """The topic with an IMU whose place beside the sensor is known, or else the fullest one.
-
-    reader: open
-    edges: what tf says
-    frame: of the points
-    """
+    """The topic with an IMU whose place beside the sensor is known, or else the fullest one."""
     others: list[ImuTopic] = []
     for topic in fullest_topics(reader, _IMU):
         imu = _frame_of(reader, topic)
@@ -141,11 +131,8 @@ def find_imu(reader: AnyReader, edges: Edges, frame: str) -> ImuTopic | None:
 
 
 def _frame_of(reader: AnyReader, topic: str) -> str:
-    wanted = [item for item in reader.connections if item.topic == topic]
-    for item, _, data in reader.messages(wanted):
-        message: Any = reader.deserialize(data, item.msgtype)
-        return frame_name(message.header.frame_id)
-    return ""
+    message, _ = next(messages_of(reader, topic), (None, 0))
+    return "" if message is None else frame_name(message.header.frame_id)
 
 
 class BagGravity:
@@ -187,11 +174,9 @@ class BagGravity:
         reader = self._file.reader()
         stamp, logged = float(self._stamps[k]), int(self._logged[k])
         margin = round((HALF_WINDOW_S + _LATEST_S) * 1e9)
-        wanted = [item for item in reader.connections if item.topic == self._imu.topic]
         rows, nearest, nearest_s = [], None, HALF_WINDOW_S
-        around = reader.messages(wanted, start=logged - margin, stop=logged + margin)
-        for item, time, data in islice(around, _MOST_MESSAGES):
-            message: Any = reader.deserialize(data, item.msgtype)
+        around = messages_of(reader, self._imu.topic, logged - margin, logged + margin)
+        for message, time in islice(around, _MOST_MESSAGES):
             off = abs((seconds(message.header.stamp) or time * 1e-9) - stamp)
             if off > HALF_WINDOW_S:
                 continue
@@ -234,9 +219,6 @@ def find_place(
 ) -> Place:
     """Read poses and tf; gravity is read around each scan when it is asked for.
 
-    reader: open
-    paths: of the bag
-    frame: of the points
     stamps, logged: (N,) of the scans: seconds, and nanoseconds of recording
     """
     edges, lost = read_tf(reader)

@@ -23,7 +23,7 @@ from ...types import Float64, Int64, Scan
 from ..recorded import Found
 from ..tracks import rising
 from . import bag_ouster
-from .bag_file import BagFile, faults_of, opened
+from .bag_file import BagFile, connections_of, faults_of, opened
 from .bag_messages import KINDS, defines_times, fields_of, scan_of
 from .bag_place import find_place
 
@@ -64,7 +64,6 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
 
     Raise DatasetError if a message is too short to have a header.
     """
-    wanted = [item for item in reader.connections if item.topic == topic]
     files = [file for path in paths for file in (path.glob("*.db3") if path.is_dir() else [path])]
     heads: Iterable[tuple[int, bytes]]
     if files and all(file.suffix == ".db3" for file in files) and not _compressed(paths):
@@ -72,7 +71,9 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
     elif not reader.is2 and (places := _ros1_places(reader, topic)) is not None:
         heads = places
     else:
-        heads = ((time, data[:_HEAD]) for _, time, data in reader.messages(wanted))
+        heads = (
+            (time, data[:_HEAD]) for _, time, data in reader.messages(connections_of(reader, topic))
+        )
     parse = _parse_cdr if reader.is2 else _parse_ros1
     logged, stamps, frames = [], [], []
     names: dict[str, str] = {}  # one string for all messages, not one each
@@ -299,7 +300,7 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
 
 
 def _fields(reader: AnyReader, topic: str) -> str:
-    for item, _, data in reader.messages([c for c in reader.connections if c.topic == topic]):
+    for item, _, data in reader.messages(connections_of(reader, topic)):
         return fields_of(reader, data, item.msgtype)
     return ""
 
@@ -333,7 +334,7 @@ class BagSource:
     def _message(self, k: int) -> tuple[bytes, str]:
         reader = self._file.reader()
         logged, rank = int(self._headers.logged[k]), int(self._headers.ranks[k])
-        wanted = [item for item in reader.connections if item.topic == self._topic]
+        wanted = connections_of(reader, self._topic)
         messages = reader.messages(wanted, start=logged, stop=logged + 1)
         for position, (item, _, data) in enumerate(messages):
             if position == rank:

@@ -47,9 +47,7 @@ class Cloud(Protocol):
 def to_scan(cloud: Cloud, stamp: float) -> Scan:
     """The points of a message and their times after ``stamp``; firings without return left out.
 
-    cloud: sensor_msgs/PointCloud2
-    stamp: of the message, seconds
-
+    ``stamp`` [s] is the message's own.
     Raise DatasetError if x, y or z is missing, or the message has fewer bytes than its sizes
     promise.
     """
