@@ -6,7 +6,7 @@ import io
 import math
 import re
 import zipfile
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,9 @@ def _parse_array(data: bytes) -> NDArray[Any]:
     return _array_from(data, start, descr[1], shape[1], "F" if fortran[1] == "True" else "C")
 
 
-def _array_from(data: bytes, start: int, descr: str, shape: str, order: str) -> NDArray[Any]:
+def _array_from(
+    data: bytes, start: int, descr: str, shape: str, order: Literal["C", "F"]
+) -> NDArray[Any]:
     try:
         dtype = np.dtype(descr)
         sizes = tuple(int(size) for size in shape.split(",") if size.strip())
@@ -71,9 +73,7 @@ def _array_from(data: bytes, start: int, descr: str, shape: str, order: str) -> 
         if max(sizes, default=0) > most_points():
             raise DatasetError(f"impossible shape {sizes}")
         return np.empty(sizes, dtype)
-    return np.frombuffer(data, dtype, offset=start).reshape(
-        sizes, order="F" if order == "F" else "C"
-    )
+    return np.frombuffer(data, dtype, offset=start).reshape(sizes, order=order)
 
 
 def _parse_archive(data: bytes) -> tuple[NDArray[np.floating[Any]], NDArray[Any] | None]:

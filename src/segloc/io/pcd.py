@@ -65,6 +65,12 @@ class _Header:
         return wanted_columns([field.name if field.count == 1 else "" for field in self.fields])
 
     @property
+    def offsets(self) -> list[tuple[int, int]]:
+        """Position and first byte in a point of each wanted field."""
+        sizes = [field.num_bytes for field in self.fields]
+        return [(k, sum(sizes[:k])) for k in self.wanted]
+
+    @property
     def integer_times(self) -> bool:
         return self.fields[self.wanted[-1]].kind.upper() in ("I", "U")
 
@@ -139,23 +145,24 @@ def _parse_ascii(data: bytes, header: _Header) -> Scan:
 def _parse_binary(data: bytes, header: _Header) -> Scan:
     needed = header.points * header.stride
     require_bytes(len(data) - header.start, needed, f"{header.points} points")
-    columns = []
-    for position in header.wanted:
-        offset = sum(field.num_bytes for field in header.fields[:position])
-        dtype = header.fields[position].dtype
-        columns.append(column(data, dtype, header.points, header.start + offset, header.stride))
-    return scan_from_columns(columns)
+    return scan_from_columns(
+        [
+            column(data, header.fields[k].dtype, header.points, header.start + at, header.stride)
+            for k, at in header.offsets
+        ]
+    )
 
 
 def _parse_compressed(data: bytes, header: _Header) -> Scan:
     """Two sizes, then LZF over the fields one after another rather than point by point."""
-    fields = _decompress(data, header.start, header.points * header.stride)
-    columns: list[NDArray[Any]] = []
-    for position in header.wanted:
-        start = header.points * sum(field.num_bytes for field in header.fields[:position])
-        dtype = header.fields[position].dtype
-        columns.append(column(fields, dtype, header.points, start, dtype.itemsize))
-    return scan_from_columns(columns)
+    content = _decompress(data, header.start, header.points * header.stride)
+    return scan_from_columns(
+        [
+            column(content, dtype, header.points, header.points * at, dtype.itemsize)
+            for k, at in header.offsets
+            for dtype in (header.fields[k].dtype,)
+        ]
+    )
 
 
 def _decompress(data: bytes, start: int, expected: int) -> NDArray[np.uint8]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -79,31 +80,30 @@ def _gravity(felt: list[tuple[float, ...]], turns: Turns) -> GravitySource | Non
     return Accelerometer("the sensor's own IMU", turns.stamps, rows[:, 0], rows[:, 1:])
 
 
+@dataclass(frozen=True)
 class TurnSource:
-    """The turns of a capture.
+    """The turns of a capture."""
 
-    turns: places are bytes of the file
-    """
-
-    def __init__(self, path: Path, sensor: Sensor, turns: Turns) -> None:
-        self._path, self._sensor, self._turns = path, sensor, turns
+    path: Path
+    sensor: Sensor
+    turns: Turns  # places are bytes of the file
 
     def __len__(self) -> int:
-        return len(self._turns)
+        return len(self.turns)
 
     def where(self, k: int) -> str:
         """The turn, as errors name it."""
-        return f"{self._path}: turn {k}"
+        return f"{self.path}: turn {k}"
 
     def read(self, k: int) -> Scan:
         """Decode the turn at position k."""
-        with faults_of(self._path):
-            first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
-            with mapped(self._path) as data:
+        with faults_of(self.path):
+            first, stop = int(self.turns.firsts[k]), int(self.turns.stops[k])
+            with mapped(self.path) as data:
                 found = (
                     datagram.content(data)
                     for datagram in datagrams(data, first, stop)
-                    if self._sensor.sent(datagram.size, datagram.port)
+                    if self.sensor.sent(datagram.size, datagram.port)
                 )
-                packets = list(islice(found, self._sensor.most_packets + 1))
-            return self._sensor.decode(packets, int(self._turns.numbers[k]), self.where(k))
+                packets = list(islice(found, self.sensor.most_packets + 1))
+            return self.sensor.decode(packets, int(self.turns.numbers[k]), self.where(k))

@@ -7,6 +7,7 @@ velodyne-decoder turns them into points.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -86,44 +87,34 @@ def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
     return np.array(stamps, np.float64), np.array(places, np.int64), np.array(azimuths, np.int64)
 
 
+@dataclass(frozen=True)
 class TurnSource:
-    """The turns of a capture.
+    """The turns of a capture."""
 
-    stamps: (P,) of each packet
-    places: (P,) where it is in the file
-    turns: (T, 2) first packet of each turn and the one behind its last
-    model: the sensor's model; by default the one that the packets name
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        stamps: Float64,
-        places: Int64,
-        turns: Int64,
-        model: str | None = None,
-    ) -> None:
-        self._path, self._stamps, self._places, self._turns = path, stamps, places, turns
-        self._model = model
+    path: Path
+    stamps: Float64  # (P,) of each packet
+    places: Int64  # (P,) where it is in the file
+    turns: Int64  # (T, 2) first packet of each turn and the one behind its last
+    model: str | None  # the sensor's model; by default the one that the packets name
 
     def __len__(self) -> int:
-        return len(self._turns)
+        return len(self.turns)
 
     def where(self, k: int) -> str:
         """The turn, as errors name it."""
-        return f"{self._path}: turn {k}"
+        return f"{self.path}: turn {k}"
 
     def read(self, k: int) -> Scan:
         """Decode the turn at position k."""
-        with faults_of(self._path):
+        with faults_of(self.path):
             packets = []
-            first, stop = map(int, self._turns[k])
+            first, stop = map(int, self.turns[k])
             check_packets(stop - first)
-            with self._path.open("rb") as file:
+            with self.path.open("rb") as file:
                 for i in range(first, stop):
-                    file.seek(int(self._places[i]))
-                    packets.append((float(self._stamps[i]), file.read(PACKET)))
-            return decode(packets, self.where(k), self._model)
+                    file.seek(int(self.places[i]))
+                    packets.append((float(self.stamps[i]), file.read(PACKET)))
+            return decode(packets, self.where(k), self.model)
 
 
 def check_packets(count: int) -> None:

@@ -64,14 +64,14 @@ def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, stor
         source=BagTurns(paths, topic, sensor, turns),
         indices=np.arange(len(turns)),
         stamps=turns.stamps,
-        own_track=lambda: place.tracks.sensor,
-        base_track=place.tracks.base,
+        own_track=lambda: place.track,
+        base_track=place.base,
         T_base_sensor=place.T_base_sensor,
         gravity=place.gravity or _gravity(reader, topic, sensor, turns),
         topic=topic,
         frame=FRAME,
         fields=FIELDS,
-        notes=(*turns.notes, *place.tracks.remarks),
+        notes=(*turns.notes, *place.remarks),
     )
 
 

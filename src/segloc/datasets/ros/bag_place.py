@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -32,30 +33,21 @@ if TYPE_CHECKING:
 _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
-class Tracks(NamedTuple):
-    """What a bag has of poses."""
+def _find_tracks(
+    reader: AnyReader, edges: Edges, frame: str, remarks: list[str]
+) -> tuple[Track | None, Track | None]:
+    """The track of a frame, or else of a body on which its mounting is unknown.
 
-    sensor: Track | None  # of the sensor
-    # of a body that nothing says where the sensor is on; where there is none of the sensor
-    base: Track | None
-    remarks: list[str]  # on poses that are there and cannot be used as they are
-
-
-def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
-    """The track of a frame.
-
-    The odometry with the most messages whose body the sensor's place on is known, and else the
-    way from the frame up to the root of tf, if anything moves on it.
-
+    Takes the odometry with the most messages that has the frame mounted on its body, and else the
+    chain from the frame up to the root of tf, if anything moves on it.
     """
-    remarks: list[str] = []
     base: Track | None = None
     for topic in fullest_topics(reader, _ODOMETRY):
         with optional(topic, remarks):
             stamps, poses, body = _read_odometry(reader, topic)
             T_body_sensor = mount(edges, body, frame)
             if T_body_sensor is not None:
-                return Tracks(clean_track(topic, stamps, poses @ T_body_sensor), None, remarks)
+                return clean_track(topic, stamps, poses @ T_body_sensor), None
             base = base or clean_track(topic, stamps, poses)
             remarks.append(
                 f"no transform {body} -> {frame} in the bag, so {topic} is not used: record "
@@ -64,7 +56,7 @@ def find_tracks(reader: AnyReader, edges: Edges, frame: str) -> Tracks:
     track: Track | None = None
     with optional("tf", remarks):
         track = _tf_track(edges, frame)
-    return Tracks(track, base if track is None else None, remarks)
+    return track, base if track is None else None
 
 
 def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str]:
@@ -108,25 +100,16 @@ _BELIED_DEG = 15.0  # between an orientation and accelerations
 _FARTHEST_DEG = 40.0  # off the vertical that is expected, where the IMU's place is not known
 
 
-class ImuTopic(NamedTuple):
-    """Where gravity is read from."""
-
-    topic: str
-    # (4, 4) None where nothing says how the two are turned against each other
-    T_sensor_imu: Pose | None
-    note: str
-
-
-def find_imu(reader: AnyReader, edges: Edges, frame: str) -> ImuTopic | None:
-    """The topic with an IMU whose place beside the sensor is known, or else the fullest one."""
-    others: list[ImuTopic] = []
+def _find_imu(reader: AnyReader, edges: Edges, frame: str) -> tuple[str, Pose | None, str] | None:
+    """Topic, T_sensor_imu and a note: of an IMU whose mounting is known, else of the fullest."""
+    others: list[tuple[str, None, str]] = []
     for topic in fullest_topics(reader, _IMU):
         imu = _frame_of(reader, topic)
         T = mount(edges, frame, imu)
         if T is not None:
-            return ImuTopic(topic, T, "")
+            return topic, T, ""
         note = f"{topic}: nothing says how {imu!r} is turned against {frame!r}: taken as aligned"
-        others.append(ImuTopic(topic, None, note))
+        others.append((topic, None, note))
     return others[0] if others else None
 
 
@@ -135,47 +118,39 @@ def _frame_of(reader: AnyReader, topic: str) -> str:
     return "" if message is None else frame_name(message.header.frame_id)
 
 
+@dataclass(frozen=True)
 class BagGravity:
-    """Gravity at the scans of a bag; a ``GravitySource``.
+    """Gravity at the scans of a bag; a ``GravitySource``."""
 
-    stamps: (N,) of the scans, seconds
-    logged: (N,) when they were recorded, nanoseconds
-    expected: (3,) where up is in the sensor's frame while its robot stands level
-    """
-
-    def __init__(
-        self,
-        paths: tuple[Path, ...],
-        imu: ImuTopic,
-        stamps: Float64,
-        logged: Int64,
-        expected: Float64,
-    ) -> None:
-        self.name, self.note = imu.topic, imu.note
-        self._file, self._imu, self._expected = BagFile(paths), imu, expected
-        self._stamps, self._logged = stamps, logged
+    file: BagFile
+    name: str  # of the topic
+    T_sensor_imu: Pose | None  # (4, 4) None where nothing says how one is turned in the other
+    note: str
+    stamps: Float64  # (N,) of the scans [s]
+    logged: Int64  # (N,) when they were recorded [ns]
+    expected: Float64  # (3,) up in the sensor's frame while its robot stands level
 
     def at(self, k: int) -> Gravity | None:
         """In the frame of the points of the scan at position k."""
-        with faults_of(self._file.path):
+        with faults_of(self.file.path):
             accelerations, orientation = self._around(k)
         felt = weighed(accelerations)
         found = _oriented(orientation, accelerations) or felt
         if found is None:
             return None
-        T = self._imu.T_sensor_imu
+        T = self.T_sensor_imu
         if T is not None:
             return Gravity(T[:3, :3] @ found.direction, found.error_deg)
-        near = -found.direction @ self._expected > math.cos(math.radians(_FARTHEST_DEG))
+        near = -found.direction @ self.expected > math.cos(math.radians(_FARTHEST_DEG))
         return found if near else None
 
     def _around(self, k: int) -> tuple[Float64, Any]:
         """Accelerations (K, 3), and the message nearest to the scan in time."""
-        reader = self._file.reader()
-        stamp, logged = float(self._stamps[k]), int(self._logged[k])
+        reader = self.file.reader()
+        stamp, logged = float(self.stamps[k]), int(self.logged[k])
         margin = round((HALF_WINDOW_S + _LATEST_S) * 1e9)
         rows, nearest, nearest_s = [], None, HALF_WINDOW_S
-        around = messages_of(reader, self._imu.topic, logged - margin, logged + margin)
+        around = messages_of(reader, self.name, logged - margin, logged + margin)
         for message, time in islice(around, _MOST_MESSAGES):
             off = abs((seconds(message.header.stamp) or time * 1e-9) - stamp)
             if off > HALF_WINDOW_S:
@@ -209,7 +184,9 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
 class Place(NamedTuple):
     """How a sensor stands."""
 
-    tracks: Tracks
+    track: Track | None  # of the sensor
+    base: Track | None  # else of a body on which the mounting of the sensor is unknown
+    remarks: list[str]  # on poses and gravity that cannot be used as they are
     T_base_sensor: Pose | None  # (4, 4) by tf, on a frame that is named as a robot's body
     gravity: GravitySource | None
 
@@ -222,11 +199,13 @@ def find_place(
     stamps, logged: (N,) of the scans: seconds, and nanoseconds of recording
     """
     edges, lost = read_tf(reader)
-    tracks, T = find_tracks(reader, edges, frame), mount_on_base(edges, frame)
-    tracks.remarks.extend(lost)
+    remarks: list[str] = []
+    track, base = _find_tracks(reader, edges, frame, remarks)
+    T = mount_on_base(edges, frame)
+    remarks += lost
     imu = None
-    with optional("IMU", tracks.remarks):
-        imu = find_imu(reader, edges, frame)
+    with optional("IMU", remarks):
+        imu = _find_imu(reader, edges, frame)
     up = np.array([0.0, 0.0, 1.0]) if T is None else T[2, :3].copy()
-    gravity = None if imu is None else BagGravity(paths, imu, stamps, logged, up)
-    return Place(tracks, T, gravity)
+    gravity = imu and BagGravity(BagFile(paths), *imu, stamps, logged, up)
+    return Place(track, base, remarks, T, gravity)

@@ -231,14 +231,14 @@ def find(path: Path, topic: str | None) -> Found:
         source=BagSource(paths, chosen, headers),
         indices=np.arange(len(headers)),
         stamps=headers.stamps,
-        own_track=lambda: place.tracks.sensor,
-        base_track=place.tracks.base,
+        own_track=lambda: place.track,
+        base_track=place.base,
         T_base_sensor=place.T_base_sensor,
         gravity=place.gravity,
         topic=chosen,
         frame=headers.frames[0],
         fields=fields,
-        notes=(*notes, *place.tracks.remarks),
+        notes=(*notes, *place.remarks),
         times_sure=times_sure,
     )
 
