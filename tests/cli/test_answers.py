@@ -52,6 +52,17 @@ def test_one_scan_that_is_not_found_says_why(
 
 
 @pytest.mark.slow
+def test_a_prior_that_excludes_the_place_is_named(
+    site: Site, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prior = ("--near", "900,900", "--radius", "5")
+    assert run("localize", site.run / "0004.npy", "--map", site.map, *prior) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("not localized: not near the prior")
+    assert "Likely cause: the prior excludes them: query 4 is at" in " ".join(err.split())
+
+
+@pytest.mark.slow
 def test_many_answers_are_a_table_with_the_worst_first(
     site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from scipy.spatial import cKDTree
 from segloc import SegmentMap
 from segloc.datasets import open_sequence
 from segloc.errors import SeglocError
+from segloc.inspect import viewer
 from segloc.inspect.following import SO_FAR, draw_moments, follows, newest_points, read_moments
 from segloc.inspect.pictures import GREEN, rgb
 from segloc.inspect.results import packed, read_results, unpacked
@@ -122,6 +124,25 @@ def test_the_query_lies_on_the_map_in_the_scene(site: Site, results: Path) -> No
     assert all(handle.gone for handle in before)
     assert not any(handle.visible for handle in scene.layers["segments"])
     assert all(handle.visible for layer in FIXED for handle in scene.layers[layer])
+
+
+@pytest.mark.slow
+def test_the_first_picture_is_the_map_its_path_and_the_best_poses(
+    site: Site, results: Path
+) -> None:
+    scene, shown = MapScene(Api(), SegmentMap.load(site.map)), read_results(results)
+    scene.draw_map()
+    scene.draw_queries(shown)
+    scene.draw_query(shown[0])
+    boxes: dict[str, MagicMock] = {}
+    server = MagicMock()
+    server.gui.add_checkbox = lambda name, value: boxes.setdefault(name, MagicMock(value=value))
+    viewer._add_layers(server, scene, (*FIXED, *OF_QUERY))
+    seen = {name for name, handles in scene.layers.items() if any(h.visible for h in handles)}
+    assert seen == set(FIXED)
+    boxes["cloud"].value = True
+    boxes["cloud"].on_update.call_args.args[0](None)
+    assert all(handle.visible for handle in scene.layers["cloud"])
 
 
 @pytest.mark.slow
