@@ -31,8 +31,3 @@ def test_a_report_has_its_command_tables_and_environment(
     with pytest.raises(SystemExit):
         reporting("A script.").parse_args(["--report", str(folder)])
     assert "never rewritten" in capsys.readouterr().err
-
-
-def test_rows_are_as_long_as_the_columns() -> None:
-    with pytest.raises(ValueError, match="differ in length"):
-        Table(("a", "b"), [(1,)])

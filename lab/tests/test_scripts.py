@@ -40,12 +40,6 @@ def test_a_script_says_what_it_does(
     assert f"python -m {name}" in told and (module.__doc__ or "").splitlines()[0] in told
 
 
-def test_a_script_runs_as_a_module() -> None:
-    command = [sys.executable, "-m", "segloc_lab.protocols.table", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "summary" not in done.stderr
-
-
 @pytest.mark.parametrize("path", SHELL, ids=lambda path: path.name)
 def test_a_shell_script_is_sound(path: Path) -> None:
     subprocess.run(["bash", "-n", str(path)], check=True)

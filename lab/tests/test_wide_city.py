@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.bench import harness
-from segloc_lab.city import among_copies, widened
+from segloc_lab.city import widened
 
 from segloc import Config, Localizer, Scan, build_map
 from segloc.tiles import TiledMap, cut_tiles
@@ -35,12 +35,3 @@ def test_queries_are_found_among_copies(walk: harness.PlazaWalk, tiles: Path) ->
     found = Localizer(wide, Config(threads=1)).localize(Scan(walk.scan(3).points))
     assert found.T_map_sensor is not None
     assert np.linalg.norm(found.T_map_sensor[:3, 3] - walk.poses[3, :3, 3]) < 0.3
-
-
-def test_copies_lie_apart_and_differ(tiles: Path) -> None:
-    thin = TiledMap(tiles).coarse()
-    larger = among_copies(thin, TIMES)
-    first, second = larger.centroids[: len(thin)], larger.centroids[len(thin) : 2 * len(thin)]
-    np.testing.assert_array_equal(first, thin.centroids)
-    assert second[:, 0].min() > first[:, 0].max() + 900
-    assert (larger.vectors[len(thin) : 2 * len(thin)] != thin.vectors).any(axis=1).all()

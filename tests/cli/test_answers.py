@@ -1,25 +1,22 @@
-"""What the command line says first, and how: answers, help, notes on wrong keys."""
+"""What ``segloc localize`` and ``segloc explain`` say of a scan."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import typer
-from samples.walk import POINTS_ASIDE, Site, run, walked_site
+from samples.walk import POINTS_ASIDE, Site, run
 
-from segloc import cli
+from segloc import Localizer, SegmentMap
+from segloc.inspect import steps, trace, verdict
+from segloc.inspect.trace import BEYOND
 from segloc.io import read_trajectory
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    return walked_site(tmp_path_factory.mktemp("site"))
+from segloc.likelihood.confidence import FEATURES, shipped_confidence
+from segloc.types import Scan
 
 
 @pytest.mark.slow
@@ -85,58 +82,6 @@ def test_json_on_stdout_is_all_of_it(site: Site, capsys: pytest.CaptureFixture[s
     assert {"T_map_sensor", "confidence", "reason", "message"} <= found["queries"][0].keys()
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("treads: 1", r"treads: no such key: did you mean threads\?"),
-        ("segmentaton: {}", r"segmentaton: no such key: did you mean segmentation\?"),
-        ("local_cloud: {radius: 3}", r"did you mean local_cloud\.radius_m\?"),
-        ("min_confidence: 0.5", r"did you mean verification\.min_confidence\?"),
-        ("purple: 1", r"no such key: `segloc config --all` prints all of them"),
-    ],
-)
-def test_unknown_keys_say_what_may_be_meant(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
-) -> None:
-    file = tmp_path / "c.yaml"
-    file.write_text(text)
-    assert run("doctor", tmp_path, "--config", file) == 1
-    assert re.search(said, capsys.readouterr().err)
-
-
-def verbs(command: Any, name: str) -> Iterator[tuple[str, Any]]:
-    inner = getattr(command, "commands", None)
-    if inner is None:
-        yield name, command
-    for key, each in (inner or {}).items():
-        yield from verbs(each, f"{name} {key}")
-
-
-OURS = [
-    each
-    for each in verbs(typer.main.get_command(cli.app), "segloc")
-    if each[1].callback.__module__.startswith("segloc.")
-]
-
-
-@pytest.mark.parametrize(("name", "command"), OURS, ids=[name for name, _ in OURS])
-def test_every_option_says_what_it_is_and_in_which_unit(name: str, command: Any) -> None:
-    assert command.help, name
-    for option in command.params:
-        if option.name == "help":
-            continue
-        assert option.help, option.opts
-        if not getattr(option, "is_flag", False):
-            assert option.metavar and re.match(r"\[?[A-Z]", option.metavar), option.opts
-
-
-def test_verbs_come_in_the_order_of_use() -> None:
-    root: Any = typer.main.get_command(cli.app)
-    names = [name for name in root.list_commands(None) if name in cli.ORDER]
-    assert names == [name for name in cli.ORDER if name in names]
-    assert set(cli.ORDER) <= set(root.commands)
-
-
 def test_lines_are_whole_where_stdout_is_no_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,3 +106,68 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(
             update(done, 6)
             now[0] += 0.6 * console.SECONDS_A_LINE
     assert capsys.readouterr().err == "Training: 2 of 6\nTraining: 4 of 6\n"
+
+
+# --- explain --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
+    localizer = Localizer(SegmentMap.load(site.map))
+    for points in (np.load(site.run / "0004.npy"), POINTS_ASIDE):
+        cloud = localizer.accumulator.gather(Scan(points))
+        found, plain = trace(localizer, cloud), localizer.localize(cloud)
+        assert (found.result.localized, found.result.confidence) == (
+            plain.localized,
+            plain.confidence,
+        )
+        if found.parts:
+            score = found.constant + sum(part.log_odds for part in found.parts)
+            assert 1 / (1 + np.exp(-score)) == pytest.approx(plain.confidence)
+            names = [part.name for part in found.parts]
+            capped = plain.confidence == pytest.approx(
+                1 / (1 + np.exp(-shipped_confidence().max_log_odds))
+            )
+            assert names == [*FEATURES, *([BEYOND] if capped else [])]
+            assert all(" " in part.words for part in found.parts)  # no bare name of a feature
+        if plain.localized:
+            assert found.T_map_local is not None
+            assert np.allclose(found.T_map_local @ found.T_local_sensor, plain.T_map_sensor)
+            assert found.inliers.sum() >= plain.inliers and found.on_map.mean() > 0.8
+        assert len(np.unique(found.pairs[:, 0])) == len(found.pairs)
+        assert verdict(found).startswith("localized" if plain.localized else "not localized")
+        assert [name for name, _ in steps(found)][:4] == ["cloud", "ground", "segments", "matches"]
+
+
+@pytest.mark.slow
+def test_explain_prints_a_verdict_and_writes_a_page(
+    site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    np.save(tmp_path / "0.npy", POINTS_ASIDE)
+    np.save(tmp_path / "1.npy", 1000 * POINTS_ASIDE)
+    html = tmp_path / "page.html"
+    for scan, said in [
+        (site.run / "0004.npy", r"^localized at x "),
+        (tmp_path / "0.npy", r"^not localized, "),
+        (tmp_path / "1.npy", r"^not localized, no points: .*\nproblem: half of .* in millimetres"),
+    ]:
+        capsys.readouterr()
+        assert run("explain", scan, "--map", site.map, "--html", html) == 0
+        out = capsys.readouterr().out
+        assert re.search(said, out), out
+        text = html.read_text("utf-8")
+        assert text.count("data:image/png;base64,") in (2, 5)
+        assert not re.search(r"(src|href)=\"(?!data:)", text) and "http" not in text
+        assert escape(out.splitlines()[0]) in text
+
+
+@pytest.mark.slow
+def test_a_scan_of_a_recording_is_chosen_by_its_number(
+    site: Site, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--map", site.map, "--poses", "poses.tum"]
+    assert run("explain", site.run, "--select", 5, *arguments) == 0
+    assert re.search(r"cloud +\d+ points of 6 scans", capsys.readouterr().out)
+    assert run("explain", site.run, "--select", 99, *arguments) == 1
+    assert "has scans 0 to 13" in capsys.readouterr().err

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from samples.walk import run
 from scipy.spatial.transform import Rotation
 
-from segloc import cli
 from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
 from segloc.map.segment_map import SegmentMap
 
@@ -75,17 +75,6 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
     record(root / "run_2", town, rng, 1.0)
     run("map", "build", root / "run_1", "--poses", "poses.tum", "--out", root / "toy.segmap")
     return Toy(root, root / "toy.segmap")
-
-
-def run(*arguments: Any) -> int:
-    """Run the command line in this process; its exit status."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
-        try:
-            cli.main()
-        except SystemExit as stop:
-            return int(stop.code or 0)
-    return 0
 
 
 def files(folder: Path) -> list[str]:
@@ -158,6 +147,7 @@ def test_the_same_command_gives_the_same_bytes(toy: Toy, tmp_path: Path) -> None
     assert again.read_bytes() == toy.map.read_bytes()
 
 
+@pytest.mark.slow
 def test_scans_alone_without_poses_or_truth(toy: Toy, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run("localize", toy.run_2, "--map", toy.map, "--select", "3:5,9", "--out", out) == 0
@@ -210,7 +200,7 @@ def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_pa
     text = capsys.readouterr().out
     (tmp_path / "config.yaml").write_text(text)
     assert yaml.safe_load(text)["method"] == "profile"
-    localize_toy(toy, tmp_path / "out", "--config", tmp_path / "config.yaml")
+    assert run("doctor", toy.run_2, "--config", tmp_path / "config.yaml") == 0
     capsys.readouterr()
     assert run("--version") == 0
     assert re.fullmatch(r"segloc \d+\.\d+\.\d+\n", capsys.readouterr().out)
@@ -221,16 +211,6 @@ def test_config_and_version(capsys: pytest.CaptureFixture[str], toy: Toy, tmp_pa
         assert "cores" in machine and f"numpy {np.__version__}" in others
         assert not any(line.startswith("pytest") for line in others)
     assert run("--verbose") == 2
-
-
-@pytest.mark.slow
-def test_help_needs_nothing_heavy() -> None:
-    code = (
-        "import sys; from segloc import cli; "
-        "print(sorted({'matplotlib', 'torch', 'embreex', 'laspy'} & set(sys.modules)))"
-    )
-    command = [sys.executable, "-c", code]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
 @pytest.mark.slow
@@ -265,6 +245,7 @@ def test_recordings_that_cannot_be_used(
     refused("needs a pose", "map", "build", toy.run_1, "--out", tmp_path / "out.segmap")
 
 
+@pytest.mark.slow
 def test_poses_for_some_of_the_scans(
     toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -277,11 +258,8 @@ def test_poses_for_some_of_the_scans(
     there = ["--map", toy.map, "--out", out]
     cases: list[tuple[list[Any], str]] = [
         (["doctor", *posed], "note: 15 of 30 scans left out"),
-        (["info", *posed], "note: 15 of 30 scans left out"),
         (["map", "build", *posed, "--out", tmp_path / "some.segmap"], "15 of 30 scans left out"),
-        (["align", *posed, "--out", tmp_path / "aligned"], "15 of 30 scans left out"),
         (["localize", *posed, *there, "--truth", few], "11 of 15 scans are not scored"),
-        (["live", *posed, *there, "--truth", few], "11 of 15 scans are not scored"),
         (["localize", toy.run_2, *there, "--truth", some], "15 of 30 scans are not scored"),
     ]
     for words, said in cases:
@@ -386,6 +364,7 @@ def test_a_full_disk_leaves_nothing_behind(
     refused("no space left", "localize", toy.run_2, "--map", toy.map, *more)
 
 
+@pytest.mark.slow
 def test_without_matplotlib_there_is_no_picture(
     toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

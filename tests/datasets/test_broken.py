@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from samples.datasets import START, Drive, kitti, mulran
+from samples.datasets import START, Drive, kitti
 
 from segloc import geometry
 from segloc.datasets import RecordedSequence, open_sequence
@@ -256,33 +256,6 @@ def test_a_scan_that_is_missing_shifts_no_pose(tmp_path: Path) -> None:
         assert scan.T_odom_sensor is not None
         world.append(geometry.transform(scan.T_odom_sensor, scan.points))
     np.testing.assert_allclose(world[2], world[0], atol=1e-4)
-
-
-def test_points_on_another_clock_are_left_as_they_are(tmp_path: Path) -> None:
-    from segloc.datasets.inspection import inspect
-
-    drive = Drive.make()
-    path = mulran(tmp_path, drive)
-    sequence = open_sequence(path)
-    assert isinstance(sequence, RecordedSequence)
-
-    class Late:
-        """The same scans with times since 1970."""
-
-        def __len__(self) -> int:
-            return len(sequence)
-
-        def where(self, k: int) -> str:
-            return f"scan {k}"
-
-        def read(self, k: int) -> Scan:
-            return Scan(drive.seen(k), times=np.full(len(drive.landmarks), START))
-
-    from dataclasses import replace
-
-    late = replace(sequence, source=Late())
-    np.testing.assert_allclose(late.scan(2).points, drive.seen(2), atol=1e-5)
-    assert "scan 0: times are not seconds after the stamp: not de-skewed" in inspect(late).problems
 
 
 @pytest.mark.parametrize("stride", [0, 16, 48, 3 * 48])

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from samples.real import real
 
-from segloc.datasets import Selection, Sequence, open_sequence, parse_select
+from segloc.datasets import Sequence, open_sequence, parse_select
 from segloc.errors import ConfigError, DatasetError
 from segloc.io import Trajectory, write_kitti, write_scan, write_tum
 
@@ -202,10 +202,6 @@ def test_bad_selections(text: str) -> None:
     with pytest.raises(ConfigError, match=r"^selection ") as caught:
         parse_select(text)
     assert "\n" not in str(caught.value)
-
-
-def test_selections_compare() -> None:
-    assert parse_select("100:947,1001:1100") == Selection(((100, 947), (1001, 1100)))
 
 
 def test_a_recorded_sequence() -> None:

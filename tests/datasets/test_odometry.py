@@ -28,16 +28,12 @@ from segloc_lab.simulation import (
 from segloc_lab.simulation.drives import mapped_way
 
 from segloc import cli, geometry
-from segloc.batch.run import localize_sequence
-from segloc.config import Config
 from segloc.datasets import RecordedSequence, open_sequence
 from segloc.datasets import odometry as odometry_module
 from segloc.datasets.inspection import inspect
 from segloc.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
 from segloc.errors import DatasetError
 from segloc.io import read_trajectory, write_tum
-from segloc.localizer import Localizer
-from segloc.map.build import build_map
 from segloc.types import Float64, Int64, Scan
 
 
@@ -110,23 +106,6 @@ def test_a_bag_gives_the_same_clouds_as_its_folder(
 
 
 @pytest.mark.slow
-def test_a_bag_localizes_as_its_folder_does(simulated: Simulated, tmp_path: Path) -> None:
-    config = Config.load(None, "geo").model_copy(update={"threads": 1})
-    folder = open_sequence(simulated.folder, "poses.tum")
-    bag = open_sequence(simulated.bag("mcap", tmp_path))
-    localizer = Localizer(build_map(folder, config, every_m=10.0), config)
-    positions = np.array([len(folder) // 2, len(folder) - 1])
-    from_folder = localize_sequence(localizer, folder, positions)
-    from_bag = localize_sequence(localizer, bag, positions)
-    assert all(result.localized for result in from_folder)
-    for ours, theirs, position in zip(from_bag, from_folder, positions, strict=True):
-        assert ours.T_map_sensor is not None
-        assert theirs.T_map_sensor is not None
-        np.testing.assert_allclose(ours.T_map_sensor, theirs.T_map_sensor, atol=0.02)
-        np.testing.assert_allclose(ours.T_map_sensor, simulated.truth[position], atol=0.2)
-
-
-@pytest.mark.slow
 def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> None:
     """Times of points are used; stamps of poses are where they hold, the scans' ends."""
     bag = open_sequence(simulated.bag("sqlite3", tmp_path, posed=False))
@@ -187,39 +166,6 @@ def test_verbs_take_a_bag_without_poses(
         assert fact in shown
 
 
-@pytest.mark.slow
-def test_two_bags_without_poses_map_and_localize(
-    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One command each; the second drive is another session in another lane."""
-    mapped = simulated.bag("sqlite3", tmp_path, posed=False)
-    prior_map = tmp_path / "site.segmap"
-    one = ["--threads", "1"]
-    assert segloc(monkeypatch, "map", "build", mapped, "--odometry", "--out", prior_map, *one) == 0
-    drive = driven(1, lane=0.2)
-    bag = BagWriter("mcap")
-    assert drive.stamps is not None
-    for i, stamp in enumerate(START + 1000 + drive.stamps):
-        scan = drive.scan(i)
-        assert scan.times is not None
-        bag.cloud("/points", stamp, scan.points, times=("time", "f8", scan.times))
-    asked = bag.write(tmp_path / "asked")
-    # Odometry holds at the end of a scan, when the next one starts: so does the map's first pose.
-    T_map_world = geometry.inverse(simulated.truth[1])
-    gathered = ["--odometry", "--every", "5"]
-    # Single scans are not de-skewed: that is up to a metre at this speed.
-    for more, fewest, tolerance in (([], 28, 1.5), (gathered, 5, 1.0)):
-        out = tmp_path / f"results_{len(more)}"
-        verb = ["localize", asked, "--map", prior_map, "--out", out, *more, *one]
-        assert segloc(monkeypatch, *verb) == 0
-        found = read_trajectory(out / "poses.tum")
-        assert len(found) >= fewest
-        numbers = np.searchsorted(START + 1000 + drive.stamps, found.stamps - 0.05)
-        for number, pose in zip(numbers, found.poses, strict=True):
-            off = geometry.inverse(T_map_world @ drive.truth[int(number)]) @ pose
-            assert np.linalg.norm(off[:3, 3]) < tolerance
-
-
 class Fake:
     """Stands in for kiss-icp: gives these poses."""
 
@@ -274,15 +220,6 @@ def test_odometry_that_was_lost_is_an_error(
         lidar_odometry(recording)
 
 
-def test_odometry_needs_three_dimensions() -> None:
-    class Flat(Run):
-        def raw(self, i: int) -> Scan:
-            return Scan(super().raw(i).points * [1.0, 1.0, 0.0])
-
-    with pytest.raises(DatasetError, match="scan 0: odometry needs 3D, not one plane"):
-        lidar_odometry(Flat(3))
-
-
 def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
     drive = Drive.make(60)
     path = kitti(tmp_path, drive)
@@ -333,13 +270,3 @@ def test_odometry_of_a_real_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert np.abs(np.diff(ahead[1:])).max() < 0.06  # the first step is a guess
     assert np.abs(steps[:, 1:3, 3]).max() < 0.06
     assert 0 < turns.min() <= turns.max() < np.radians(1.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "sensor"),
-    [("vlp16", "3D, 16 beams"), ("hdl32e", "3D, 32 beams"), ("hdl64_drive", "3D, 64 or more")],
-)
-def test_beams_of_real_sensors(name: str, sensor: str) -> None:
-    sequence = open_sequence(real(name))
-    assert isinstance(sequence, RecordedSequence)
-    assert inspect(sequence, sample=2).sensor.startswith(sensor)

@@ -70,6 +70,7 @@ SMALLER: tuple[tuple[str, str], ...] = (
     (r"--every 5\b", "--every 6"),
     (r"/elsewhere/poses.tum", "poses_elsewhere.tum"),
     (r"--kitti DATA", ""),
+    (r"(segloc localize sample/tuesday .*)", r"\1 --select :4"),
     (r"(segloc evaluate localization .*)", r"\1 --methods geo --workers 1 --every 4"),
     (r"(segloc live .*)--rate 1 ", r"\1--rate 20 "),
     (r"(segloc odometry drive.bag)", r"\1 --select :1"),
@@ -83,6 +84,7 @@ SMALLER: tuple[tuple[str, str], ...] = (
 
 FEWER = (
     ("rng, [0], 300.0", "rng, [0], 30.0"),
+    ("town(seed=7)", "town(seed=7, size_m=150.0)"),
     ("hdl64e(900)", "hdl64e(60)"),
     ("hdl64e()", "hdl64e(60)"),
 )

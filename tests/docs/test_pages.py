@@ -21,12 +21,6 @@ def test_every_reason_of_a_refusal_is_explained() -> None:
     assert {reason.value for reason in Reason} <= set(rows)
 
 
-def test_pictures_are_small() -> None:
-    sizes = {path.name: path.stat().st_size for path in (PROJECT / "docs/images").glob("*.*p*g")}
-    moving = (PROJECT / "docs" / "images" / "tracker.webp").stat().st_size
-    assert moving < 1_000_000 and max(sizes.values()) < 500_000
-
-
 def test_every_page_is_in_the_navigation_of_the_site() -> None:
     text = (PROJECT / "mkdocs.yml").read_text("utf-8")
     listed = set(re.findall(r": ([\w./-]+\.md)$", text, re.MULTILINE))

@@ -50,9 +50,3 @@ def test_every_verb_and_key_has_its_place(site: ModuleType) -> None:
         assert f"\n## {name}\n" in pages
     assert "| its own |" in pages
     assert "min_confidence: 0.8  # calibrated probability needed; more" in site.configuration()
-
-
-def test_a_link_that_is_named_after_its_file_takes_the_name_of_the_page(site: ModuleType) -> None:
-    text = "[docs/quickstart.md](docs/quickstart.md), [more](docs/live.md#a)"
-    linked = site.relinked(text, PROJECT / "README.md", site.written())
-    assert linked == "[Quick start](quickstart.md), [more](live.md#a)"

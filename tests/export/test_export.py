@@ -4,36 +4,24 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from samples.maps import make_map
+from samples.walk import run
 from scipy.spatial.transform import Rotation
 
-from segloc import ConfigError, DatasetError, SegmentMap, cli, geometry
+from segloc import ConfigError, DatasetError, SegmentMap, geometry
 from segloc.cli.align import _write
-from segloc.export import FORMATS, export
+from segloc.export import export
 from segloc.export.formats import Options
 from segloc.export.tracks import Place
 from segloc.io import Trajectory, read_scan, read_trajectory, write_tum
 from segloc.loops import AlignConfig, Alignment
 from segloc.loops.loops import Loop
-from segloc.motion import odometry_covariance
 from segloc.types import Descriptors, Float64
-
-
-def run(*arguments: Any) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
-        try:
-            cli.main()
-        except SystemExit as stop:
-            return int(stop.code or 0)
-    return 0
 
 
 def map_at(folder: Path, origin: tuple[float, float, float]) -> tuple[Path, Float64]:
@@ -203,13 +191,6 @@ def test_loops_are_told_between_scans(tmp_path: Path, aligned: tuple[Path, Align
     assert len((path / "loops.jsonl").read_text().splitlines()) == 2
 
 
-def test_odometry_errs_more_the_farther_it_goes() -> None:
-    covariance = odometry_covariance(np.array([0.0, 1.0, 100.0]), 0.02, 0.05, 0.01)
-    shift = np.sqrt(covariance[:, 3, 3])
-    assert shift[0] < shift[1] < shift[2] and shift[2] == pytest.approx(np.hypot(0.2, 1.0))
-    assert np.degrees(np.sqrt(covariance[2, 0, 0])) == pytest.approx(0.5)
-
-
 def results(folder: Path, timed: bool) -> Path:
     folder.mkdir()
     stamps = np.arange(4.0) + (1.7e9 + 0.25 if timed else 0.0)
@@ -305,9 +286,3 @@ def test_damaged_results_are_refused_by_name(
     (aligned[0] / name).write_text(text)
     with pytest.raises(DatasetError, match=name):
         export(aligned[0], "g2o", tmp_path / "x.g2o")
-
-
-def test_the_help_names_every_format(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("export", "--help") == 0
-    printed = capsys.readouterr().out
-    assert all(re.search(rf"\b{name}\b", printed) for name in FORMATS)

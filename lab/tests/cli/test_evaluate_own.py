@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ from samples.tiny_suite import TINY
 from segloc_lab.simulation import record
 
 from segloc.cli import app
-from segloc.errors import ConfigError, DatasetError
 
 
 def evaluate(*arguments: object) -> None:
@@ -63,28 +60,3 @@ def test_without_truth_answers_are_counted_but_not_judged(recordings: Path, tmp_
     details = dict(zip(last["columns"], last["rows"][0], strict=True))
     assert details["localized"] >= 4
     assert details["right"] is details["false"] is details["places"] is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "line"),
-    [
-        (("localization", "a", "b"), DatasetError, "a: no such file or folder"),
-        (("localization", "a", "b", "--every", "0"), ConfigError, "--every must be a positive"),
-    ],
-)
-def test_what_the_user_can_mend_is_one_line(
-    arguments: tuple[str, ...], error: type[Exception], line: str, tmp_path: Path
-) -> None:
-    with pytest.raises(error, match=line):
-        evaluate(*arguments, "--out", tmp_path / "out")
-
-
-@pytest.mark.slow
-def test_errors_end_with_status_one(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("a file")
-    code = "import sys; from segloc.cli import main; main()"
-    command = [sys.executable, "-c", code, "evaluate", "roc", "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and done.stdout == ""
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stderr.startswith("segloc: error: ") and "is not a folder" in done.stderr

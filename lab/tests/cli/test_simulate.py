@@ -34,17 +34,17 @@ def test_sessions_are_recorded_with_poses_and_objects(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "runs"
-    options = [*TINY, "--objects", "--sessions", "3", "--season", "winter", "--replaced", "0.3"]
+    options = [*TINY, "--objects", "--sessions", "2", "--season", "winter", "--replaced", "0.3"]
     assert segloc(monkeypatch, "simulate", "town", "--out", out, *options) == 0
-    assert "sessions of town-0: 3, in" in capsys.readouterr().out
+    assert "sessions of town-0: 2, in" in capsys.readouterr().out
     facts = json.loads((out / "scene.json").read_text())
     assert (facts["scene"], facts["sensor"], facts["seed"]) == ("town", "hdl64e", 0)
     assert facts["version"]
     conditions = [session["conditions"] for session in facts["sessions"]]
-    assert [c["foliage"] for c in conditions] == [1.0, 0.0, 0.0]
-    assert [c["replaced"] for c in conditions] == [0.0, 0.3, 0.3]
+    assert [c["foliage"] for c in conditions] == [1.0, 0.0]
+    assert [c["replaced"] for c in conditions] == [0.0, 0.3]
     kinds = json.loads((out / "kinds.json").read_text())
-    for k in range(3):
+    for k in range(2):
         folder = out / f"session_{k}"
         sequence = open_sequence(folder, "odometry.tum")
         truth = read_trajectory(folder / "poses.tum")
@@ -56,41 +56,6 @@ def test_sessions_are_recorded_with_poses_and_objects(
     assert {"ground", "house", "car"} <= set(kinds.values())
     houses = {int(number) for number, kind in kinds.items() if kind == "house"}
     assert houses & set(np.unique(ids).tolist())
-
-
-@pytest.mark.slow
-def test_a_storey_is_simulated_with_a_sensor_that_tilts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "third"
-    options = ["--size", "40", "--length", "24", "--thin", "24", "--workers", "1"]
-    options += ["--sessions", "1", "--sensor", "mid360", "--platform", "handheld"]
-    tilted = [*options, "--tilt", "0", "20", "--storey", "3"]
-    assert segloc(monkeypatch, "simulate", "building", "--out", out, *tilted) == 0
-    facts = json.loads((out / "scene.json").read_text())
-    assert (facts["storey"], facts["tilt_deg"]) == (3, [0.0, 20.0])
-    assert segloc(monkeypatch, "simulate", "building", "--out", tmp_path / "low", *options) == 0
-    high, low = (
-        read_trajectory(folder / "session_0" / "poses.tum").poses
-        for folder in (out, tmp_path / "low")
-    )
-    assert 8.5 < (high[:, 2, 3] - low[:, 2, 3]).min() < 12.0
-    np.testing.assert_allclose(high[:, :2, 3], low[:, :2, 3], atol=1e-5)
-    nod = low[:, :3, :3].transpose(0, 2, 1) @ high[:, :3, :3]
-    np.testing.assert_allclose(nod[:, 0, 0], np.cos(np.radians(20.0)), atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_push_broom_sensor_is_gathered_to_swathes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("laspy")
-    options = ["--size", "130", "--length", "40", "--sessions", "1", "--spacing", "0.5"]
-    options += ["--sensor", "lms151", "--swathe", "15", "--format", "laz", "--workers", "1"]
-    assert segloc(monkeypatch, "simulate", "industrial", "--out", tmp_path, *options) == 0
-    sequence = open_sequence(tmp_path / "session_0", "poses.tum")
-    assert len(sequence) == 2
-    assert np.ptp(sequence.scan(0).points, axis=0).min() > 2.0
 
 
 @pytest.mark.slow
@@ -118,24 +83,16 @@ def test_a_suite_is_a_folder_a_set(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (["town", "--suite", "six"], "name either a scene or"),
         (["moon"], "the scene must be one of"),
         (["town", "--sensor", "sonar"], "--sensor must be one of"),
-        (["town", "--platform", "boat"], "--platform must be one of"),
         (["town", "--tilt", "0", "9"], "--tilt goes with --platform"),
         (["town", "--size", "150", "--storey", "1"], "town-0: storey must be in 0..0, not 1"),
-        (["town", "--season", "monsoon"], "--season must be one of summer, autumn, winter, spring"),
         (["town", "--season", "winter", "--foliage", "0.5"], "--season or --foliage, not both"),
         (["town", "--replaced", "2"], "replaced must be in 0..1, not 2.0"),
         (["town", "--thin", "0"], "factor must be at least 1"),
-        (["town", "--format", "doc"], "--format must be one of npy"),
-        (["town", "--size", "3"], "size_m must be in"),
         (["town", "--size", "150", "--length", "-4"], "--length must be a positive number"),
         (["town", "--size", "150", "--spacing", "0"], "spacing_m must be positive"),
         (["town", "--sessions", "1", "--season", "monsoon"], "--season must be one of"),
-        (["town", "--sessions", "1", "--foliage", "7"], "foliage must be in 0..1, not 7.0"),
         (["town", "--objects", "--swathe", "30"], "--objects goes with single scans"),
-        (["town", "--skew", "--swathe", "30"], "--skew goes with single scans"),
         (["--suite", "six", "--sensor", "vlp16"], "--sensor cannot be chosen with --suite"),
-        (["--suite", "six", "--objects"], "--objects cannot be chosen with --suite"),
-        (["--suite", "seven"], "--suite must be one of six"),
         (["--suite", "six", "--scale", "huge"], "scale must be one of small, full"),
     ],
 )

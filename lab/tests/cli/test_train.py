@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from segloc_lab.simulation import Route, simulate_session, town, vlp16
-from segloc_lab.training.collect import draw_worlds
 from segloc_lab.training.extract import ExtractConfig, extract_session
-from segloc_lab.training.labels import LabelConfig
 from segloc_lab.training.shards import INDEX, Session, finish, load_dataset, write_shard
 from typer.testing import CliRunner
 
@@ -85,15 +82,6 @@ def test_from_recordings_to_scores(recording: Path, tmp_path: Path) -> None:
         assert "recall@25" in run("train", "score", name, data)
 
 
-def test_labels_by_centroids_alone_join_more(recording: Path, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    run("train", "extract", recording, "--poses", "poses.tum", "--out", data, "--length", 10)
-    strict = finish(data, [], LabelConfig())
-    loose = finish(data, [], LabelConfig(rule="centroids"))
-    assert loose.matching >= strict.matching > 0
-    assert loose.segments == strict.segments
-
-
 def test_wrong_input(recording: Path, tmp_path: Path) -> None:
     data = tmp_path / "data"
     with pytest.raises(ConfigError, match="and not both"):
@@ -129,22 +117,6 @@ def test_training_without_torch_says_so(monkeypatch: pytest.MonkeyPatch, tmp_pat
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingDependency, match=r"training needs torch: pip install"):
         run("train", "dsm", tmp_path, "--out", tmp_path / "w.safetensors")
-
-
-@pytest.mark.slow
-def test_help_needs_neither_torch_nor_numpy_to_be_quick() -> None:
-    code = "import sys, segloc.cli; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_worlds_are_drawn_the_same_again() -> None:
-    text = "town:2,park:1"
-    worlds = draw_worlds(text, 3, length_m=24.0, sensors=("vlp16", "lms151"), thin=4)
-    assert [world.scene for world in worlds] == ["town", "town", "park"]
-    assert len({world.name for world in worlds}) == 3
-    assert all(2 <= len(world.drives) <= 3 for world in worlds)
-    assert worlds == draw_worlds(text, 3, length_m=24.0, sensors=("vlp16", "lms151"), thin=4)
-    assert worlds != draw_worlds(text, 4, length_m=24.0, sensors=("vlp16", "lms151"), thin=4)
 
 
 @pytest.mark.slow

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from samples.worlds import made_anew
-from scipy.spatial import cKDTree
 
 pytest.importorskip("embreex", reason="simulation needs the extra sim")
 
@@ -20,28 +17,17 @@ from segloc_lab.simulation import (
     Scene,
     World,
     forest,
-    hdl32e,
     meadow,
     park,
-    simulate_session,
 )
-from segloc_lab.simulation.objects.mesh import LEAF, SOLID, Mesh, Objects, triangles
+from segloc_lab.simulation.objects.mesh import LEAF, Mesh, Objects
 from segloc_lab.simulation.objects.scene import Hits, Terrain
 from segloc_lab.simulation.objects.vegetation import EVERGREEN, SPECIES, grow
 
-from segloc.errors import ConfigError
-from segloc.frontend.local_cloud import Accumulator
-from segloc.frontend.segmentation import Segmenter
-
 pytestmark = pytest.mark.slow
 
-SIZES = {"park": 160.0, "meadow": 140.0, "forest": 120.0}
+SIZES = {"park": 150.0, "meadow": 120.0, "forest": 100.0}
 MAKERS: dict[str, Callable[..., World]] = {"park": park, "meadow": meadow, "forest": forest}
-EXPECTED = {
-    "park": {"house", "tree", "bench", "lamp", "shrubs"},
-    "meadow": {"tree", "bush", "thicket", "grass"},
-    "forest": {"tree", "sapling", "thicket", "log", "stump", "fern"},
-}
 
 
 @pytest.fixture(scope="module", params=sorted(MAKERS))
@@ -55,42 +41,6 @@ def world(kind: str) -> World:
 
 
 # --- worlds ---------------------------------------------------------------------------------------
-
-
-def test_a_world_is_a_function_of_its_seed(kind: str, world: World) -> None:
-    again = made_anew(MAKERS[kind], 5, SIZES[kind])
-    for name in ("triangles", "reflectance", "material", "object_ids"):
-        np.testing.assert_array_equal(getattr(again.static, name), getattr(world.static, name))
-    np.testing.assert_array_equal(again.terrain.heights, world.terrain.heights)
-    np.testing.assert_array_equal(again.spots.people, world.spots.people)
-    other = MAKERS[kind](6, size_m=SIZES[kind])
-    assert other.static.triangles.shape != world.static.triangles.shape
-    data = pickle.dumps(world)
-    assert len(data) < 500
-    assert pickle.loads(data).static.kinds == world.static.kinds
-
-
-def test_objects_are_sound(kind: str, world: World) -> None:
-    static = world.static
-    assert np.isfinite(static.triangles).all()
-    assert len(static.triangles) == len(static.object_ids) == len(static.material)
-    assert set(np.unique(static.object_ids)) == set(static.kinds)
-    assert EXPECTED[kind] <= set(static.kinds.values())
-    assert ((static.reflectance > 0) & (static.reflectance <= 1)).all()
-    top = static.triangles[..., 2].max() - world.terrain.heights.min()
-    assert 6 < top < 60
-    assert (np.ptp(static.triangles, axis=1).max(axis=1) < 40).all()
-
-
-def test_no_two_trees_are_alike(world: World) -> None:
-    static = world.static
-    starts = np.flatnonzero(np.diff(static.object_ids, prepend=-1))
-    low = np.minimum.reduceat(static.triangles.min(axis=1), starts)
-    high = np.maximum.reduceat(static.triangles.max(axis=1), starts)
-    size = (high - low)[[static.kinds[int(static.object_ids[k])] == "tree" for k in starts]]
-    gap, _ = cKDTree(size).query(size, 2)
-    assert len(size) > 15
-    assert gap[:, 1].min() > 1e-3
 
 
 def test_routes_are_clear(world: World) -> None:
@@ -109,47 +59,7 @@ def test_routes_are_clear(world: World) -> None:
         assert np.abs(climb).max() < 0.35
 
 
-@pytest.mark.parametrize("maker", [park, meadow, forest])
-@pytest.mark.parametrize(("seed", "size_m"), [(0, 20.0), (0, 5000.0), (0, float("nan")), (-1, 200)])
-def test_impossible_worlds_are_refused(
-    maker: Callable[..., World], seed: int, size_m: float
-) -> None:
-    with pytest.raises(ConfigError):
-        maker(seed, size_m=size_m)
-
-
 # --- what a LiDAR makes of them -------------------------------------------------------------------
-
-
-def test_segments_repeat_from_the_other_direction(world: World) -> None:
-    rng = np.random.default_rng(2)
-    way = world.roads.walk(rng, [0], 60.0, avoid=[])
-    sensor = hdl32e(720)
-    first = simulate_session(world, 0, Route(tuple(way), lane_offset_m=0.8), sensor, 1)
-    back = simulate_session(world, 1, Route(tuple(way[::-1]), lane_offset_m=0.8), sensor, 2)
-    here = len(first) // 2
-    there = int(np.linalg.norm(back.truth[:, :3, 3] - first.truth[here, :3, 3], axis=1).argmin())
-    sets = []
-    for drive, middle in ((first, here), (back, there)):
-        scans = [drive.scan(k) for k in range(max(0, middle - 5), min(len(drive), middle + 6))]
-        cloud = Accumulator().gather(scans, reference=min(5, middle))
-        T = drive.truth[middle] @ np.linalg.inv(cloud.T_local_sensor)
-        middles = Segmenter().segment(cloud).segments.centroids
-        sets.append(middles @ T[:3, :3].T + T[:3, 3])
-    near = sets[0][np.linalg.norm(sets[0] - first.truth[here, :3, 3], axis=1) < 25]
-    distance, _ = cKDTree(sets[1]).query(near)
-    assert len(near) >= 12
-    assert (distance < 0.5).mean() > 0.4
-
-
-def test_leaves_fall_in_winter_and_wood_stays(world: World) -> None:
-    bare = world.static.with_foliage(0.0)
-    leaves = world.static.material == LEAF
-    assert 0.1 < leaves.mean() < 0.95
-    assert len(bare.triangles) == (~leaves).sum()
-    trees = {k for k, kind in world.static.kinds.items() if kind == "tree"}
-    assert trees <= set(bare.kinds)
-    assert world.session(0, Conditions(foliage=0.0)) is not world.session(0)
 
 
 # --- trees ----------------------------------------------------------------------------------------
@@ -161,7 +71,7 @@ def test_leaves_fall_in_winter_and_wood_stays(world: World) -> None:
     detail=st.floats(0.1, 1.0),
     scale=st.floats(0.4, 1.2),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_any_tree_stands_on_the_ground(kind: str, seed: int, detail: float, scale: float) -> None:
     tree = grow(np.random.default_rng(seed), kind, detail=detail, scale=scale)
     assert np.isfinite(tree.triangles).all()
@@ -187,10 +97,10 @@ def crown_hits(mesh: Mesh, foliage: float = 1.0) -> tuple[Hits, float]:
     return hits, float((hits.object_ids == 1).mean())
 
 
-@pytest.mark.parametrize("kind", ["oak", "lime", "ash", "spruce"])
+@pytest.mark.parametrize("kind", ["oak", "spruce"])
 def test_leaves_let_part_of_the_rays_pass(kind: str) -> None:
     shares, coarse, winter, depth = [], [], [], []
-    for seed in range(6):
+    for seed in range(3):
         fine = grow(np.random.default_rng(seed), kind)
         hits, share = crown_hits(fine)
         shares.append(share)
@@ -204,10 +114,3 @@ def test_leaves_let_part_of_the_rays_pass(kind: str) -> None:
         assert winter == shares
     else:
         assert np.mean(winter) < 0.6 * np.mean(shares)
-
-
-def test_solid_and_leaf_are_all_a_tree_is_made_of() -> None:
-    empty = triangles([], 0.0)
-    assert len(empty) == 0
-    tree = grow(np.random.default_rng(0), "birch")
-    assert set(np.unique(tree.material)) == {SOLID, LEAF}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 from segloc_lab.simulation import SCENES, World
@@ -13,7 +11,7 @@ from segloc.errors import ConfigError
 pytest.importorskip("embreex")
 pytestmark = pytest.mark.slow
 
-SIZES = {"terraces": 150.0, "car_park": 150.0, "forest": 110.0}
+SIZES = {"terraces": 130.0, "forest": 100.0}
 
 
 @pytest.fixture(scope="module", params=list(SIZES))
@@ -38,14 +36,6 @@ def test_things_are_of_few_types(world: World) -> None:
     # What stands on a path is cut, and trees are drawn coarsely where nobody comes near.
     common = [tall.count(each) for each in set(tall)]
     assert sum(sorted(common)[-6:]) > 0.5 * len(tall)
-
-
-def test_a_world_is_remade_as_it_was(world: World) -> None:
-    again = pickle.loads(pickle.dumps(world))
-    np.testing.assert_array_equal(again.static.triangles, world.static.triangles)
-    assert again.catalogue == world.catalogue
-    cars = [group.changing(0).triangles for group in (world, again)]
-    np.testing.assert_array_equal(*cars)
 
 
 def test_another_repetition_is_refused() -> None:

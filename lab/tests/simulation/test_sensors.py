@@ -18,22 +18,17 @@ pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
 from segloc_lab.simulation import (
     PLATFORMS,
     SENSORS,
-    Gait,
     Lidar,
     Motion,
-    OdometryNoise,
     Route,
     Scene,
     World,
-    avia,
     car,
     deskew,
     handheld,
     hdl64e,
-    legged,
     lms151,
     mid360,
-    os0_128,
     os1_64,
     record,
     simulate_session,
@@ -45,9 +40,8 @@ from segloc_lab.simulation.objects.mesh import Objects, boxes
 from segloc_lab.simulation.objects.scene import Terrain
 
 from segloc.datasets import open_sequence, parse_select, swathes
-from segloc.errors import ConfigError, DatasetError, InvalidScan, MissingDependency
-from segloc.geometry import travelled
-from segloc.io import read_scan, read_trajectory, write_scan
+from segloc.errors import ConfigError, DatasetError
+from segloc.io import read_trajectory
 from segloc.types import Scan
 
 FRONT, BACK = 1, 2
@@ -91,73 +85,6 @@ def test_every_sensor_has_a_pattern_and_can_be_thinned(name: str) -> None:
     np.testing.assert_allclose(few.directions[0], rays.directions[0], atol=0.02)
 
 
-def test_ouster_beams_are_even_and_stand_in_four_columns() -> None:
-    rays = os1_64().rays(0.0)
-    x, y, z = rays.directions[:64].T.astype(float)
-    elevation, azimuth = np.degrees(np.arcsin(z)), np.degrees(np.arctan2(y, x))
-    np.testing.assert_allclose(np.diff(elevation), -33.2 / 63, atol=1e-4)
-    np.testing.assert_allclose(azimuth[:4], [3.164, 1.0547, -1.0547, -3.164], atol=1e-3)
-    np.testing.assert_allclose(azimuth[4:], azimuth[:-4], atol=1e-4)
-
-
-def test_rosette_goes_on_from_scan_to_scan_and_fills_its_view() -> None:
-    sensor = solid_state()
-    first, second = sensor.rays(0.0, 0), sensor.rays(0.7, 1)
-    step = np.linalg.norm(np.diff(first.directions[::6], axis=0), axis=1).max()
-    assert np.linalg.norm(second.directions[0] - first.directions[-6]) < step * 1.01
-
-    def angles(numbers: range) -> np.ndarray:
-        ways = np.concatenate([sensor.rays(0.0, k).directions for k in numbers])
-        azimuth = np.degrees(np.arctan2(ways[:, 1], ways[:, 0]))
-        return np.column_stack([azimuth, np.degrees(np.arcsin(ways[:, 2]))])
-
-    once, later = angles(range(1)), angles(range(8))
-    np.testing.assert_allclose(np.ptp(later, axis=0), [70.4, 77.2], rtol=0.02)
-
-    def cells(points: np.ndarray) -> int:
-        return len(np.unique(np.round(points), axis=0))
-
-    assert cells(later) > 1.5 * cells(once)
-    assert cells(later) > 0.6 * np.pi / 4 * 70.4 * 77.2
-
-
-def test_the_livox_sensors_have_the_views_of_their_data_sheets() -> None:
-    swirl, rosette = mid360(), avia()
-    assert len(swirl.rays(0.0).directions) * swirl.rate_hz == 200_000
-    assert len(rosette.rays(0.0).directions) * rosette.rate_hz == 240_000
-    ways = [np.concatenate([s.rays(0.0, k).directions for k in range(6)]) for s in (swirl, rosette)]
-    (azimuth, elevation), (across, up) = (
-        (np.degrees(np.arctan2(w[:, 1], w[:, 0])), np.degrees(np.arcsin(w[:, 2]))) for w in ways
-    )
-    np.testing.assert_allclose([elevation.min(), elevation.max()], [-7.0, 52.0], atol=0.1)
-    share, _ = np.histogram(azimuth, 36, (-180, 180))
-    assert share.min() > 0.8 * share.mean()
-    np.testing.assert_allclose([np.ptp(across), np.ptp(up)], [70.4, 77.2], rtol=0.02)
-    once, later = (np.round(np.column_stack([azimuth, elevation])[:n]) for n in (20_000, 120_000))
-    assert len(np.unique(later, axis=0)) > 1.4 * len(np.unique(once, axis=0))
-    first, second = swirl.rays(0.0, 0).directions, swirl.rays(0.7, 1).directions
-    step = np.linalg.norm(np.diff(first, axis=0), axis=1)
-    assert np.linalg.norm(second[0] - first[-1]) < 1.2 * step.max()
-
-
-def test_os0_sees_ninety_degrees() -> None:
-    elevation = np.degrees(np.arcsin(os0_128(8).rays(0.0).directions[:128, 2].astype(float)))
-    np.testing.assert_allclose(elevation, np.linspace(45.0, -45.0, 128), atol=1e-3)
-
-
-def test_push_broom_sees_the_ground_below_and_both_sides() -> None:
-    ways = lms151().rays(0.0).directions.astype(float)
-    normal = np.linalg.svd(ways)[2][2]
-    np.testing.assert_allclose(ways @ normal, 0.0, atol=1e-6)
-    assert abs(normal[0]) > 0.98
-    middle = ways[270]
-    assert middle[2] < -0.98
-    assert 0.05 < middle[0] < 0.2
-    np.testing.assert_allclose(np.degrees(np.arccos(ways[0] @ ways[1])), 0.5, atol=1e-3)
-    assert ways[0, 1] * ways[-1, 1] < 0
-    assert min(ways[0, 2], ways[-1, 2]) > 0.6
-
-
 # --- edges ----------------------------------------------------------------------------------------
 
 
@@ -178,33 +105,6 @@ def test_points_between_two_near_surfaces_lie_on_their_edges() -> None:
     edge = 0.5 / 2 / 10.0
     assert np.abs(np.abs(points[mixed, 1] / points[mixed, 0]) - edge).max() < 2.6e-3
     assert not ((points[:, 0] < 9.99) | (points[:, 0] > 10.61)).any()
-
-
-def test_far_apart_surfaces_are_not_mixed_but_the_near_one_grows() -> None:
-    exact, _ = seen(walls(6.0), broad(0.0))
-    points, ids = seen(walls(6.0), broad(3.0))
-    depth = points[:, 0]
-    assert (np.minimum(np.abs(depth - 10.0), np.abs(depth - 16.0)) < 1e-3).all()
-    assert ((depth < 11) == (ids == FRONT)).all()
-    wide = [np.abs(cloud[cloud[:, 0] < 11, 1]).max() for cloud in (exact, points)]
-    assert wide[0] <= 0.25 < wide[1] <= 0.25 + 0.016
-
-
-def test_wider_beams_mix_more_and_smooth_surfaces_not_at_all() -> None:
-    def share(width: float) -> float:
-        points, _ = seen(walls(0.6), broad(width))
-        return float(((points[:, 0] > 10.02) & (points[:, 0] < 10.58)).mean())
-
-    assert share(0.0) == 0.0
-    assert 1.6 < share(3.0) / share(1.5) < 2.4
-    slope = Terrain(np.array([-40.0, -40.0]), 80.0, np.array([[-3.0, 0.0], [-3.0, 0.0]]))
-    scene = Scene(slope, np.full(2, 0.3, dtype=np.float32), [])
-    clouds = [
-        broad(width).scan(scene, np.eye(4), np.random.default_rng(0))[0] for width in (0.0, 4.0)
-    ]
-    exact, broader = (cloud[np.linalg.norm(cloud, axis=1) < 30.0] for cloud in clouds)
-    assert len(exact) > 100_000
-    np.testing.assert_array_equal(exact, broader)  # inside its border the slope has no edge
 
 
 # --- motion ---------------------------------------------------------------------------------------
@@ -255,55 +155,6 @@ def test_platforms_keep_their_height_and_their_limits(name: str, small: World) -
         assert abs(np.median(above) - platform.mount_height_m) < 0.05
 
 
-@pytest.mark.parametrize("name", PLATFORMS)
-def test_scans_by_distance_are_evenly_spaced(name: str, small: World, route: Route) -> None:
-    motion, stamps = route.drive(small, PLATFORMS[name](), np.random.default_rng(1))
-    assert len(stamps) == 35
-    flat = motion.at(stamps) * [[1, 1, 1, 1], [1, 1, 1, 1], [1, 1, 1, 0], [1, 1, 1, 1]]
-    np.testing.assert_allclose(np.diff(travelled(flat)), route.spacing_m, atol=0.15)
-
-
-def test_a_walker_bobs_once_a_step(small: World) -> None:
-    gait = Gait(steps_hz=2.0, bob_m=0.05, sway_m=0, pitch_deg=0, roll_deg=0, wander_deg=0)
-    still = replace(gait, bob_m=0.0)
-    heights = []
-    for each in (gait, still):
-        walker = replace(legged(), gait=each)
-        motion = walker.motion(small.terrain, around_a_corner(), np.random.default_rng(1))
-        heights.append(motion.at(np.arange(0, 20, 0.025))[:, 2, 3])
-    bob = heights[0] - heights[1]
-    spectrum = np.abs(np.fft.rfft(bob))
-    assert np.fft.rfftfreq(len(bob), 0.025)[spectrum.argmax()] == pytest.approx(2.0, abs=0.06)
-    assert np.abs(bob).max() == pytest.approx(0.05, rel=0.02)
-
-
-@pytest.mark.slow
-def test_by_rate_scans_are_as_far_apart_as_the_platform_is_fast(small: World, route: Route) -> None:
-    drive = simulate_session(small, 0, route, vlp16(60), 5, platform=car(), by_rate=True)
-    assert drive.stamps is not None
-    np.testing.assert_allclose(np.diff(drive.stamps), 0.1, atol=1e-12)
-    step = np.diff(travelled(drive.truth))
-    assert step.max() == pytest.approx(1.0, abs=0.02)
-    assert drive.scan(3).times is None
-    part = drive.select(parse_select("7:9"))
-    assert part.stamps is not None
-    np.testing.assert_allclose(part.stamps, [0.7, 0.8, 0.9])
-    np.testing.assert_array_equal(part.scan(1).points, drive.scan(8).points)
-
-
-def test_odometry_drifts_by_half_a_percent_of_the_way() -> None:
-    truth = np.tile(np.eye(4), (201, 1, 1))
-    truth[:, 0, 3] = np.arange(201.0)
-    drift = []
-    for seed in range(40):
-        odometry = OdometryNoise().odometry(truth, np.random.default_rng(seed))
-        step = np.linalg.inv(odometry[50]) @ odometry[150]
-        drift.append(np.linalg.norm(step[:3, 3] - [100.0, 0.0, 0.0]))
-        near = np.linalg.inv(odometry[50]) @ odometry[60]
-        assert np.linalg.norm(near[:3, 3] - [10.0, 0.0, 0.0]) < 0.35
-    assert 0.4 < np.mean(drift) < 0.7
-
-
 # --- skew -----------------------------------------------------------------------------------------
 
 
@@ -335,26 +186,6 @@ def test_deskewing_with_the_known_motion_gives_the_geometry_back(
     assert np.abs(world[:, 2] - small.terrain.height(*world[:, :2].T)).max() < 3e-3
 
 
-def test_skew_bends_a_wall_and_deskewing_straightens_it() -> None:
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[1, :3, 3] = [5.0, 1.0, 0.0]
-    poses[1, :3, :3] = Rotation.from_euler("z", 20, degrees=True).as_matrix()
-    motion = Motion(np.array([0.0, 0.5]), poses)
-    sensor = replace(hdl64e(2000).ideal(), elevations_deg=(0.0, 2.0))
-
-    def wall_of(cloud: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        T = motion.at([0.1])[0]
-        return (cloud.astype(float) @ T[:3, :3].T + T[:3, 3])[ids == BACK, 0]
-
-    returns = sensor.take(walls(3.0), lambda t: motion.at(0.1 + t), np.random.default_rng(0))
-    bent = wall_of(returns.points, returns.object_ids)
-    assert np.ptp(bent) > 0.9
-    scan = deskew(Scan(returns.points, times=returns.times), motion, 0.1)
-    np.testing.assert_allclose(wall_of(scan.points, returns.object_ids), 13.0, atol=1e-3)
-    with pytest.raises(InvalidScan, match="without times"):
-        deskew(Scan(returns.points), motion, 0.1)
-
-
 # --- swathes --------------------------------------------------------------------------------------
 
 
@@ -379,16 +210,6 @@ def test_swathes_of_a_push_broom_show_the_street(small: World, route: Route) -> 
     assert rows.select(parse_select(f"{rows.indices[1]}")).scan(0).points.shape == (
         rows.scan(1).points.shape
     )
-
-
-def test_swathes_are_refused_where_there_is_no_way(small: World, route: Route) -> None:
-    drive = simulate_session(small, 0, route, lms151(20), 5)
-    with pytest.raises(DatasetError, match=r"a way of 6\d\.\d m is shorter than one swathe of 90"):
-        swathes(drive, 90.0)
-    with pytest.raises(ConfigError, match="length_m must be positive"):
-        swathes(drive, 0.0)
-    with pytest.raises(DatasetError, match="no swathe at position 2"):
-        swathes(drive, 30.0).scan(2)
 
 
 class OnePointScans:
@@ -440,18 +261,6 @@ def test_recordings_of_moving_sensors_keep_times_and_stamps(
     np.testing.assert_allclose(stored.points, scan.points, atol=6e-4 if suffix else 0)
 
 
-@pytest.mark.slow
-def test_swathes_are_recorded_like_any_sequence(small: World, route: Route, tmp_path: Path) -> None:
-    drive = simulate_session(small, 0, route, lms151(91), 5, by_rate=True).with_odometry()
-    rows = swathes(drive)
-    record(rows, tmp_path, workers=1)
-    read = open_sequence(tmp_path, tmp_path / "odometry.tum", deskew=False)
-    assert read.indices.tolist() == rows.indices.tolist()
-    np.testing.assert_array_equal(read.scan(0).points, rows.scan(0).points)
-    assert read.poses is not None
-    np.testing.assert_allclose(read.poses, rows.poses, atol=1e-7)
-
-
 def test_what_cannot_be_recorded_is_refused_in_one_line(
     small: World, route: Route, tmp_path: Path
 ) -> None:
@@ -464,28 +273,6 @@ def test_what_cannot_be_recorded_is_refused_in_one_line(
         record(drive, tmp_path / "file")
     with pytest.raises(DatasetError, match="cannot write this format"):
         record(drive, tmp_path / "out", suffix=".doc", workers=1)
-
-
-def test_what_is_missing_is_told_across_processes() -> None:
-    error = MissingDependency("laspy", "io", "writing .laz files")
-    again = pickle.loads(pickle.dumps(error))
-    assert isinstance(again, MissingDependency)
-    assert str(again) == str(error)
-
-
-def test_seconds_as_stamps_need_one_pose_a_scan(tmp_path: Path) -> None:
-    for k in range(3):
-        write_scan(tmp_path / f"{k}.npz", np.full((2, 3), float(k)), times=[0.0, 0.1])
-    assert read_scan(tmp_path / "1.npz").times is not None
-    line = "{} {} 0 0 0 0 0 1\n"
-    poses = tmp_path / "poses.tum"
-    poses.write_text("".join(line.format(0.5 * k, k) for k in range(3)))
-    np.testing.assert_allclose(open_sequence(tmp_path, poses).poses[:, 0, 3], [0, 1, 2])
-    poses.write_text("".join(line.format(0.5 * k, k) for k in range(2)))
-    with pytest.raises(DatasetError, match="its 2 poses are by time"):
-        _ = open_sequence(tmp_path, poses).poses
-    with pytest.raises(DatasetError, match="no room for times"):
-        write_scan(tmp_path / "1.ply", np.zeros((1, 3)), times=[0.0])
 
 
 # --- wrong input ----------------------------------------------------------------------------------

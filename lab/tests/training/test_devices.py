@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import sys
 
@@ -48,11 +47,16 @@ def test_losses_stay_in_single_precision_under_autocast() -> None:
         assert found.dtype == torch.float32 and torch.equal(found, expected)
 
 
+@pytest.mark.slow
 def test_processes_go_on_with_the_mean_of_their_gradients() -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    store = torch.distributed.TCPStore("127.0.0.1", 0, is_master=True, wait_for_workers=False)
+    common = {
+        **os.environ,
+        "WORLD_SIZE": "2",
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": str(store.port),
+        "TORCHELASTIC_USE_AGENT_STORE": "True",  # it is there: none of the two opens a port
+    }
     running = [
         subprocess.Popen(
             [sys.executable, "-c", TOGETHER],

@@ -80,15 +80,6 @@ def test_a_run_that_diverges_ends(shapes: SegmentDataset, tmp_path: Path) -> Non
         train(shapes, tmp_path / "a.safetensors", config, progress=quiet)
 
 
-def test_one_session_says_nothing_of_quality(shapes: SegmentDataset, tmp_path: Path) -> None:
-    alone = shapes.subset(np.arange(len(shapes)))
-    alone.sessions[:] = 0
-    train(alone, tmp_path / "a.safetensors", QUICK, progress=quiet)
-    descriptor = load_descriptor(str(tmp_path / "a.safetensors"), 1)
-    quality = descriptor.describe(alone.segments(np.arange(5))).quality
-    np.testing.assert_array_equal(quality, np.full(5, 0.5, np.float32))
-
-
 def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
     path = tmp_path / "train.yaml"
     with pytest.raises(ConfigError, match=r"train\.yaml: cannot be read \(No such file"):

@@ -27,7 +27,7 @@ def leaves(*shapes: tuple[int, ...]) -> tuple[list[torch.Tensor], list[torch.Ten
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", [(64, 16), (37, 8), (50, 100), (3, 5), (1000, 144), (2, 1)])
+@pytest.mark.parametrize("shape", [(37, 8), (50, 100), (300, 144), (2, 1)])
 @pytest.mark.parametrize("activate", [True, False])
 def test_elu_norm(shape: tuple[int, int], activate: bool) -> None:
     single, double = leaves(shape, shape[1:], shape[1:])
@@ -43,7 +43,7 @@ def test_elu_norm(shape: tuple[int, int], activate: bool) -> None:
 
 @pytest.mark.parametrize(
     ("K", "lifted", "inputs", "depth"),
-    [(8, 16, 0, 4), (10, 8, 32, 2), (3, 5, 1, 1), (17, 2, 20, 3)],
+    [(8, 16, 0, 4), (10, 8, 32, 2), (3, 5, 1, 1)],
 )
 def test_xconv_apply(K: int, lifted: int, inputs: int, depth: int) -> None:
     B, N, S = 5, 6, 20
@@ -61,7 +61,7 @@ def test_xconv_apply(K: int, lifted: int, inputs: int, depth: int) -> None:
         torch.testing.assert_close(a.double(), b, rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize("K", [1, 8, 10, 17])
+@pytest.mark.parametrize("K", [1, 8, 17])
 def test_column_maps(K: int) -> None:
     single, double = leaves((7, 11, K, K), (K, K, K))
     ours, theirs = column_maps(*single), column_maps(*double)

@@ -53,24 +53,3 @@ def test_weights_for_inference_compute_the_same(tmp_path: Path) -> None:
     rounded = descriptor.describe(dataset.segments()).vectors
     assert descriptor.card["data"] == "shapes"
     np.testing.assert_allclose(rounded, expected, atol=0.05 * np.abs(expected).max())
-
-
-def test_a_rebuilt_grid_and_a_known_class_cost_nothing() -> None:
-    dataset = shapes_dataset(6, 2, seed=3)
-    task = create_task(CONFIG)
-    batch = Batches(dataset, task).make(0)
-
-    class Perfect(torch.nn.Module):
-        def forward(self, grids, scales):  # type: ignore[no-untyped-def]
-            logits = 50.0 * torch.nn.functional.one_hot(batch.labels, 6)
-            return scales, logits, 100.0 * (grids - 0.5)
-
-    class Ignorant(torch.nn.Module):
-        def forward(self, grids, scales):  # type: ignore[no-untyped-def]
-            return scales, torch.zeros(len(grids), 6), torch.zeros_like(grids)
-
-    assert task.loss(Perfect(), batch) < 1e-6
-    share = float(batch.inputs[0].mean())
-    rebuilt = np.log(2) * (0.9 * share + 0.1 * (1 - share))  # of even odds, weighted
-    expected = np.log(6) + 200 * rebuilt
-    np.testing.assert_allclose(float(task.loss(Ignorant(), batch)), expected, rtol=1e-5)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from segloc import _native
 from segloc.errors import DatasetError
 from segloc.frontend.segmentation import Segmentation
 from segloc.types import LocalCloud, Scan, Segments
@@ -19,17 +16,16 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("segloc_lab.training.train")
 
 from segloc_lab.training import pair_fitting  # noqa: E402
-from segloc_lab.training.config import AugmentConfig, HeadKind, TrainConfig, augment, reorder  # noqa: E402
+from segloc_lab.training.config import AugmentConfig, HeadKind, TrainConfig, augment  # noqa: E402
 from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
 from segloc_lab.training.extract import ExtractConfig, extract_session  # noqa: E402
-from segloc_lab.training.labels import LabelConfig, groups_of, label_objects  # noqa: E402
+from segloc_lab.training.labels import LabelConfig, label_objects  # noqa: E402
 from segloc_lab.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
-from segloc_lab.training.pair_fitting import PairHead, fit_pair_head, pair_loss  # noqa: E402
+from segloc_lab.training.pair_fitting import PairHead, fit_pair_head  # noqa: E402
 from segloc_lab.training.pointset import prepared_points  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
-from segloc_lab.training.tasks import LOSSES  # noqa: E402
-from segloc_lab.training.train import draw_batch, train  # noqa: E402
+from segloc_lab.training.train import train  # noqa: E402
 
 from segloc.datasets.recorded import Selection  # noqa: E402
 from segloc.descriptors.pointset import PairHead as NumpyHead  # noqa: E402
@@ -91,25 +87,8 @@ def test_a_run_that_was_cut_off_goes_on_exactly(shapes: SegmentDataset, tmp_path
         train(shapes, parts, config.model_copy(update={"seed": 1}), progress=quiet)
 
 
-def test_losses_fall_as_objects_come_apart() -> None:
-    labels = torch.arange(8) // 2
-    same = (labels[:, None] == labels[None, :]) & ~torch.eye(8, dtype=torch.bool)
-    different = labels[:, None] != labels[None, :]
-    torch.manual_seed(0)
-    mixed = torch.randn(8, 4)
-    apart = 10.0 * torch.eye(4)[labels] + 0.01 * mixed
-    for name, loss in LOSSES.items():
-        few, many = loss(apart, same, different), loss(mixed, same, different)
-        assert few < (0.1 if name == "multi_similarity" else 1e-2) < many
-    certain = 20.0 * same - 20.0 * different
-    assert pair_loss(certain, same, different) < 1e-3 < pair_loss(-certain, same, different)
-    nothing = torch.zeros_like(same)
-    half = (pair_loss(certain, same, different) + pair_loss(certain, same, nothing)) / 2
-    assert pair_loss(certain, same, different, nothing) == pytest.approx(float(half))
-
-
-@pytest.mark.parametrize("kind", ["linear", "quadratic", "two_layer"])
-@pytest.mark.parametrize("nearest", [False, True])
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "nearest"), [("linear", False), ("two_layer", True)])
 def test_fc4_finds_what_matters(kind: HeadKind, nearest: bool) -> None:
     """Of two numbers one says nothing: a fitted head tells pairs apart better than distance."""
     rng = np.random.default_rng(0)
@@ -144,7 +123,7 @@ def test_fc4_finds_what_matters(kind: HeadKind, nearest: bool) -> None:
 def test_augmentation_keeps_what_it_must() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(300, 3)).astype(np.float32)
-    for seed in range(30):
+    for seed in range(6):
         changed = augment(points, AugmentConfig(), np.random.default_rng(seed))
         assert changed.dtype == np.float32
         assert 50 < len(changed) <= 300
@@ -155,19 +134,6 @@ def test_augmentation_keeps_what_it_must() -> None:
     assert len(few) >= 20
     still = AugmentConfig(yaw=False, drop=0, occlude=0, thin=0, noise_m=0)
     np.testing.assert_array_equal(augment(points, still, rng), points)
-
-
-@pytest.mark.parametrize("sampler", ["farthest", "random", "inverse_density"])
-def test_samplers_permute(sampler: str) -> None:
-    rng = np.random.default_rng(0)
-    cloud = np.concatenate([rng.normal(0, 0.05, (200, 3)), rng.uniform(3, 9, (56, 3))])
-    offsets = np.array([0, 256], np.int64)
-    prepared = _native.prepare_segments(cloud.astype(np.float32), offsets, 256, "none")
-    out = reorder(prepared, sampler, rng)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(np.sort(out, axis=1), np.sort(prepared, axis=1))
-    spread = {"farthest": 0.6, "random": 0.1, "inverse_density": 0.6}[sampler]
-    sparse = np.abs(out[0, :64] - np.median(prepared[0], axis=0)).max(axis=1) > 1
-    assert (sparse.mean() > spread) == (sampler != "random") or sampler == "random"
 
 
 def test_scores_of_known_descriptors() -> None:
@@ -293,19 +259,6 @@ def test_labels_do_not_chain() -> None:
     assert len(np.intersect1d(labels[::2], labels[1::2])) == 0
 
 
-def test_views_of_a_batch_come_from_different_sessions(shapes: SegmentDataset) -> None:
-    always = TrainConfig(across=1.0, classes=12, views=2)
-    groups = groups_of(shapes.labels)
-    rng = np.random.default_rng(0)
-    sessions = shapes.sessions // 2  # of three views two share a session
-    for _ in range(5):
-        chosen, random = draw_batch(groups, sessions, np.empty((0, 0), np.int64), always, rng)
-        assert random == len(chosen)
-        pairs = chosen.reshape(-1, 2)
-        assert (shapes.labels[pairs[:, 0]] == shapes.labels[pairs[:, 1]]).all()
-        assert (sessions[pairs[:, 0]] != sessions[pairs[:, 1]]).all()
-
-
 def test_validation_gets_places_that_were_visited_twice() -> None:
     rng = np.random.default_rng(0)
     n = 400
@@ -332,21 +285,3 @@ def test_validation_gets_places_that_were_visited_twice() -> None:
     training, held = many.split(0.25, 0)
     assert len(np.unique(held.places)) == 2
     assert not set(training.places) & set(held.places)
-
-
-@pytest.mark.slow
-def test_two_processes_train_one_network(shapes: SegmentDataset, tmp_path: Path) -> None:
-    shapes.save(tmp_path / "shapes.safetensors")
-    (tmp_path / "small.yaml").write_text("classes: 8\nvalidate_every: 2\nvalidation_limit: 60\n")
-    command = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2", "--no-python"]
-    segloc = [str(Path(sys.executable).parent / "segloc"), "train", "dsm", "shapes.safetensors"]
-    options = ["--out", "net.safetensors", "--steps", "3", "--config", "small.yaml"]
-    done = subprocess.run(
-        [sys.executable, "-m", *command, *segloc, *options],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert load_weights(tmp_path / "net.safetensors").card["figures"]["steps"] in (2, 3)

@@ -139,11 +139,3 @@ def test_the_radar_sets_velodyne(tmp_path: Path) -> None:
     scan = opened(path, topic="velodyne_left").scan(0)
     mounted = matrix((-0.60072, -0.34077, -0.26837), (-0.0053948, -0.041998, -3.1337))
     np.testing.assert_allclose(scan.points, geometry.transform(FLIP @ mounted, points), atol=1e-4)
-
-
-def test_cut_off_sweeps_are_named(tmp_path: Path) -> None:
-    path, _ = traversal(tmp_path)
-    victim = sorted((path / "lms_front").iterdir())[3]
-    victim.write_bytes(victim.read_bytes()[:-8])
-    with pytest.raises(DatasetError, match=rf"{victim.name}: cut off: 1024 bytes are not whole"):
-        opened(path).scan(3)

@@ -284,17 +284,6 @@ def test_two_sensors_on_one_topic(tmp_path: Path) -> None:
         opened(path)
 
 
-def test_poses_on_another_clock(tmp_path: Path) -> None:
-    bag = clouds(BagWriter("sqlite3"))
-    for time in times():
-        bag.odometry("/odom", time - START + 5, DRIVE.pose(time), "lidar")
-    path = bag.write(tmp_path / "drive")
-    sequence = opened(path)
-    assert sequence.poses is None
-    (note,) = sequence.notes
-    assert note.startswith("/odom: no pose for any scan: poses are from 4.950")
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
     """One line, or the scans before the cut; never another error, never other points."""

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from samples.executors import processes
 from samples.tiny_suite import TINY
 from segloc_lab.evaluation import comparison, comparison_study
-from segloc_lab.evaluation.comparison import METHODS, fingerprint, ready, shared_config
+from segloc_lab.evaluation.comparison import ready, shared_config
 from segloc_lab.evaluation.comparison_study import answered, summaries
-from segloc_lab.evaluation.scenario import QuerySet
 from segloc_lab.evaluation.study import Study, Table
 from segloc_lab.simulation.suites import SUITES
 from segloc_lab.studies.paper import localization
@@ -24,8 +19,7 @@ from segloc_lab.studies.paper.workspace import Workspace
 
 from segloc import Localizer, build_map
 from segloc.batch.run import localize_sequence
-from segloc.descriptors import Descriptor, create
-from segloc.errors import ConfigError, DatasetError
+from segloc.errors import DatasetError
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.types import Recording
@@ -96,15 +90,6 @@ def test_the_tables_count_what_was_answered(study: Study) -> None:
 
 
 @pytest.mark.slow
-def test_the_map_shows_every_query(study: Study) -> None:
-    figure, other = study.figures
-    assert (figure.fold, other.fold) == ("", "tiny: by other methods")
-    shown = sum(len(figure.series[key][0]) for key in ("localized", "not localized"))
-    assert figure.kind == "map" and shown == 8
-    assert len(figure.series["map"][0]) > 100
-
-
-@pytest.mark.slow
 def test_a_second_run_localizes_nothing(
     study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,31 +98,6 @@ def test_a_second_run_localizes_nothing(
 
     monkeypatch.setattr(comparison, "localize_all", never)
     again = localization.run(workspace)
-    assert again.tables == study.tables
-
-
-@pytest.mark.slow
-def test_what_is_damaged_is_localized_again(
-    study: Study, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (part,) = workspace.out.glob(f"cache/localization-tiny-{METHOD}-*/data")
-    part.write_bytes(part.read_bytes()[:-2])
-    run: list[tuple[str, ...]] = []
-    whole = comparison.localize_all
-
-    def watched(
-        query_sets: dict[str, QuerySet],
-        descriptors: dict[str, Descriptor],
-        places: dict[str, comparison.MappedPlace],
-    ) -> object:
-        run.append(tuple(descriptors))
-        return whole(query_sets, descriptors, places)
-
-    monkeypatch.setattr(comparison, "localize_all", watched)
-    said: list[str] = []
-    again = localization.run(replace(workspace, say=said.append))
-    assert run == [(METHOD,)] * 8  # a piece each query; the other method is as it was
-    assert len(said) == 1 and "damaged" in said[0]
     assert again.tables == study.tables
 
 
@@ -186,35 +146,7 @@ def test_false_answers_stand_in_brackets(study: Study, workspace: Workspace) -> 
     assert isinstance(cell, str) and cell.endswith("(1)")
 
 
-def test_methods_without_weights_are_named_with_the_reason() -> None:
-    found = ready()
-    assert set(found.names) | set(found.left_out) == set(METHODS)
-    assert {"geo", "profile", "dsm", "nsm"} <= set(found.names)
-    for name, why in found.left_out.items():
-        assert f"{name} ({why})" in found.note()
-    assert "+forest-" in fingerprint("nsm") and fingerprint("geo") == create("geo").fingerprint
-    with pytest.raises(ConfigError, match="no method 'best'"):
-        ready(("best",))
-
-
 def test_kitti_without_its_folders_is_one_line(tmp_path: Path) -> None:
     scenario = KittiScenario(tmp_path, False, "small", 0)
     with pytest.raises(DatasetError, match="keyframes: no such folder; --kitti needs"):
         scenario.settings()
-
-
-@pytest.mark.slow
-def test_other_processes_answer_the_same(
-    study: Study, workspace: Workspace, tmp_path: Path
-) -> None:
-    (here,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
-    with processes() as (executor, kill):
-
-        @contextmanager
-        def progress(label: str) -> Iterator[Any]:
-            yield kill
-
-        elsewhere = replace(workspace, out=tmp_path, executor=executor, progress=progress)
-        answered(elsewhere, scenarios(elsewhere), ready((METHOD,)))
-    (there,) = answered(replace(elsewhere, executor=None), scenarios(elsewhere), ready((METHOD,)))
-    assert here.answers == there.answers

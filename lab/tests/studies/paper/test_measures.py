@@ -39,20 +39,6 @@ def test_a_curve_and_its_area_count_pairs(rows: list[tuple[int, bool]]) -> None:
     assert found.area.value == pytest.approx(roc_auc_score(same, score))
 
 
-def test_a_perfect_score_a_constant_one_and_thinning() -> None:
-    same = np.arange(4000) < 2000
-    index = np.arange(4000)
-    pairs = Pairs(index, index, same, index % 7)
-    assert pair_module.roc(same.astype(float), pairs).area.value == 1.0
-    constant = pair_module.roc(np.zeros(4000), pairs)
-    assert constant.area.value == 0.5
-    assert constant.false_positive.tolist() == constant.true_positive.tolist() == [0.0, 1.0]
-    noisy = pair_module.roc(same + np.random.default_rng(0).normal(size=4000), pairs)
-    assert len(noisy.false_positive) <= 200
-    assert (np.diff(noisy.false_positive) >= 0).all() and (np.diff(noisy.true_positive) >= 0).all()
-    assert (noisy.false_positive[-1], noisy.true_positive[-1]) == (1.0, 1.0)
-
-
 def test_deviation_is_the_papers_delta() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(400, 3)).astype(np.float32)

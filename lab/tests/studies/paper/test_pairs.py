@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +14,20 @@ pytest.importorskip("sklearn")
 
 from segloc_lab.bench.harness import Row  # noqa: E402
 from segloc_lab.evaluation.study import Study, Table  # noqa: E402
+from segloc_lab.studies.paper import domains as making  # noqa: E402
 from segloc_lab.studies.paper import (  # noqa: E402
-    domains,
-    generalization,
     learning,
-    memory,
     roc,
-    rotation,
     sampling,
     transfer,
 )
-from segloc_lab.studies.paper import domains as making  # noqa: E402
 from segloc_lab.studies.paper import pairs as pair_module  # noqa: E402
 from segloc_lab.studies.paper.domains import SIMULATED, Domains, DomainSize  # noqa: E402
 from segloc_lab.studies.paper.learning import Effort, Training, load_method, trained  # noqa: E402
 from segloc_lab.studies.paper.pairs import labelled_pairs  # noqa: E402
-from segloc_lab.studies.paper.transfer import SHIPPED, TITLES  # noqa: E402
+from segloc_lab.studies.paper.transfer import TITLES  # noqa: E402
 from segloc_lab.studies.paper.workspace import Workspace  # noqa: E402
 from segloc_lab.training import pair_fitting  # noqa: E402
-from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
 from segloc_lab.training.extract import Extract, sorted_extents  # noqa: E402
 from segloc_lab.training.labels import LabelConfig  # noqa: E402
 from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
@@ -46,7 +38,7 @@ from segloc.errors import ConfigError, DatasetError  # noqa: E402
 SIZES = dict.fromkeys(SIMULATED, DomainSize(1, 1, "small"))
 EFFORT = Effort({"dsm": 3, "esm": 1, "segmap": 1, "profile": 4}, 300, 2000)
 PLAN = transfer.Plan(SIZES, EFFORT, 60)
-METHODS = ("segmatch-eigen", "dsm", "dsm-fq", "geo", "profile")
+METHODS = ("segmatch-eigen", "dsm", "dsm-fq", "geo")
 OBJECTS, SESSIONS = 70, 5
 SIMULATE = making._simulate
 
@@ -150,19 +142,6 @@ def check_a_simulated_domain(tmp_path: Path) -> None:
         making.simulated(tmp_path, "atlantis", "train", size)
 
 
-def test_real_domain_aligns_the_passes(
-    kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(making, "_PLACES", {"test": {"corner": ("160:170", "992:1003")}})
-    folder = making.recorded(tmp_path, kitti, "test", say=lambda _: None)
-    dataset = load_dataset(folder)
-    assert labelled_pairs(dataset).same.sum() > 50
-    forbid(monkeypatch, (making, "collect_recordings"))
-    assert making.recorded(tmp_path, kitti, "test") == folder
-    with pytest.raises(DatasetError, match=r"keyframes\.tum: no such file"):
-        making.recorded(tmp_path, tmp_path, "test")
-
-
 def test_roc_study(curves: Study, space: Workspace) -> None:
     areas = curves.tables[0]
     assert [row[0] for row in areas.rows] == list(METHODS)
@@ -191,41 +170,6 @@ def test_nothing_is_done_twice(curves: Study, space: Workspace) -> None:
             np.testing.assert_array_equal(y, after.series[label][1])
 
 
-def test_cells_are_scored_side_by_side(curves: Study, space: Workspace, tmp_path: Path) -> None:
-    for part in ("datasets", "models"):
-        shutil.copytree(space.out / part, tmp_path / part)
-    scored: list[str] = []
-    score = transfer._score
-    with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(2) as executor:
-        forbid(patch, (learning, "_train"))
-        patch.setattr(transfer, "_score", lambda cell: scored.append(cell.test) or score(cell))
-        again = roc.run(replace(space, out=tmp_path, executor=executor), PLAN)
-        forbid(patch, (transfer, "described"))
-        roc.run(replace(space, out=tmp_path), PLAN)
-    assert sorted(scored) == sorted(SIMULATED) and again.tables == curves.tables
-
-
-def test_generalization_study(curves: Study, space: Workspace) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        forbid(patch, (learning, "_train"))  # trained for the curves
-        study = generalization.run(space, PLAN)
-    areas, percent = study.tables[:2]
-    assert len(areas.rows) == 3 * 4
-    own = cells(areas, "dsm", 2)[TITLES["kitti"], TITLES["kitti"]]
-    assert own == cells(curves.tables[0], TITLES["kitti"])["dsm"]
-    shipped = [row for row in areas.rows if row[1] == TITLES[SHIPPED]]
-    k = areas.columns.index("dsm-fq")
-    assert len(shipped) == 3 and all(row[k - 1] is not None for row in shipped)
-    assert len({row[k] is None for row in shipped}) == 1  # FC4 is shipped, or it is not
-    for domain in SIMULATED:
-        rows = [row for row in percent.rows if row[0] == TITLES[domain]]
-        assert max(cell for row in rows for cell in row[2:] if cell is not None) == 100
-        assert len({value for (test, _), value in cells(areas, "geo", 2).items()
-                    if test == TITLES[domain]}) == 1  # fmt: skip
-    with pytest.raises(ConfigError, match="no method"):
-        generalization.run(Workspace(space.out, methods=("sift",)), PLAN)
-
-
 def test_every_kind_of_weights_is_trained_and_read(space: Workspace) -> None:
     data = Domains(space, SIZES).folder("kitti", "train")
     root = space.out / "models"
@@ -245,20 +189,6 @@ def test_every_kind_of_weights_is_trained_and_read(space: Workspace) -> None:
     assert load_method("esm", wanted[1].out).rates
 
 
-def test_rotation_study(space: Workspace) -> None:
-    plan = rotation.Plan(steps=2, segments=20, pairs=40, sizes=SIZES)
-    study = rotation.run(space, plan)
-    values = cells(study.tables[0], "mean delta")
-    assert len(values) == 8
-    for name, value in values.items():
-        aligned = "2D" in name or "shipped" in name
-        assert value < 0.02 if aligned else value > 0.02 or "3D" in name
-    assert [len(figure.series) for figure in study.figures] == [3, 3]
-    with pytest.MonkeyPatch.context() as patch:
-        forbid(patch, (learning, "_train"))
-        assert rotation.run(space, plan).tables == study.tables
-
-
 def test_sampling_study(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     row = Row("fps", 1, 2.0, {sampling.NAIVE: 800.0, "NumPy, batched": 400.0})
     monkeypatch.setattr(sampling, "in_process", lambda *_: row)
@@ -267,27 +197,3 @@ def test_sampling_study(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> No
     assert [line[2:] for line in speed.rows] == [(400.0, 1.0), (2.0, 200.0), (1.0, 400.0)]
     assert [line[0] for line in worth.rows] == ["farthest", "random", "inverse density"]
     assert all(0 <= line[1] <= 1 and 0 <= line[3] <= 1 for line in worth.rows)
-
-
-def test_memory_study(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    def here(_: int, work: Callable[..., Any], *arguments: Any) -> Any:
-        return work(*arguments)
-
-    if not Path("/proc/self/clear_refs").exists():
-        pytest.skip("the peak of a process is measured on Linux only")
-    monkeypatch.setattr(memory, "in_process", here)
-    first, again = (memory.run(space, batch=4, repeats=1).tables[0] for _ in range(2))
-    assert first.rows[0] == again.rows[0]  # counted, not measured
-    assert first.rows[0][1] < 0.3 * first.rows[0][2]
-    assert first.rows[2][1] < first.rows[2][2]
-    monkeypatch.setattr(memory, "optional", lambda *_: None)
-    with pytest.raises(ImportError, match="torch"):
-        memory.run(space)
-
-
-def test_a_dataset_is_read_once(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = Domains(space, SIZES)
-    dataset = found.dataset("burgess", "test")
-    assert isinstance(dataset, SegmentDataset) and found.names == SIMULATED
-    forbid(monkeypatch, (domains, "load_dataset"))
-    assert found.dataset("burgess", "test") is dataset

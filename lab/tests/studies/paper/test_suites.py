@@ -3,24 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from segloc_lab.simulation import SCENES
-from segloc_lab.simulation.suites import PAPER, REPEATED, SIX
+from segloc_lab.simulation.suites import REPEATED, SIX
 from segloc_lab.simulation.worlds.world import Catalogue
-
-from segloc.geometry import stations
-
-
-def test_at_the_papers_size_there_are_the_papers_queries() -> None:
-    counts = []
-    for test in SIX:
-        every = test.every_m(PAPER)
-        assert every is not None and test.session_length_m(PAPER) == test.length_m / len(test.tests)
-        assert test.every_m("full") is None
-        way = np.arange(0.0, test.session_length_m(PAPER), 0.01)
-        counts.append(len(stations(way, every, 0.5 * every)) * len(test.tests))
-        assert counts[-1] == pytest.approx(test.clouds, abs=len(test.tests))
-    assert sum(counts) == pytest.approx(2706, abs=8)
 
 
 def test_sets_share_no_world() -> None:
@@ -34,15 +18,6 @@ def test_sets_share_no_world() -> None:
                     key = scene, test.first_seed + number
                     assert key not in taken, f"{test.name} ({use}) and {taken[key]}"
                     taken[key] = f"{test.name} ({use})"
-
-
-@pytest.mark.slow
-def test_towns_of_different_sets_are_laid_out_differently() -> None:
-    towns = [test for test in (*SIX, *REPEATED) if test.scene in ("town", "terraces")]
-    roads = [SCENES[t.scene](t.first_seed, size_m=150.0).roads.nodes for t in towns]
-    for k, one in enumerate(roads):
-        for other in roads[:k]:
-            assert one.shape != other.shape or np.abs(one - other).max() > 1.0
 
 
 def test_what_repeats_is_made_from_equal_randomness() -> None:

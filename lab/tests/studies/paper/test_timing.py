@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from segloc_lab.stages import STAGES
-from segloc_lab.studies.paper import published, timing
+from segloc_lab.studies.paper import timing
 
 from segloc.descriptors import create
 from segloc.frontend.segmentation import Segmenter
@@ -50,25 +50,3 @@ def test_every_stage_of_every_method_is_timed(
     assert len({stages["segmentation"] for stages in times.values()}) == 1
     assert times["nsm"]["pruning"] > times["geo"]["pruning"]
     assert times["esm"]["descriptor"] > times["geo"]["descriptor"]
-
-
-def test_the_table_adds_up() -> None:
-    stages = dict.fromkeys(STAGES, 2.0) | {"pose, published": 5.0}
-    measured = {
-        "times": {"one core": {"nsm": stages}, "2 cores": {"nsm": stages}},
-        "segments": 100.0,
-        "map": 700,
-        "queries": 5,
-    }
-    table = timing.time_table("x", measured, {"nsm": create("nsm", 1)})
-    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-    assert [row["processor"] for row in rows] == ["one core", "2 cores"]
-    assert [row["total"] for row in rows] == [14.0, 14.0]
-    assert rows[0]["total, published"] == 17.0 and rows[0]["K"] == 200 and rows[0]["numbers"] == 66
-
-
-def test_published_totals_are_the_sums_of_their_stages() -> None:
-    """To a millisecond or two of rounding, as printed; matching includes no K."""
-    for processor, name, _, stages, _, total in published.TIMES:
-        assert abs(sum(stages) - total) <= 15, (processor, name)
-    assert len(published.localizations().rows) == 6
