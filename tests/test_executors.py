@@ -65,7 +65,7 @@ ALIGN = AlignConfig(every_m=3.0, searched_parts=2)
 
 @pytest.fixture(scope="module")
 def moved(plaza: Plaza) -> list[Moved]:
-    return [Moved(plaza, lane, 8) for lane in (0.0, 2.0)]
+    return [Moved(plaza, lane, 8) for lane in (0.0, 1.0, 2.0)]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_aligned_sessions(moved: list[Moved], aligned_here: Alignment, tmp_path:
             yield kill
 
         there = align_sessions(moved, GEO, ALIGN, stage, executor=executor, folder=tmp_path)
-    assert here.components == there.components == [[0, 1]]
+    assert here.components == there.components == [[0, 1, 2]]
     for a, b in zip(here.poses, there.poses, strict=True):
         np.testing.assert_array_equal(a, b)
     assert loops_jsonl(here) == loops_jsonl(there)
