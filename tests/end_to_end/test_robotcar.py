@@ -75,7 +75,7 @@ def test_sessions_are_aligned_trained_on_and_localized(tmp_path: Path) -> None:
     off = errors(*poses, first, second)
     assert len(off) > 100 and np.median(off) < 0.15 and off.max() < 0.5
 
-    with (out / "aligned" / "pairs.csv").open(newline="") as file:
+    with (out / "dataset" / "pairs.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["match"] == "1"]
     assert ("0", "1") in {(row["first_session"], row["second_session"]) for row in rows}
     assert len(rows) > 200 and max(float(row["distance_m"]) for row in rows) < 1.0
