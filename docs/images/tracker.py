@@ -1,6 +1,6 @@
 """Draw the moving picture of docs/live.md: a robot that does not know where it is, and finds out.
 
-python docs/images/tracker.py     # writes tracker.webp beside itself; needs extras sim and report
+python docs/images/tracker.py     # writes tracker.webp beside itself; needs segloc-lab
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def test_beams_are_left_out_without_poses() -> None:
 
 @pytest.mark.slow
 def test_scans_of_worlds_that_differ_are_kept_apart(tmp_path: Path) -> None:
-    pytest.importorskip("embreex", reason="simulation needs the extra sim")
+    pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
     worlds = [building(4, size_m=40.0, storeys=2, differ=differ) for differ in (0.0, 1.0)]
     alike, own = (
         simulate_sessions(world, vlp16(60), [Conditions()], length_m=20.0, storey=1)[0]

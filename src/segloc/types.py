@@ -62,8 +62,16 @@ class Scan:
     """
 
     __slots__ = (
-        *("T_base_sensor", "T_odom_sensor", "dropped", "gravity", "gravity_error_deg", "kept"),
-        *("missing_returns", "points", "stamp", "times"),
+        "T_base_sensor",
+        "T_odom_sensor",
+        "dropped",
+        "gravity",
+        "gravity_error_deg",
+        "kept",
+        "missing_returns",
+        "points",
+        "stamp",
+        "times",
     )
 
     def __init__(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 pytest.importorskip("rosbags")
 pytest.importorskip("kiss_icp")
 

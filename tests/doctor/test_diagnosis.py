@@ -291,7 +291,7 @@ DRIVES = [
 def test_simulated_drives_of_every_platform_have_nothing_wrong(
     platform: str, scene: str, sensor: str
 ) -> None:
-    pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+    pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
     from segloc_lab.simulation import PLATFORMS, SCENES, SENSORS, Conditions, simulate_sessions
 
     size = {} if scene in ("offices", "warehouse") else {"size_m": 150.0}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
 from samples.robotcar import T_sensor_car, write_drive

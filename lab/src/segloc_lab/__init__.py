@@ -1,1 +1,1 @@
-"""The experiments behind segloc: studies, benchmarks, protocols, calibration and weights."""
+"""The laboratory of segloc: simulation, training, studies, protocols, benchmarks, calibration."""

@@ -6,7 +6,7 @@ Monday and Tuesday are sessions of one town, a car's drives with different senso
 cars are parked, half of the leaves are gone, and 15 % of what can be replaced is replaced. Tuesday
 goes along Monday's way in another lane, leaves it, and returns in the opposite direction.
 The third drive is in another town. Seed 0 throughout. Processors round rays differently: another
-machine may record slightly different files. Takes about a minute; needs the extra ``sim``.
+machine may record slightly different files. Takes about a minute.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-pytest.importorskip("embreex", reason="simulation needs the extra sim")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
 from segloc_lab.simulation import (
     Conditions,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("embreex", reason="simulation needs the extra sim")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
 from segloc_lab.simulation import (
     Conditions,

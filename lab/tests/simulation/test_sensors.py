@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
 from segloc_lab.simulation import (
     PLATFORMS,

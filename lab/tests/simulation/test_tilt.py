@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
 from segloc_lab.simulation import (
     Conditions,

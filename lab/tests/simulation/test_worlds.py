@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("embreex", reason="the simulator needs the extra 'sim'")
+pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
 from samples.worlds import made_anew
 from segloc_lab.simulation import (

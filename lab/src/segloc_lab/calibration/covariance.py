@@ -38,8 +38,15 @@ FALSE_M, FALSE_DEG = 1.0, 5.0
 """Answers farther off are false: no covariance is meant to cover them."""
 SHARES = (0.68, 0.95)
 COLUMNS = (
-    *("errors", "n", "model", "median deg", "median m"),
-    *("rotation in 68 %", "in 95 %", "position in 68 %", "in 95 %"),
+    "errors",
+    "n",
+    "model",
+    "median deg",
+    "median m",
+    "rotation in 68 %",
+    "in 95 %",
+    "position in 68 %",
+    "in 95 %",
 )
 REAL_STEP = 5
 _LEAST = (0.2, 0.2, 1e-3, 1e-3, 1e-4, 1e-4)  # of the model's parameters

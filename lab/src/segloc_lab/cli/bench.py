@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,33 +11,31 @@ import typer
 
 from segloc.errors import ConfigError
 
-from ..bench.fps import fps
-from ..bench.geometric import clustering, icp, knn, pose
-from ..bench.harness import Row, in_process
-from ..bench.network import dsm_vs_esm, network
-from ..bench.query import query
-from ..bench.stream import stream, stream_os1_128, stream_vlp16
-
 if TYPE_CHECKING:
     from ..bench.harness import Row
 
-
-Benchmark = Callable[[int, int], Row]
-
-BENCHMARKS: dict[str, Benchmark] = {
-    "fps": fps,
-    "network": network,
-    "dsm_vs_esm": dsm_vs_esm,
-    "clustering": clustering,
-    "knn": knn,
-    "pose": pose,
-    "icp": icp,
-    "query": query,
-    "stream": stream,
-    "stream_os1_128": stream_os1_128,
-    "stream_vlp16": stream_vlp16,
+BENCHMARKS = {
+    "fps": "fps",
+    "network": "network",
+    "dsm_vs_esm": "network",
+    "clustering": "geometric",
+    "knn": "geometric",
+    "pose": "geometric",
+    "icp": "geometric",
+    "query": "query",
+    "stream": "stream",
+    "stream_os1_128": "stream",
+    "stream_vlp16": "stream",
 }
-"""Functions of (threads, repeats)."""
+"""Modules of ``segloc_lab.bench`` by the name of their benchmark."""
+
+
+def benchmark(name: str) -> Callable[[int, int], Row]:
+    """Load a benchmark: a function of (threads, repeats)."""
+    found: Callable[[int, int], Row] = getattr(
+        import_module(f"segloc_lab.bench.{BENCHMARKS[name]}"), name
+    )
+    return found
 
 
 def run(names: Sequence[str], threads: Sequence[int], repeats: int) -> Iterator[Row]:
@@ -44,10 +43,12 @@ def run(names: Sequence[str], threads: Sequence[int], repeats: int) -> Iterator[
     for name in names:
         if name not in BENCHMARKS:
             raise ConfigError(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
+    from ..bench.harness import in_process
+
     if repeats < 1 or min(threads, default=0) < 1:
         raise ConfigError("threads and repeats must be at least 1")
     return (
-        in_process(count, BENCHMARKS[name], count, repeats) for name in names for count in threads
+        in_process(count, benchmark(name), count, repeats) for name in names for count in threads
     )
 
 

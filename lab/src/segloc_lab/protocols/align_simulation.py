@@ -3,7 +3,7 @@
     python -m segloc_lab.protocols.align_simulation [--scene town]
 
 Each session has other lanes, directions, cars and detours, 1 % of drift and a frame of its own;
-every second one is in winter, with a fifth of what can be moved replaced. Needs the extra ``sim``.
+every second one is in winter, with a fifth of what can be moved replaced.
 """
 
 from __future__ import annotations

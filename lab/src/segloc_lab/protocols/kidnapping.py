@@ -10,8 +10,7 @@ Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of 
 map has the place. Held: metres of the whole trial localized farther off than that.
 
 Each seed is a world of its own, so runs of different seeds can work at once. What was tried is
-kept, a line a trial, and a run goes on where the last one ended. ``--add`` adds up. Needs the
-extra ``sim``.
+kept, a line a trial, and a run goes on where the last one ended. ``--add`` adds up.
 """
 
 from __future__ import annotations

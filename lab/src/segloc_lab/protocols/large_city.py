@@ -12,7 +12,7 @@ also asked in a thin map ten times as large, of copies of this one, each moved b
 Whatever is finished is kept in WORK, so a run goes on where the last one ended, and ends before the
 limit by itself. Queries are asked by a fresh process that does nothing else: its processor time and
 its largest resident memory are measured. ``OUT --limit 0 --report FOLDER`` only reports what
-another machine measured. Needs the extra ``sim``.
+another machine measured.
 """
 
 from __future__ import annotations

@@ -11,8 +11,7 @@ and the second followed. Localized: of the scans within 3 m of the mapped path. 
 is switched on anew every 20 m of the way. False: metres localized, or degraded with a pose, more
 than 2 m (KITTI, whose truth is good to a metre: 3 m) or 10 degrees off. Times are those of the
 processor, with one thread. ``--minutes`` instead lets a robot go there and back along a street at
-1.5 m/s, and notes its memory every minute. Runs can work at once; ``--add`` adds up. Needs the
-extra ``sim``.
+1.5 m/s, and notes its memory every minute. Runs can work at once; ``--add`` adds up.
 """
 
 from __future__ import annotations
