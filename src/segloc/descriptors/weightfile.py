@@ -22,7 +22,7 @@ from ..system.files import replacing
 from ..system.tensor_file import TensorFile, TensorFileError
 
 _VERSION = "2"
-_EXPERIMENTS = "segloc_lab"
+_LABORATORY = "segloc_lab"
 """Brings the weights of methods that are there to be compared with."""
 _OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionError, LookupError)
 """By what NumPy and the networks refuse contents; TypeError: a dtype that NumPy has not."""
@@ -121,7 +121,7 @@ def shipped_weights(file: str) -> Path:
         If neither has it.
     """
     folders = [Path(__file__).resolve().parent.parent]
-    if spec := find_spec(_EXPERIMENTS):
+    if spec := find_spec(_LABORATORY):
         folders += [Path(folder) for folder in spec.submodule_search_locations or ()]
     for folder in folders:
         path = folder / "weights" / file
