@@ -114,11 +114,10 @@ def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    studies = pytest.importorskip("segloc_lab.studies.paper.workspace")
-    workspaces = importlib.import_module("segloc_lab.studies.paper.workspace")
+    workspaces = pytest.importorskip("segloc_lab.studies.paper.workspace")
     counting = loaded("lab/src/segloc_lab/studies/paper/counting.py", tmp_path)
     monkeypatch.setitem(sys.modules, "segloc_lab.studies.paper.counting", counting)
     workspace = workspaces.Workspace(tmp_path / "out", methods=("geo", "profile"))
-    study = studies.run("counting", workspace)
+    study = workspaces.run("counting", workspace)
     assert study.tables[0].rows == (("geo", 7), ("profile", 32))
     assert (tmp_path / "out" / "counting" / "study.json").is_file()

@@ -49,7 +49,8 @@ class MissingDependency(SeglocError, ImportError):
     """An optional package is needed; the message says how to install it."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(f"{purpose} needs {package}: pip install 'segloc[{extra}]'")
+        what = "segloc-lab" if extra == "lab" else f"'segloc[{extra}]'"
+        super().__init__(f"{purpose} needs {package}: pip install {what}")
         self._needed = (package, extra, purpose)
 
     def __reduce__(self) -> tuple[type[MissingDependency], tuple[str, str, str]]:

@@ -52,7 +52,7 @@ def test_all_runs_every_study_and_leaves_out_what_cannot_be(
 
     def run(name: str, workspace: object) -> Study:
         if name == "memory":
-            raise MissingDependency("torch", "train", "measuring memory")
+            raise MissingDependency("torch", "lab", "measuring memory")
         done.append(name)
         return Study(name, name.title())
 

@@ -169,7 +169,7 @@ class TrainConfig(Section):
 def require_torch() -> None:
     """Say what to install before anything else is done."""
     if find_spec("torch") is None:
-        raise MissingDependency("torch", "train", "training")
+        raise MissingDependency("torch", "lab", "training")
 
 
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:

@@ -108,7 +108,7 @@ def _classifier(config: ForestConfig) -> Any:
     try:
         from sklearn.ensemble import RandomForestClassifier
     except ImportError as error:
-        raise MissingDependency("scikit-learn", "baselines", "training a forest") from error
+        raise MissingDependency("scikit-learn", "lab", "training a forest") from error
     return RandomForestClassifier(
         config.trees,
         max_leaf_nodes=config.max_leaves,

@@ -136,7 +136,7 @@ class Scene:
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene
         except ImportError as error:
-            raise MissingDependency("embreex", "sim", "simulation") from error
+            raise MissingDependency("embreex", "lab", "simulation") from error
         self._embree = EmbreeScene()
         vertices, faces = terrain.mesh()
         filled = [group for group in groups if len(group.triangles)]

@@ -145,7 +145,7 @@ def trained(
         try:
             importlib.import_module("torch")
         except ImportError as error:
-            raise MissingDependency("torch", "train", "training") from error
+            raise MissingDependency("torch", "lab", "training") from error
     progress(0, len(missing))
     missing.sort(key=_order)  # long ones first: at the end no process waits for another
     for done, _ in enumerate(in_parallel(_train, missing, workers, executor), start=1):

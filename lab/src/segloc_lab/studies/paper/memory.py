@@ -43,7 +43,7 @@ def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
         Of timed steps; the median counts.
     """
     if optional("torch") is None:
-        raise MissingDependency("torch", "train", "measuring training")
+        raise MissingDependency("torch", "lab", "measuring training")
     start = time.monotonic()
     works: dict[str, tuple[Callable[..., float], tuple[int, ...]]] = {
         "kept for the backward pass, MB": (saved_mb, (batch,)),
