@@ -44,7 +44,6 @@ NOT_RUN = {
         "needs a large dataset; each option is tried in lab/tests/cli/test_train.py"
     ),
     r"segloc train (extract|profile)": "minutes; at their smallest in lab/tests/cli/test_train.py",
-    r"segloc map build .*--weights": "of weights that the line before trains",
     r"segloc simulate (building|industrial|forest)": "minutes; in lab/tests/cli/test_simulate.py",
     r"segloc (map build|localize) runs/": "of recordings that the line before simulates",
     r"segloc demo": "in tests/docs/test_pictures.py",

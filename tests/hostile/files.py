@@ -388,8 +388,9 @@ def imu(first: bytes) -> Callable[[Path], object]:
 
 
 HEAD = b"\0\1\0\0" + struct.pack("<iII", int(START), 0, 4) + b"imu\0"
-add("sequence", "imu-cut.d", imu(HEAD), "imu-cut")
-add("sequence", "imu-noise.d", imu(b"\0\1\0\0" + b"\xff" * 400), "imu-noise")
+add("sequence", "imu-cut.d", imu(HEAD), "not used", may_be_read=True)
+noise = imu(b"\0\1\0\0" + b"\xff" * 400)
+add("sequence", "imu-noise.d", noise, "not used", may_be_read=True)
 add(
     "sequence", "imu-nan.d", imu(HEAD + struct.pack("<37d", *[float("nan")] * 37)), may_be_read=True
 )
@@ -505,7 +506,9 @@ for name, change in {
     "far": {"ego_pose": mended(translation=[1e12, 0, 0])}, "null": {"sample_data": b"null"},
     "infinite": {"sample_data": b'[{"timestamp": 1e999}]'}, "noise": {"scene": b"\xff\xfe"},
 }.items():  # fmt: skip
-    add("sequence", f"nuscenes-{name}", tables(**change), f"nuscenes-{name}")
+    posed = "ego_pose" in change  # the scans are read, and a note says that poses are not used
+    says = "not used" if posed else f"nuscenes-{name}"
+    add("sequence", f"nuscenes-{name}", tables(**change), says, posed)
 
 
 def changed(

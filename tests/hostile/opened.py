@@ -48,7 +48,7 @@ def read_sequence(path: Path) -> str:
             assert np.isfinite(recording.scan(i).points).all()
         except SeglocError as error:
             faults.append(one_line(error))
-    return f"{len(recording)} scans; {'; '.join(faults)}"
+    return f"{len(recording)} scans; {'; '.join([*faults, *recording.notes])}"
 
 
 def read_trajectory(path: Path) -> str:

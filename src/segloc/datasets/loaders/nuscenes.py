@@ -57,7 +57,7 @@ def find(path: Path, topic: str | None) -> Found:
     folder, scene = scenes[name]
     try:
         sweeps = _sweeps(folder, scene)
-        poses, stamps = _poses(folder, sweeps)
+        stamps = np.array([int(sweep["timestamp"]) * 1e-6 for sweep in sweeps])
         files = tuple(path / sweep["filename"] for sweep in sweeps)
     except DatasetError:
         raise
@@ -69,7 +69,7 @@ def find(path: Path, topic: str | None) -> Found:
         source=FileSource(files, parse_nuscenes),
         indices=np.arange(len(files)),
         stamps=stamps,
-        own_track=lambda: clean_track("ego_pose", stamps, poses),
+        own_track=lambda: clean_track("ego_pose", stamps, _poses(folder, sweeps)),
         topic=name,
         frame=_CHANNEL,
         fields="x y z intensity ring",
@@ -110,13 +110,17 @@ def _sweeps(folder: Path, scene: Row) -> list[Row]:
     return sorted(rows, key=lambda row: int(row["timestamp"]))
 
 
-def _poses(folder: Path, sweeps: list[Row]) -> tuple[Float64, Float64]:
-    wanted = {sweep["ego_pose_token"] for sweep in sweeps}
-    egos = {row["token"]: row for row in _table(folder, "ego_pose") if row["token"] in wanted}
-    T_world_car = _stacked([egos[sweep["ego_pose_token"]] for sweep in sweeps], folder)
-    T_car_lidar = _stacked([sweep["mount"] for sweep in sweeps], folder)
-    stamps = np.array([int(sweep["timestamp"]) * 1e-6 for sweep in sweeps])
-    return T_world_car @ T_car_lidar, stamps
+def _poses(folder: Path, sweeps: list[Row]) -> Float64:
+    try:
+        wanted = {sweep["ego_pose_token"] for sweep in sweeps}
+        egos = {row["token"]: row for row in _table(folder, "ego_pose") if row["token"] in wanted}
+        T_world_car = _stacked([egos[sweep["ego_pose_token"]] for sweep in sweeps], folder)
+        T_car_lidar = _stacked([sweep["mount"] for sweep in sweeps], folder)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError(
+            f"{folder}: ego_pose does not fit the sweeps: {error!r}"[:500]
+        ) from error
+    return T_world_car @ T_car_lidar
 
 
 def _stacked(rows: list[Row], folder: Path) -> Float64:
