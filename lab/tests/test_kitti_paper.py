@@ -72,6 +72,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 METHODS = ("geo", "segmatch-eigen")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 def test_pieces_that_were_cut_off_and_put_together_are_one_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -97,6 +98,7 @@ def test_pieces_that_were_cut_off_and_put_together_are_one_run(
     assert protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str) == whole
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 def test_tables_are_made_of_the_answers_that_a_folder_has(tmp_path: Path) -> None:
     folder = tmp_path / "kitti-paper"

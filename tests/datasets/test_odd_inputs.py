@@ -91,6 +91,7 @@ def inputs() -> list[Path]:
     return found
 
 
+@pytest.mark.slow
 def test_every_odd_input_ends_in_an_answer_or_one_line() -> None:
     paths = inputs()
     answers = run_verbs([["doctor", str(path)] for path in paths], 3 * LIMIT_S)

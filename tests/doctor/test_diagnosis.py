@@ -123,6 +123,7 @@ def check_said(text: str, pattern: str) -> None:
     assert "\n" not in text and ": " in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POSES)
 def test_poses_that_are_written_wrongly_are_named(name: str) -> None:
     means, fault, said = POSES[name]

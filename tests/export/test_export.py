@@ -269,6 +269,7 @@ def test_what_makes_no_sense_is_one_clear_line(
             Place.parse(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text"),
     [

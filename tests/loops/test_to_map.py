@@ -41,6 +41,7 @@ def prior_map() -> SegmentMap:
     return build_map(sample.load("monday"), CONFIG)
 
 
+@pytest.mark.slow
 def test_another_day_is_brought_into_the_map(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
     found = align_to_map(prior_map, [drifted(tuesday, 1), drifted(tuesday, 2)], CONFIG)
     for poses, odometry, unanchored_m in zip(
@@ -52,6 +53,7 @@ def test_another_day_is_brought_into_the_map(prior_map: SegmentMap, tuesday: Sam
         assert unanchored_m < 30
 
 
+@pytest.mark.slow
 def test_a_short_session_in_memory_is_brought_there_too(
     prior_map: SegmentMap, tuesday: SampleDrive
 ) -> None:
@@ -61,6 +63,7 @@ def test_a_short_session_in_memory_is_brought_there_too(
     assert np.median(errors_m(found.poses[0], tuesday.truth[20:26])) < 0.3
 
 
+@pytest.mark.slow
 def test_what_does_not_meet_the_map_is_refused(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
     elsewhere = drifted(sample.load("elsewhere"), 4)
     with pytest.raises(MapMismatch, match=r"session 1: elsewhere does not meet the map: 0 of 1. p"):
@@ -87,6 +90,7 @@ def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     return int(end.value.code or 0)
 
 
+@pytest.mark.slow
 def test_the_commands(
     prior_map: SegmentMap,
     tuesday: SampleDrive,
@@ -126,6 +130,7 @@ def test_the_commands(
     assert np.median(errors_m(session, tuesday.truth)) < 0.3
 
 
+@pytest.mark.slow
 def test_an_update_without_poses_names_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
