@@ -228,7 +228,7 @@ def test_tables_of_poses_are_read_by_their_names(name: str, tmp_path: Path) -> N
     found = read_trajectory(tmp_path / "poses.csv")
     assert found.stamps[0] == pytest.approx(ROW[0], abs=1e-9)
     assert found.poses[0, :3, 3].tolist() == list(ROW[1:4])
-    quaternion = Rotation.from_matrix(found.poses[0, :3, :3]).as_quat()
+    quaternion = Rotation.from_matrix(found.poses[0, :3, :3].copy()).as_quat()
     np.testing.assert_allclose(quaternion * np.sign(quaternion[3]), ROW[4:], atol=1e-9)
 
 

@@ -33,7 +33,7 @@ def _inverse(poses: Float64) -> Float64:
 
 def _scalar_first(poses: Float64) -> Float64:
     """As if the four numbers of each rotation were w, x, y, z."""
-    first = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    first = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()
     read: Float64 = poses.copy()
     read[:, :3, :3] = Rotation.from_quat(first[:, [1, 2, 3, 0]]).as_matrix()
     return read
