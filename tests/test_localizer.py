@@ -23,6 +23,7 @@ from segloc import (
     build_map,
     geometry,
 )
+from segloc.config import map_config
 from segloc.errors import ConfigError, DatasetError
 from segloc.likelihood import QueryCloud, Verdict
 from segloc.localization import Localization, Reason
@@ -214,6 +215,12 @@ def test_a_query_is_configured_as_the_map_was_built(plaza: Plaza) -> None:
     default = Localizer(built, GEO)
     assert default.notes == ("not as the map was built: segmentation.ground_cell",)
     assert Localizer(build_map(PlazaSequence(plaza, steps=3), GEO)).notes == ()
+
+
+def test_the_configuration_of_a_method_that_is_not_installed_is_read() -> None:
+    prior_map = SegmentMap.empty("elsewhere", "f" * 16, 3, np.zeros(3))
+    prior_map.metadata["config"] = "method: elsewhere\nmapping: {cloud_voxel: 0.7}\n"
+    assert map_config(prior_map).mapping.cloud_voxel == 0.7
 
 
 def test_a_map_without_a_readable_configuration_uses_the_preset(prior_map: SegmentMap) -> None:

@@ -110,22 +110,28 @@ def stored_config(prior_map: SegmentMap, model: type[BuildConfigT]) -> BuildConf
     model : type
         :class:`BuildConfig`, or a subclass that reads more of the same text.
     """
-    text = prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
-    parsed: BuildConfigT = _parsed(text, prior_map.descriptor, model)
-    return parsed
+    parsed: BuildConfigT | None = _parsed(stored_text(prior_map), prior_map.descriptor, model)
+    if parsed is not None:
+        return parsed
+    values = {"method": prior_map.descriptor, **preset(prior_map.descriptor)}
+    return model.model_validate(_known(values, model))
+
+
+def stored_text(prior_map: SegmentMap) -> str:
+    """The configuration of a map as YAML; the first of several, "" if it holds none."""
+    return prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
 
 
 @lru_cache(maxsize=8)  # the tiles of a map share one text, and YAML is slow to parse
-def _parsed(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT:
-    default = model.model_validate(_known({"method": method, **preset(method)}, model))
+def _parsed(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT | None:
     if len(text) > _MAX_CHARACTERS:  # map files come from strangers
-        return default
+        return None
     try:
         values = parse_yaml(text, "the map") or {}
         stored = model.model_validate(_known({**values, "threads": 0}, model))
     except (ConfigError, ValueError, TypeError, AttributeError, ArithmeticError):
-        return default
-    return unmounted(stored) if stored.method == method else default
+        return None
+    return unmounted(stored) if stored.method == method else None
 
 
 def _known(values: dict[str, object], model: type[BuildConfig]) -> dict[str, object]:

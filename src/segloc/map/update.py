@@ -12,11 +12,10 @@ from scipy.spatial import cKDTree
 
 from ..errors import MapMismatch, SeglocError
 from ..system.section import Section
-from ..types import Float64, Recording, Scanned, as_recording
+from ..types import Float64, Scanned, as_recording
 from .build import build_map
 from .compact import compacted
-from .config import BuildConfig, stored_config
-from .merge import TEXT_SEPARATOR
+from .config import BuildConfig, stored_config, stored_text
 from .same_place import check_same_place
 from .segment_map import SegmentMap
 from .visibility import Visibility, VisibilityConfig, visibility
@@ -126,7 +125,10 @@ def update_map(
     missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
         np.int32
     )
-    fresh = _described(prior_map, recording, config)
+    built = config or stored_config(prior_map, BuildConfig)
+    fresh = build_map(recording, built, adapt=False)
+    if config is None and (text := stored_text(prior_map)):
+        fresh.metadata["config"] = text  # one text, not a part of it beside the whole
     try:
         check_same_place(prior_map, fresh, elsewhere=elsewhere)
     except MapMismatch as error:
@@ -138,7 +140,7 @@ def update_map(
     merged = old.merge(fresh)
     keep = _newest_views(merged, update)
     bounded = merged.kept(keep, np.ones(len(merged.cloud), dtype=bool))
-    updated = compacted(bounded, (config or stored_config(prior_map, BuildConfig)).mapping.compact)
+    updated = compacted(bounded, built.mapping.compact)
     return updated, UpdateCounts(
         added=len(fresh),
         seen=int(seen.sum()),
@@ -148,18 +150,6 @@ def update_map(
         bounded=len(merged) - len(updated),
         points_removed=int((~points).sum()),
     )
-
-
-def _described(
-    prior_map: SegmentMap, recording: Recording, config: BuildConfig | None
-) -> SegmentMap:
-    """The map of the session alone; by default as ``prior_map`` was built, which it then says."""
-    if config is not None:
-        return build_map(recording, config, adapt=False)
-    fresh = build_map(recording, stored_config(prior_map, BuildConfig), adapt=False)
-    if kept := prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]:
-        fresh.metadata["config"] = kept
-    return fresh
 
 
 def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:

@@ -10,7 +10,6 @@ the sample.
 
 from __future__ import annotations
 
-import argparse
 import json
 import select
 import shutil
@@ -28,7 +27,7 @@ import numpy as np
 from segloc.io import write_scan
 from segloc.sample import load
 
-from ..report import Cell, Table, new_folder, publish
+from ..report import Cell, Table, publish, reporting
 
 LIMIT_S = 10.0
 """Longest time that one command may take [s], start of the process left out."""
@@ -177,13 +176,9 @@ def _size(path: Path) -> int:
 
 def main() -> None:
     """Run the command."""
-    summary, _, rest = (__doc__ or "").partition("\n")
-    options = argparse.ArgumentParser(
-        description=f"{summary}\n{rest}", formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    options = reporting(__doc__)
     options.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
     options.add_argument("--fuzz", type=int, default=0, metavar="BYTES")
-    options.add_argument("--report", type=new_folder, metavar="FOLDER")
     args = options.parse_args()
     paths, line = list(inputs(args.folders)), CommandLine()
     rows: list[list[Cell]] = []
