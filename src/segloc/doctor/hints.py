@@ -8,6 +8,7 @@ from ..errors import SeglocError
 from ..frontend.local_cloud import LocalCloudConfig
 from ..localization import Localization
 from ..map.segment_map import SegmentMap
+from ..system.text import counted
 from ..types import Scanned, as_recording
 from .recording import first_fault
 
@@ -39,8 +40,7 @@ def hint(
     found = sum(result.localized for result in results)
     if found > _MOST * len(results):
         return None
-    count = f"{len(results)} {'query' if len(results) == 1 else 'queries'}"
-    failed = f"{len(results) - found} of {count} failed."
+    failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
     cause = known or _fault(scans, config, {} if prior_map is None else prior_map.metadata)
     if cause is not None:
         return f"{failed} Likely cause: {cause}"

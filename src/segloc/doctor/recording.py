@@ -182,8 +182,11 @@ _NO_POSES = Finding(
     wrong=False,
 )
 _FRAME_FAULTS = {
-    *(Fault.MILLIMETRES, Fault.CENTIMETRES, Fault.WORLD_COORDINATES),
-    *(Fault.CAMERA_AXES, Fault.Z_DOWN),
+    Fault.MILLIMETRES,
+    Fault.CENTIMETRES,
+    Fault.WORLD_COORDINATES,
+    Fault.CAMERA_AXES,
+    Fault.Z_DOWN,
 }
 """Where points are like this, nothing can be said of what depends on them."""
 

@@ -113,6 +113,7 @@ def _numbers(text: str) -> list[int]:
 
 def _show(rows: list[Row], title: str) -> None:
     from segloc.cli.console import table
+    from segloc.system.text import counted
 
     from ..bench.harness import table_rows
 
@@ -121,4 +122,4 @@ def _show(rows: list[Row], title: str) -> None:
     for row in rows:
         if row.details:
             text = ", ".join(f"{name} {value:.4g}" for name, value in row.details.items())
-            print(f"{row.name}, {row.threads} thread{'s' * (row.threads > 1)}: {text}")
+            print(f"{row.name}, {counted(row.threads, 'threads')}: {text}")
