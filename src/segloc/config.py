@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
-from .likelihood import VerificationConfig, shipped_confidence
+from .likelihood import VerificationConfig, shipped_model
 from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, unmounted
 from .map.segment_map import SegmentMap
 from .proposals.landmarks.config import StemConfig
@@ -44,10 +44,9 @@ FOR_USERS = (
     "occupancy.enabled",
     "stems.enabled",
     "verification.min_confidence",
-    "verification.min_inliers",
     "verification.refine",
 )
-"""What users may want to set. The confidence was fitted under the others."""
+"""What users may want to set. The model of the verdict was fitted under the others."""
 
 _UNITS = {"_m": "metres", "_deg": "degrees", "_ms": "milliseconds", "_s": "seconds"}
 """Of keys, by how their names end."""
@@ -126,7 +125,7 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
     notes = []
     if changed := differences(_shared(config), _shared(built)):
         notes.append(f"not as the map was built: {', '.join(changed)}")
-    fitted = _merged(dict(shipped_confidence().settings), dict(descriptors.preset(config.method)))
+    fitted = _merged(dict(shipped_model().settings), dict(descriptors.preset(config.method)))
     if changed := differences(config.model_dump(mode="json"), fitted):
         notes.append(f"confidence was fitted under other values of {', '.join(changed)}")
     return config, tuple(notes)

@@ -24,9 +24,8 @@ class Reason(str, Enum):
     NO_SEGMENTS = "no segments"
     NO_MATCHES = "no matches"
     NO_CONSISTENT_MATCHES = "no consistent matches"
-    TOO_FEW_INLIERS = "too few inliers"
-    TOO_LITTLE_OVERLAP = "too little overlap"
     AMBIGUOUS = "ambiguous"
+    NOT_IN_MAP = "not in the map"
     TOO_UNCERTAIN = "too uncertain"
     NOT_NEAR_PRIOR = "not near the prior"
 
@@ -49,18 +48,22 @@ def ambiguous_with(T_map_other: Pose) -> str:
 
 
 @dataclass(frozen=True)
-class RunnerUp:
-    """The best supported candidate at a different place.
+class Place:
+    """A place that a query may have been taken at.
 
     Attributes
     ----------
     T_map_sensor : (4, 4) float64
+    probability : float
+        In [0, 1].
     inliers : int
+        Segments of the query that agree with the pose.
     overlap : float
-        Rough share of the query cloud that lies on the map there, in [0, 1].
+        Share of the query that lies on the map there, in [0, 1].
     """
 
     T_map_sensor: Pose
+    probability: float
     inliers: int
     overlap: float
 
@@ -79,18 +82,17 @@ class _Answer:
     seen : float or None
         Share of the judged map points that the query sees there, in [0, 1]; the others are
         free-space violations. None where nothing of the map is in view.
-    inlier_ratio : float or None
-        How many times as many inliers as the runner-up, or as chance. None where it was not
-        compared.
     proposer : str or None
         What found the pose: "segments" (their matches), "stems", "occupancy", or a proposer of
         your own. None if no pose was proposed.
     rmse : float or None
         Residual of the alignment, metres. None where nothing was aligned.
     confidence : float
-        Calibrated probability, in [0, 1], that it is right.
-    runner_up : RunnerUp or None
-        The best candidate at a different place.
+        Probability that it is right, in [0, 1]: that of the first of ``places``.
+    places : tuple of Place
+        Distinct places that the query may be from, the likeliest first.
+    not_in_map : float
+        Probability that it is from none of them, in [0, 1].
     counts : dict
         How many items each stage produced.
     times_ms : dict
@@ -104,11 +106,11 @@ class _Answer:
     inliers: int = 0
     overlap: float = 0.0
     seen: float | None = None
-    inlier_ratio: float | None = None
     proposer: str | None = None
     rmse: float | None = None
     confidence: float = 0.0
-    runner_up: RunnerUp | None = None
+    places: tuple[Place, ...] = ()
+    not_in_map: float = 1.0
     counts: Mapping[str, int] = field(default_factory=dict)
     times_ms: Mapping[str, float] = field(default_factory=dict)
     stamp: float | None = None

@@ -1,9 +1,9 @@
-"""The method on one page: scans -> segments -> descriptors -> matches -> poses -> verdict."""
+"""The method on one page: scans -> query -> proposals -> fits -> posterior."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -12,10 +12,10 @@ from .descriptors import create
 from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans, listed
 from .frontend.segmentation import Segmenter
-from .likelihood import QueryCloud, Verdict, Verifier
+from .likelihood import Likelihood, Scorer
 from .localization import Localization
 from .map.segment_map import SegmentMap
-from .pipeline import Search, answer, explained
+from .pipeline import Proposed, Search, answer, explained
 from .prior import Near, Prior, allowed, within
 from .proposals.landmarks import StemProposer
 from .proposals.matching import Matcher
@@ -23,7 +23,7 @@ from .proposals.occupancy import OccupancyProposer, is_storeyed
 from .proposals.pose import PoseEstimator
 from .proposals.proposer import Estimator, Proposer, Query
 from .system.stage_times import Clock, StageTimes
-from .types import Candidate, LocalCloud
+from .types import Candidate, LocalCloud, Pose
 
 
 class TileSearch(Protocol):
@@ -60,8 +60,8 @@ class Localizer:
         Estimates poses from matches of segments; by default as ``config.pose`` says.
     proposers : sequence of Proposer, optional
         Tried in their order where segments are inconclusive; by default stems, then occupancy.
-    verifier : Verifier, optional
-        Compares clouds at poses and decides; by default one for the map's own cloud.
+    likelihood : Likelihood, optional
+        Compares clouds at poses; by default one for the map's own cloud.
     clock : callable
         What the times of the stages are measured by; returns seconds.
 
@@ -82,7 +82,7 @@ class Localizer:
         If the map was described by another method, by other weights or by another version of its
         descriptor.
     ConfigError
-        If it is given something else than a map, or proposers or a verifier for tiles.
+        If it is given something else than a map, or proposers or a likelihood for tiles.
     MapFormatError
         If the thin map of all tiles cannot be read.
 
@@ -99,14 +99,14 @@ class Localizer:
         *,
         estimator: Estimator | None = None,
         proposers: Sequence[Proposer] | None = None,
-        verifier: Verifier | None = None,
+        likelihood: Likelihood | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
-        self._given = estimator, proposers, verifier, clock
+        self._given = estimator, proposers, likelihood, clock
         self.tiles = None if isinstance(prior_map, SegmentMap) else _tiles(prior_map)
         if self.tiles is not None:
-            if proposers is not None or verifier is not None:
-                raise ConfigError("proposers and verifiers are of one map: they do not suit tiles")
+            if proposers is not None or likelihood is not None:
+                raise ConfigError("proposers and a likelihood are of one map: tiles have none")
             prior_map = self.tiles.coarse()
         assert isinstance(prior_map, SegmentMap)
         config, self.notes = query_config(prior_map, config)
@@ -129,7 +129,7 @@ class Localizer:
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.proposers = _proposers(prior_map, config) if proposers is None else tuple(proposers)
-        self.verifier = verifier or _verifier(prior_map, config)
+        self.likelihood = likelihood or _likelihood(prior_map, config)
         self._tile_search = None if self.tiles is None else self.tiles.search(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -215,10 +215,7 @@ class Localizer:
         if self._tile_search is not None:
             return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
-        counts = found.counts(query)
-        return answer(
-            query.cloud, found.verdict, counts, times.with_total(), found.near, found.proposer
-        )
+        return answer(query, found, times.with_total())
 
     def search(
         self,
@@ -226,11 +223,22 @@ class Localizer:
         times: StageTimes | None = None,
         deadline_ms: float | None = None,
         near: Prior | None = None,
+        *,
+        thorough: bool = False,
     ) -> Search:
-        """Descriptors -> matches -> candidate poses -> verdict, with all that was considered.
+        """Proposals -> fits -> posterior, with all that was considered.
 
-        If segments are inconclusive, they are matched again with more neighbours; then the
-        proposers are tried. All candidates are verified together.
+        Where segments alone are decisive nothing else is asked. Else they are matched again with
+        more neighbours, and then the proposers are asked.
+
+        Parameters
+        ----------
+        query : Query
+        times : StageTimes, optional
+        deadline_ms : float, optional
+        near : Prior, optional
+        thorough : bool
+            Ask all proposers, and measure everything: for fitting the model.
 
         Raises
         ------
@@ -239,106 +247,63 @@ class Localizer:
         """
         self.in_one_piece()
         times = times or StageTimes(self.clock)
-        cloud = self.verifier.query(query.scene)
-        found = self._by_segments(query, cloud, times, deadline_ms, near)
-        if found.verdict.is_thin:
-            found = self._by_proposers(query, found, cloud, times, deadline_ms, near)
-        if near and near.anywhere and found.verdict.reason is not None:
-            return self.search(query, times, deadline_ms)
-        return replace(found, near=near)
+        scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
+        enough = self.config.verification.min_confidence
+        found: Search | None = None
+        for proposed in self._proposals(query, scorer, times, deadline_ms, near):
+            if not proposed.suffices:
+                continue
+            with times("verification"):
+                posterior = scorer.fit(proposed.candidates, proposed.inliers, thorough=thorough)
+            found = Search.of(proposed, posterior, scorer.fits, enough, near)
+            if found.reason is None and not thorough:
+                return found
+        assert found is not None  # the last proposals have to suffice
+        if near and near.anywhere:
+            return self.search(query, times, deadline_ms, thorough=thorough)
+        return found
 
-    def _by_segments(
+    def _proposals(
         self,
         query: Query,
-        cloud: QueryCloud,
+        scorer: Scorer,
         times: StageTimes,
         deadline_ms: float | None,
         near: Prior | None,
-    ) -> Search:
-        """Descriptors -> matches -> candidate poses -> verdict, unless that is for the clouds."""
+    ) -> Iterator[Proposed]:
+        """All candidates so far, time and again: by matches of segments, then by the proposers."""
         where = query.scene.segments.centroids, self.prior_map.centroids
         matcher = self._matcher_near(near)
         neighbours = matcher.neighbours(query.descriptors)
-        may_defer = any(proposer.exhaustive for proposer in self.proposers)
-        best: Search | None = None
+        candidates: list[Candidate] = []
         for count in matcher.schedule:
             with times("matching"):
-                proposed = neighbours.matches(count)
+                nearest = neighbours.matches(count)
             with times("pruning"):
-                matches = matcher.prune(query.descriptors, proposed)
+                matches = matcher.prune(query.descriptors, nearest)
             with times("pose"):
-                candidates = within(near, self.estimator.estimate(*where, matches))
+                fresh = within(near, self.estimator.estimate(*where, matches))
                 inliers = self.estimator.agreement(*where, matches)
-            with times("verification"):
-                decisive = self.verifier.is_decisive(candidates)
-                for_clouds = candidates and (best is not None or not decisive)
-                if for_clouds and may_defer and not times.beyond(deadline_ms):
-                    verdict = Verdict.put_off(candidates)
-                else:
-                    verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
-            found = Search(len(proposed), matches, candidates, verdict)
-            best = found if best is None else best.or_better(found, decisive)
-            if not verdict.undecided or times.beyond(deadline_ms):
-                break
-        assert best is not None  # no schedule is empty
-        return best
-
-    def _by_proposers(
-        self,
-        query: Query,
-        tried: Search,
-        cloud: QueryCloud,
-        times: StageTimes,
-        deadline_ms: float | None,
-        near: Prior | None,
-    ) -> Search:
-        """Proposers, one after another -> verdict on all candidates together."""
-        proposed: list[Candidate] = []
-        for proposer in self.proposers:
-            if times.beyond(deadline_ms):
-                break
+                candidates = [*fresh, *_counted(candidates, inliers)]
+            over = times.beyond(deadline_ms)
+            last = over or (count == matcher.schedule[-1] and not self.proposers)
+            decisive = scorer.segments_decide(candidates)
+            yield Proposed(len(nearest), matches, candidates, inliers, decisive or last)
+            if over:
+                return
+        candidates = _counted(candidates, inliers)
+        for k, proposer in enumerate(self.proposers, start=1):
             with times("pose"):
                 proposals = proposer.propose(query, near)
-            named = (replace(c, proposer=proposer.name) for c in proposals.candidates)
-            candidates = within(near, list(named))
-            if proposals.decided and candidates:
-                found = self.verify_proposed(query, candidates, tried, cloud, times, near)
-                best = found.verdict.best
-                if found.verdict.reason is None and best is not None:
-                    apart = self.config.pose.separation.apart
-                    if not apart(best.T_map_local, candidates[0].T_map_local):
-                        return tried.or_surer(found)
-            proposed += candidates
-        if tried.verdict.is_judged and not proposed:
-            return tried
-        found = self.verify_proposed(query, proposed, tried, cloud, times, near)
-        return tried.or_surer(found)
-
-    def verify_proposed(
-        self,
-        query: Query,
-        proposed: Sequence[Candidate],
-        tried: Search,
-        cloud: QueryCloud,
-        times: StageTimes,
-        near: Prior | None = None,
-    ) -> Search:
-        """Verify candidates of proposers together with all that was tried before."""
-        with times("pose"):
-            inliers = self.estimator.agreement(
-                query.scene.segments.centroids, self.prior_map.centroids, tried.matches
-            )
-            # All clouds are compared here, so candidates of matches need no `fit`.
-            candidates = [
-                replace(c, inliers=inliers(c.T_map_local), fit=c.fit or 0.0)
-                for c in (*proposed, *tried.candidates)
-            ]
-        if tried.verdict.is_judged and (best := tried.verdict.best) is not None:
-            fit = None if tried.verdict.is_decided else best.overlap  # what segments say counts
-            candidates.append(Candidate(best.T_map_local, best.inliers, fit=fit))
-        with times("verification"):
-            verdict = self.verifier.verify(cloud, candidates, inliers, allowed(near))
-        return replace(tried, candidates=candidates, verdict=verdict, by_segments=False)
+                fresh = within(
+                    near, [replace(c, proposer=proposer.name) for c in proposals.candidates]
+                )
+                candidates = [*candidates, *_counted(fresh, inliers)]
+            over = times.beyond(deadline_ms)
+            suffices = proposals.decided or over or k == len(self.proposers)
+            yield Proposed(len(nearest), matches, candidates, inliers, suffices)
+            if over:
+                return
 
     def _matcher_near(self, near: Prior | None) -> Matcher:
         """What matches segments that are in view from near a prior."""
@@ -370,10 +335,10 @@ def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
     return tuple(found)
 
 
-def _verifier(prior_map: SegmentMap, config: Config) -> Verifier:
+def _likelihood(prior_map: SegmentMap, config: Config) -> Likelihood:
     """Compares a query with the map's own cloud."""
     path = prior_map.trajectory[:, :3, 3]
-    return Verifier(
+    return Likelihood(
         prior_map.cloud,
         prior_map.origin,
         config.verification,
@@ -384,14 +349,24 @@ def _verifier(prior_map: SegmentMap, config: Config) -> Verifier:
     )
 
 
+def _counted(candidates: Sequence[Candidate], inliers: Callable[[Pose], int]) -> list[Candidate]:
+    """The candidates with the segments that agree with them by the newest matches."""
+    return [replace(c, inliers=inliers(c.T_map_local)) for c in candidates]
+
+
 def _restored(
     prior_map: SegmentMap | InTiles,
     config: Config,
     estimator: Estimator | None,
     proposers: Sequence[Proposer] | None,
-    verifier: Verifier | None,
+    likelihood: Likelihood | None,
     clock: Clock,
 ) -> Localizer:
     return Localizer(
-        prior_map, config, estimator=estimator, proposers=proposers, verifier=verifier, clock=clock
+        prior_map,
+        config,
+        estimator=estimator,
+        proposers=proposers,
+        likelihood=likelihood,
+        clock=clock,
     )

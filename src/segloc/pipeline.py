@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from . import geometry
 from .frontend.reach import reach_fault
-from .likelihood import RefinedScore, Score, Verdict
-from .localization import Localization, Localized, NotLocalized, Reason, RunnerUp
+from .likelihood import Observation, Posterior
+from .localization import Localization, Localized, NotLocalized, Place, Reason
 from .map.segment_map import SegmentMap
 from .prior import Prior
 from .proposals.proposer import Query
@@ -30,6 +30,29 @@ _ALIGNED_M, _ARM_M = 2.0, 10.0
 
 
 @dataclass(frozen=True)
+class Proposed:
+    """All candidates so far.
+
+    Attributes
+    ----------
+    count : int
+        Matches before pruning.
+    matches : Matches
+    candidates : list of Candidate
+    inliers : callable
+        Counts the segments that agree with a pose T_map_local, by these matches.
+    suffices : bool
+        Whether a place may be believed without asking on.
+    """
+
+    count: int
+    matches: Matches
+    candidates: list[Candidate]
+    inliers: Callable[[Pose], int]
+    suffices: bool
+
+
+@dataclass(frozen=True)
 class Search:
     """What was found for one query, with all that was considered.
 
@@ -39,10 +62,14 @@ class Search:
         Matches before pruning.
     matches : Matches
     candidates : list of Candidate
-        T_map_local, best first, at different places, before verification.
-    verdict : Verdict
-    by_segments : bool
-        Whether the candidates come from matches alone.
+        T_map_local, at different places, before they were compared with the map.
+    posterior : Posterior
+    reason : Reason or None
+        Why the likeliest place is not believed; None where it is.
+    message : str
+        The same as a sentence with its figures; "" where it is believed.
+    fits : sequence of Observation
+        What was measured at the places of the posterior.
     near : Prior or None
         Where alone was searched; None where all over the map.
     """
@@ -50,27 +77,28 @@ class Search:
     proposed: int
     matches: Matches
     candidates: list[Candidate]
-    verdict: Verdict
-    by_segments: bool = True
+    posterior: Posterior
+    reason: Reason | None
+    message: str
+    fits: Sequence[Observation] = ()
     near: Prior | None = None
 
-    def or_better(self, other: Search, decisive: bool) -> Search:
-        """This, or the next attempt, which had more neighbours: the one with the better verdict.
-
-        Among more neighbours more agree by chance, and the confidence was fitted on fewer: where
-        the verdict on the other was put off, it counts alone only if its segments are ``decisive``;
-        else its poses are tried, too.
-        """
-        if other.verdict.is_judged:
-            return other if other.verdict.rank > self.verdict.rank else self
-        if decisive and not self.verdict.is_judged:
-            return other
-        return replace(self, candidates=[*self.candidates, *other.candidates])
-
-    def or_surer(self, found: Search) -> Search:
-        """The later search, unless this one is surer that there is nothing."""
-        judged = self.verdict.reason is None or not self.verdict.is_judged
-        return found if judged or found.verdict.rank > self.verdict.rank else self
+    @classmethod
+    def of(
+        cls,
+        proposed: Proposed,
+        posterior: Posterior,
+        fits: Sequence[Observation],
+        min_confidence: float,
+        near: Prior | None = None,
+    ) -> Search:
+        """What is concluded from a posterior."""
+        reason = posterior.reason(min_confidence)
+        if not proposed.candidates:
+            reason = Reason.NO_CONSISTENT_MATCHES
+        message = posterior.message(min_confidence)
+        where = proposed.count, proposed.matches, proposed.candidates
+        return cls(*where, posterior, reason, message, tuple(fits), near)
 
     @property
     def proposer(self) -> str | None:
@@ -78,7 +106,7 @@ class Search:
 
         None if there is no best pose.
         """
-        best = self.verdict.best
+        best = self.posterior.best
         if best is None or not self.candidates:
             return None
 
@@ -101,47 +129,38 @@ class Search:
         }
 
 
-def answer(
-    cloud: LocalCloud,
-    verdict: Verdict,
-    counts: Mapping[str, int],
-    times_ms: Mapping[str, float],
-    near: Prior | None = None,
-    proposer: str | None = None,
-) -> Localization:
+def answer(query: Query, search: Search, times_ms: Mapping[str, float]) -> Localization:
     """What is told of a query.
 
     Parameters
     ----------
-    cloud : LocalCloud
-        The query.
-    verdict : Verdict
-    counts : dict
-        How many items each stage produced.
+    query : Query
+    search : Search
     times_ms : dict
         Milliseconds each stage took.
-    near : Prior, optional
-        Where it was looked for.
-    proposer : str, optional
-        What found the best pose.
     """
-    best, T_local_sensor = verdict.best, cloud.T_local_sensor
+    posterior, T_local_sensor = search.posterior, query.cloud.T_local_sensor
+    best, counts = posterior.best, search.counts(query)
     common: dict[str, Any] = {
         "counts": counts,
         "times_ms": times_ms,
-        "stamp": cloud.stamp,
-        "attitude": cloud.attitude,
-        "confidence": verdict.confidence,
-        "runner_up": _runner_up(verdict, T_local_sensor),
-        "proposer": proposer,
-        **_measured(verdict),
+        "stamp": query.cloud.stamp,
+        "attitude": query.cloud.attitude,
+        "confidence": posterior.confidence,
+        "places": tuple(
+            Place(place.T_map_local @ T_local_sensor, p, place.inliers, place.overlap)
+            for place, p in zip(posterior.places, posterior.probabilities, strict=True)
+        ),
+        "not_in_map": posterior.not_in_map,
+        "proposer": search.proposer,
     }
-    if verdict.reason is not None or best is None:
-        return NotLocalized(**_why(verdict, cloud, counts, near), **common)
-    covariance = best.covariance if isinstance(best, RefinedScore) else None
+    if best is not None:
+        common |= {name: getattr(best, name) for name in ("inliers", "overlap", "seen", "rmse")}
+    if search.reason is not None or best is None:
+        return NotLocalized(**_why(search, query.cloud, counts), **common)
     return Localized(
         T_map_sensor=best.T_map_local @ T_local_sensor,
-        covariance=geometry.rotated_covariance(covariance, T_local_sensor),
+        covariance=geometry.rotated_covariance(best.covariance, T_local_sensor),
         **common,
     )
 
@@ -190,33 +209,16 @@ def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
     return f"the map is {away:.0f} m from there, it spans {spans}: is the prior in its frame?"
 
 
-def _measured(verdict: Verdict) -> dict[str, float | None]:
-    """What was measured of the best candidate."""
-    best = verdict.best
-    if best is None:
-        return {}
-    evidence = verdict.evidence
-    return {
-        "inliers": best.inliers,
-        "overlap": best.overlap,
-        "seen": best.seen if isinstance(best, Score) else None,
-        "inlier_ratio": None if evidence is None else evidence.inlier_ratio,
-        "rmse": best.rmse,
-    }
-
-
-def _why(
-    verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int], near: Prior | None
-) -> dict[str, Any]:
-    """The first stage that was left with nothing, or else what the verdict says."""
-    why = _why_anywhere(verdict, cloud, counts)
+def _why(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
+    """The first stage that was left with nothing, or else what the posterior says."""
+    why, near = _why_anywhere(search, cloud, counts), search.near
     if near is None or why["reason"] in _OF_THE_QUERY:
         return why
     message = f"{Reason.NOT_NEAR_PRIOR} ({near}: {why['message']})"
     return {"reason": Reason.NOT_NEAR_PRIOR, "message": message}
 
 
-def _why_anywhere(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
+def _why_anywhere(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
     for what, reason in (
         ("points", Reason.NO_POINTS),
         ("segments", Reason.NO_SEGMENTS),
@@ -224,13 +226,6 @@ def _why_anywhere(verdict: Verdict, cloud: LocalCloud, counts: Mapping[str, int]
     ):
         if counts[what] == 0:
             return {"reason": reason, "message": reason.value}
-    if verdict.undecided and cloud.attitude == "assumed":
+    if search.reason is not Reason.AMBIGUOUS and cloud.attitude == "assumed":
         return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
-    return {"reason": verdict.reason, "message": verdict.message}
-
-
-def _runner_up(verdict: Verdict, T_local_sensor: Pose) -> RunnerUp | None:
-    other = verdict.runner_up
-    if other is None:
-        return None
-    return RunnerUp(other.T_map_local @ T_local_sensor, other.inliers, other.overlap)
+    return {"reason": search.reason, "message": search.message}

@@ -195,7 +195,6 @@ class Evaluation:
 
 
 def _record(result: Localization) -> dict[str, Any]:
-    other = result.runner_up
     return {
         "stamp": _finite(result.stamp),
         "localized": result.localized,
@@ -206,17 +205,19 @@ def _record(result: Localization) -> dict[str, Any]:
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
         "seen": _finite(result.seen),
-        "inlier_ratio": _finite(result.inlier_ratio),
         "proposer": result.proposer,
         "rmse": _finite(result.rmse),
         "confidence": _finite(result.confidence),
-        "runner_up": None
-        if other is None
-        else {
-            "T_map_sensor": _nested(other.T_map_sensor),
-            "inliers": other.inliers,
-            "overlap": _finite(other.overlap),
-        },
+        "places": [
+            {
+                "T_map_sensor": _nested(place.T_map_sensor),
+                "probability": _finite(place.probability),
+                "inliers": place.inliers,
+                "overlap": _finite(place.overlap),
+            }
+            for place in result.places
+        ],
+        "not_in_map": _finite(result.not_in_map),
         "counts": dict(result.counts),
     }
 

@@ -155,7 +155,7 @@ def _placed(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
     _map_below(axes, T[:3, 3], prior_map)
     placed = geometry.transform(T, trace.structure)
     dots(axes, placed, s=0.8, color=ORANGE)
-    other = trace.result.runner_up
+    other = trace.result.places[1] if len(trace.result.places) > 1 else None
     if other is not None:
         axes.plot(*other.T_map_sensor[:2, 3], marker="x", ms=9, color=RED)
 

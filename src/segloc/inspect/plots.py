@@ -49,9 +49,10 @@ def plot_result(result: Localization, prior_map: SegmentMap, axes: Axes | None =
     axes = plot_map(prior_map, axes)
     if result.T_map_sensor is not None:
         _arrow(axes, result.T_map_sensor)
-    if result.runner_up is not None:
-        place = result.runner_up.T_map_sensor[:2, 3]
-        axes.plot(*place, marker="x", ms=8, mew=2, color=RED, ls="", label="runner-up")
+    for k, place in enumerate(result.places[1:]):
+        x, y = place.T_map_sensor[:2, 3]
+        name = "other places" if k == 0 else None
+        axes.plot(x, y, marker="x", ms=8, mew=2, color=RED, ls="", label=name)
     axes.legend(loc="upper right", fontsize=SMALL_PT, framealpha=0.9, edgecolor="none")
     colour = GREEN if result.localized else RED
     axes.set_title(str(result), loc="left", fontsize=TEXT_PT, color=colour, wrap=True)

@@ -158,7 +158,7 @@ def seen(trace: Trace) -> Seen:
     """Reduce a trace to what a viewer draws."""
     parts = [f"{part.log_odds:+.1f} {part.words}" for part in trace.parts]
     parts = [f"{trace.constant:+.1f} to begin with", *parts] if parts else []
-    other = trace.result.runner_up
+    other = trace.result.places[1] if len(trace.result.places) > 1 else None
     keep = _first_of_each_voxel(trace.structure)
     segments = trace.segments
     owner = np.repeat(np.arange(len(segments)), segments.sizes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .. import geometry
-from ..likelihood import ConfidenceModel, Evidence
-from ..likelihood.confidence import FEATURES
+from ..likelihood import FEATURES, Model, Observation
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..pipeline import Search, answer
@@ -24,7 +24,6 @@ from ..types import Float32, Int64, LocalCloud, Pose, Segments
 Bools = NDArray[np.bool_]
 
 _BEYOND_M = 2.0  # around a query, of the map's points that it is compared with
-_NOWHERE = 0.1
 _ADVICE = {
     Reason.NO_POINTS: "no point within range: are they in metres, in the sensor's frame?",
     Reason.UNKNOWN_ATTITUDE: "roll and pitch are unknown: give gravity or a pose",
@@ -32,8 +31,8 @@ _ADVICE = {
     Reason.NO_MATCHES: "the map has no segments to compare with",
     Reason.NO_CONSISTENT_MATCHES: "no two segments lie to each other as any two of the map do: "
     "the place is not in the map, or too little of it is in view",
-    Reason.TOO_FEW_INLIERS: "fewer segments agree than the configuration asks for (min_inliers)",
-    Reason.TOO_LITTLE_OVERLAP: "the cloud overlaps the map nowhere",
+    Reason.NOT_IN_MAP: "nothing in the map fits: the scan is probably from somewhere else or sees "
+    "too little",
     Reason.AMBIGUOUS: "two places explain the scan about as well: more scans of the way tell them "
     "apart (poses, or a tracker), or a look from elsewhere",
 }
@@ -56,10 +55,6 @@ class Part:
     name: str
     log_odds: float
     words: str
-
-
-BEYOND = "beyond"
-"""The part of a confidence that is as high as any: what the others say more than that."""
 
 
 @dataclass(frozen=True)
@@ -114,13 +109,11 @@ def trace(
     times = times or StageTimes(localizer.clock)
     query = localizer.describe(cloud, times)
     found = localizer.search(query, times, near=near)
-    result = answer(
-        cloud, found.verdict, found.counts(query), times.with_total(), found.near, found.proposer
-    )
-    best = found.verdict.best
+    result = answer(query, found, times.with_total())
+    best = found.posterior.best
     T = None if best is None else best.T_map_local
     pairs, inliers = _pairs(localizer, query, found, T)
-    model, evidence = localizer.verifier.model, found.verdict.evidence
+    likelihood = localizer.likelihood
     return Trace(
         name=name,
         result=result,
@@ -132,8 +125,8 @@ def trace(
         inliers=inliers,
         T_map_local=T,
         on_map=_on_map(localizer, query.scene.structure, T),
-        constant=model.constant,
-        parts=() if evidence is None else _parts(model, evidence),
+        constant=-likelihood.model.floor(likelihood.alias),
+        parts=() if best is None else _parts(likelihood.model, found),
     )
 
 
@@ -171,49 +164,52 @@ def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> 
     return np.asarray(np.isfinite(distances))
 
 
-def _parts(model: ConfidenceModel, evidence: Evidence) -> tuple[Part, ...]:
-    words = _measured(evidence)
-    parts = [
+def _parts(model: Model, found: Search) -> tuple[Part, ...]:
+    """What each feature of the likeliest place adds to its log-ratio."""
+    best = found.posterior.best
+    assert best is not None
+    fit = next(fit for fit in found.fits if fit.T_map_local is best.T_map_local)
+    words = _measured(fit, [other for other in found.fits if other is not fit])
+    return tuple(
         Part(name, model.weights[name] * feature, words[name])
-        for name, feature in zip(FEATURES, model.features(evidence), strict=True)
-    ]
-    beyond = model.constant + sum(part.log_odds for part in parts) - model.max_log_odds
-    if beyond > 0:
-        parts.append(Part(BEYOND, -beyond, "no confidence is higher: the model has seen no more"))
-    return tuple(parts)
+        for name, feature in zip(FEATURES, best.features, strict=True)
+    )
 
 
-def _measured(evidence: Evidence) -> dict[str, str]:
+def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]:
     """What each feature was measured of."""
-    score, rivals = evidence.score, evidence.rivals
     seen = "nothing of the map is in view"
-    if score.seen is not None:
-        seen = f"{score.seen:.0%} of the map in view is seen"
-    overlaps = [rival.overlap for rival in rivals]
-    rivals_seen = [rival.seen for rival in rivals if rival.seen is not None]
-    flush, ground = "no walls to compare", "no ground to compare"
-    if evidence.is_settled:
-        flush = "the segments leave no doubt"
-    elif score.flush is not None:
-        flush = f"{score.flush:.0%} of the walls is flush with the map's"
-    rivals_flush = [rival.flush for rival in rivals if rival.flush is not None]
-    if score.ground is not None:
-        ground = f"{score.ground:.0%} of the ground lies on the map's ground"
-    lies = f"{score.overlap:.0%} of the cloud lies on the map"
+    if (share := fit.seen.share) is not None:
+        seen = f"{share:.0%} of the map in view is seen"
+    flush, ground, free = (
+        "no walls to compare",
+        "no ground to compare",
+        "free space was not compared",
+    )
+    if (share := fit.flush.share) is not None:
+        flush = f"{share:.0%} of the walls is flush with the map's"
+    if (share := fit.ground.share) is not None:
+        ground = f"{share:.0%} of the ground lies on the map's ground"
+    if fit.has("intruding") and (share := fit.intruding.share) is not None:
+        free = f"{share:.1%} of what stands is where the map is free"
+    lies = f"{fit.overlap:.0%} of the cloud lies on the map"
     return {
-        "in_view": f"{score.judged} points of the map are in view",
-        "inliers": counted(score.inliers, "segments", "agree"),
-        "inliers_over_rival": f"{evidence.inlier_ratio:.1f} times as many as elsewhere",
-        "overlap_over_rival": f"{lies}, {_elsewhere(overlaps)}",
-        "seen_over_rival": f"{seen}, {_elsewhere(rivals_seen)}",
+        "in_view": f"{fit.seen.of} points of the map are in view",
         "flush": flush,
-        "flush_over_rival": f"{flush}, {_elsewhere(rivals_flush)}",
         "ground": ground,
+        "inliers": counted(fit.inliers, "segments", "agree"),
+        "inliers_over_rival": f"{fit.inliers} segments, elsewhere "
+        f"{max([0, *(other.inliers for other in others)])}",
+        "overlap_over_rival": f"{lies}, {_elsewhere([other.overlap for other in others])}",
+        "seen_over_rival": f"{seen}, {_elsewhere([other.seen.share for other in others])}",
+        "flush_over_rival": f"{flush}, {_elsewhere([other.flush.share for other in others])}",
+        "free_space": free,
     }
 
 
-def _elsewhere(shares: list[float]) -> str:
-    return f"{max(shares):.0%} elsewhere" if shares else "elsewhere nothing to compare it with"
+def _elsewhere(shares: Sequence[float | None]) -> str:
+    known = [share for share in shares if share is not None]
+    return f"{max(known):.0%} elsewhere" if known else "elsewhere nothing to compare it with"
 
 
 def steps(trace: Trace) -> list[tuple[str, str]]:
@@ -232,7 +228,7 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
     ]
     if trace.T_map_local is not None:
         found.append(("overlap", f"{result.overlap:.0%} of the cloud lies on the map there"))
-    other = result.runner_up
+    other = result.places[1] if len(result.places) > 1 else None
     if other is not None and trace.T_map_local is not None:
         T = trace.T_map_local @ trace.T_local_sensor
         away = float(np.linalg.norm(other.T_map_sensor[:3, 3] - T[:3, 3]))
@@ -277,10 +273,5 @@ def _uncertain(trace: Trace) -> str:
     """What to make of a best pose that is not believed."""
     if not trace.parts:
         return "too little speaks for any pose"
-    if trace.result.confidence < _NOWHERE:
-        return (
-            "nothing in the map fits: the scan is probably from somewhere else or sees too little"
-        )
-    measured = [part for part in trace.parts if part.name != BEYOND]
-    least = min(measured, key=lambda part: part.log_odds)
+    least = min(trace.parts, key=lambda part: part.log_odds)
     return f"a place may fit, but more scans of the way must tell; weakest is: {least.words}"

@@ -11,44 +11,26 @@ from .nearby import NearbyConfig
 class VerificationConfig(Section):
     """When a pose is believed.
 
-    The first three are for users. The confidence was fitted under the others: a localizer whose
+    The first two are for users. The model was fitted under the others: a localizer whose
     configuration changes one says so (:attr:`segloc.Localizer.notes`).
     """
 
     min_confidence: float = Field(
-        0.8,
-        ge=0,
-        le=1,
-        description="calibrated probability needed; more where segments decide little",
-    )
-    min_inliers: int = Field(
-        0, ge=0, le=10**6, description="distinct segments that must agree, whatever the clouds say"
+        0.95, ge=0, le=1, description="probability from which a place is believed"
     )
     refine: bool = Field(True, description="refine the pose by ICP")
 
-    rival_support_ratio: float = Field(
-        0.85,
-        gt=0,
-        le=10**9,
-        description="a rival with this share of the best pose's support is its equal",
-    )
-    rival_overlap_ratio: float = Field(
-        0.9, gt=0, le=1, description="so is one with this share of the best pose's overlap"
-    )
     max_refined: int = Field(
         2,
         ge=1,
-        le=10**6,
-        description="candidates that are judged",
+        le=100,
+        description="candidates that are measured: the best by segments, and the best by clouds",
     )
     refined_from: float = Field(
         0.9,
         ge=0,
         le=10,
-        description="a rival is refined whose rough overlap is at least this share of the pose's",
-    )
-    max_rivals: int = Field(
-        4, ge=1, le=10**6, description="candidates elsewhere that each is compared with"
+        description="a pose nearby is measured, too, whose rough overlap is this share of the best",
     )
     coarse_radius: float = Field(
         0.5, ge=0.01, le=10, description="neighbourhood before ICP, metres"
@@ -94,9 +76,6 @@ class VerificationConfig(Section):
     )
     visibility_sample: int = Field(
         3000, ge=1, le=10**6, description="map points that are judged at most"
-    )
-    coarse_visibility_sample: int = Field(
-        1000, ge=1, le=10**6, description="the same before a pose is refined"
     )
     flush_offset: float = Field(
         0.1, gt=0, le=10, description="a point that is off a wall by less is flush with it, metres"

@@ -12,8 +12,11 @@ trees may fit elsewhere, but not on ground that rises and falls otherwise.
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +25,6 @@ from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .evidence import SQUARE_M, CoarseScore, RankedCandidate, RefinedScore
 from .nearby import NearbySearch, Surroundings
 from .registration import ERRORS, Aligner, Registered, Target, thinned
 
@@ -49,11 +51,114 @@ _MAX_VIEWPOINT_HEIGHT_M = 1.5
 _POINT_HALF_WIDTH_M = 0.2
 """Half width of a point of the map's cloud: near the path its walls would have holes."""
 _MAX_WALL_NORMAL_Z, _MIN_GROUND_NORMAL_Z = 0.3, 0.9
-_MIN_SURFACE_POINTS, _MAX_SURFACE_POINTS = 30, 2000
-"""Points of walls or of the ground: with fewer, nothing is measured; no more are compared."""
+_MAX_SURFACE_POINTS = 2000
+"""Points of walls or of the ground that are compared at most."""
 _GROUND_TOLERANCE_M = 0.2
 _CLOSE_M, _SUPPORT_M = 1.0, 0.75
 """Radii of close surfaces: to the nearest point, and to the points of its plane."""
+
+
+class Count(NamedTuple):
+    """So many of a number of points."""
+
+    hits: int
+    of: int
+
+    @property
+    def share(self) -> float | None:
+        """In [0, 1]; None of nothing."""
+        return self.hits / self.of if self.of else None
+
+    def log_odds(self, prior: float) -> float:
+        """Of the share, as if ``prior`` more had been hit and as many missed."""
+        return math.log((self.hits + prior) / (self.of - self.hits + prior))
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """A candidate with the overlap of the clouds where it stands.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    overlap : float
+        Share of the query cloud's points, up to the height that the map reaches there, that have a
+        map point within the coarse radius, in [0, 1].
+    seen : float
+        Of a candidate of the clouds alone: the share of the map in view that the query sees, too;
+        1 where it cannot be among the first, and was not measured.
+    """
+
+    candidate: Candidate
+    overlap: float
+    seen: float = 1.0
+
+    @property
+    def T_map_local(self) -> Pose:
+        """(4, 4) float64."""
+        return self.candidate.T_map_local
+
+    @property
+    def inliers(self) -> int:
+        """Distinct query segments that agree with the pose."""
+        return self.candidate.inliers
+
+
+class Observation:
+    """What is measured of a query at a pose where it was aligned with the map.
+
+    Attributes
+    ----------
+    T_map_local : (4, 4) float64
+    inliers : int
+        Distinct query segments that agree with the pose (one map segment each): 0 until they are
+        counted.
+    overlap : float
+        Share of the query cloud's points, up to the height that the map reaches there, that have a
+        map point near them, in [0, 1].
+    seen : Count
+        Map points in view that have a query point near them; the others are free-space violations.
+    rmse : float
+        Root mean square distance of the pairs that overlap counts [m].
+    covariance : (6, 6) float64 or None
+        Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
+
+    Notes
+    -----
+    What costs more is measured on first use; :meth:`has` says whether it was.
+    """
+
+    def __init__(
+        self,
+        T_map_local: Pose,
+        overlap: float,
+        seen: Count,
+        rmse: float,
+        covariance: Float64 | None,
+        compared: Compared,
+    ) -> None:
+        self.T_map_local, self.inliers, self.overlap = T_map_local, 0, overlap
+        self.seen, self.rmse, self.covariance = seen, rmse, covariance
+        self._compared = compared
+
+    def has(self, name: str) -> bool:
+        """Whether ``flush``, ``ground`` or ``intruding`` was measured."""
+        return name in self.__dict__
+
+    @cached_property
+    def flush(self) -> Count:
+        """Wall points that are flush with the map's surfaces, of those near them."""
+        return self._compared.flush()
+
+    @cached_property
+    def ground(self) -> Count:
+        """Ground points that lie on the map's ground."""
+        return self._compared.ground()
+
+    @cached_property
+    def intruding(self) -> Count:
+        """Points of what stands that stand in free space of the map."""
+        return self._compared.intruding()
 
 
 class QueryCloud:
@@ -71,17 +176,9 @@ class QueryCloud:
         self.sample = thinned(scene.structure, config.overlap_sample)
         self.aligned: dict[bytes, Registered | None] = {}
         self._scene, self._config, self._aligner = scene, config, aligner
-        self._extent: int | None = None
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
         self._close_surface: _native.Surface | None = None
-
-    @property
-    def extent(self) -> int:
-        """On how many squares, within the range that is judged, something stands; counted once."""
-        if self._extent is None:
-            self._extent = _squares(self._scene.structure, self._config.visibility_range)
-        return self._extent
 
     @property
     def view(self) -> QueryView:
@@ -156,51 +253,36 @@ class MapCloud:
         return QueryCloud(scene, self._config, self._aligner)
 
     def ranked(self, candidates: Sequence[Candidate], query: QueryCloud) -> list[RankedCandidate]:
-        """The candidates with their rough overlap, the best supported first."""
+        """The candidates with their rough overlap, in their order.
+
+        What is seen takes time, and only lowers what is said for them: of candidates of the clouds
+        it is measured where they may be among the first.
+        """
         poses = np.stack([self._relative(c.T_map_local) for c in candidates])
         few = thinned(query.sample, self._config.coarse_sample)
-        overlap, rmse = self._target.index.overlap(
+        overlap, _ = self._target.index.overlap(
             few, poses, self._config.coarse_radius, self._config.unmapped_overlap
         )
-        ranked = [
-            RankedCandidate(c, float(o), float(r))
-            for c, o, r in zip(candidates, overlap, rmse, strict=True)
-        ]
-        return self._ordered(ranked, query)
-
-    def _ordered(self, ranked: list[RankedCandidate], query: QueryCloud) -> list[RankedCandidate]:
-        """The best supported first. What is seen takes time, and lowers the support: it is measured
-        only of those that may be among the first."""
-        heap = [(-c.support, k, c.candidate.fit is None, c) for k, c in enumerate(ranked)]
+        ranked = [RankedCandidate(c, float(o)) for c, o in zip(candidates, overlap, strict=True)]
+        heap = [(-c.overlap, k) for k, c in enumerate(ranked) if c.candidate.fit is not None]
         heapq.heapify(heap)
-        first: list[RankedCandidate] = []
-        while heap and len(first) < _RANKED_FIRST:
-            _, k, known, best = heapq.heappop(heap)
-            if known:
-                first.append(best)
-            else:
-                best = replace(best, seen=self._seen(best, query))
-                heapq.heappush(heap, (-best.support, k, True, best))
-        return first + [rest for *_, rest in sorted(heap)]
+        measured = set[int]()
+        firsts = 0
+        while heap and firsts < _RANKED_FIRST:
+            _, k = heapq.heappop(heap)
+            if k in measured:
+                firsts += 1
+                continue
+            measured.add(k)
+            ranked[k] = replace(ranked[k], seen=self._seen(ranked[k], query))
+            heapq.heappush(heap, (-ranked[k].overlap * ranked[k].seen, k))
+        return ranked
 
     def _seen(self, ranked: RankedCandidate, query: QueryCloud) -> float:
         """What ranks candidates of the clouds alone, of which many overlap where little stands."""
         config, T = self._config, self._relative(ranked.T_map_local)
-        confirmed, all_judged = self._visible(query, T, config.coarse_radius, _RANKING_SAMPLE)
-        return (confirmed + _RANKING_PRIOR * ranked.overlap) / (all_judged + _RANKING_PRIOR)
-
-    def coarse(self, ranked: RankedCandidate, query: QueryCloud) -> CoarseScore:
-        """A candidate where it stands, with the share of the map that is roughly seen there."""
-        config, T = self._config, self._relative(ranked.T_map_local)
-        seen = self._visible(query, T, config.coarse_radius, config.coarse_visibility_sample)
-        return CoarseScore(ranked.T_map_local, ranked.inliers, ranked.overlap, *seen, ranked.rmse)
-
-    def off_path(self, T_map_local: Pose) -> float | None:
-        """How far a pose is from the path of the map, seen from above, metres; None without one."""
-        if not len(self._path):
-            return None
-        at = T_map_local[:2, 3] - self._origin[:2]
-        return float(np.hypot(*(self._path[:, :2] - at).T).min())
+        seen = self._visible(query, T, config.coarse_radius, _RANKING_SAMPLE)
+        return (seen.hits + _RANKING_PRIOR * ranked.overlap) / (seen.of + _RANKING_PRIOR)
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""
@@ -213,26 +295,27 @@ class MapCloud:
         )
 
     def refined(
-        self, candidate: Candidate, query: QueryCloud, start: Pose | None = None
-    ) -> RefinedScore:
-        """A candidate at the pose where the clouds fit best; at its own where they do not.
+        self, T_map_local: Pose, query: QueryCloud, start: Pose | None = None
+    ) -> Observation:
+        """Measure a query where the clouds fit best near a pose; at the pose where they do not.
 
-        ICP of some of the points sets out from the candidate's pose, and from ``start`` if it is
-        another.
+        ICP of some of the points sets out from the pose, and from ``start`` if it is another.
         """
-        T = self._relative(candidate.T_map_local)
+        T = self._relative(T_map_local)
         found = self._best(T, None if start is None else self._relative(start), query)
-        return self._score(T, candidate.inliers, found, query)
+        return self._observed(T, found, query)
 
-    def finished(self, score: RefinedScore, query: QueryCloud) -> RefinedScore:
+    def finished(self, fit: Observation, query: QueryCloud) -> Observation:
         """A refined candidate after ICP of all points."""
-        T = self._relative(score.T_map_local)
+        T = self._relative(fit.T_map_local)
         found = self._registered(T, T, query, roughly=False)
-        return score if found is None else self._score(T, score.inliers, found, query)
+        if found is None:
+            return fit
+        finished = self._observed(T, found, query)
+        finished.inliers = fit.inliers
+        return finished
 
-    def _score(
-        self, T: Pose, inliers: int, found: Registered | None, query: QueryCloud
-    ) -> RefinedScore:
+    def _observed(self, T: Pose, found: Registered | None, query: QueryCloud) -> Observation:
         """What is measured at T, or where it was aligned to."""
         config = self._config
         covariance: Float64 | None = None
@@ -242,10 +325,10 @@ class MapCloud:
             T, covariance = found.T_target_source, ERRORS.widened(found.covariance)
             overlap, rmse = found.overlap, found.rmse
         seen = self._visible(query, T, config.seen_radius, config.visibility_sample)
-        details = MeasuredDetails(self._compared, query, T, config)
-        return RefinedScore(self._absolute(T), inliers, overlap, *seen, rmse, covariance, details)
+        compared = Compared(self._compared, query, T, config)
+        return Observation(self._absolute(T), overlap, seen, rmse, covariance, compared)
 
-    def _visible(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> tuple[int, int]:
+    def _visible(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> Count:
         range_m = self._config.visibility_range
         index, storeyed = self._target.index, self.storeyed
         return visible_counts(index, query.view, T, radius, range_m, sample, storeyed)
@@ -291,14 +374,6 @@ class MapCloud:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
 
 
-def _squares(points: Float32, range_m: float) -> int:
-    """On how many squares of a grid about the sensor the points within a range lie."""
-    near = points[np.hypot(points[:, 0], points[:, 1]) < range_m]
-    x, y = (np.floor(near[:, axis] / SQUARE_M).astype(np.int64) for axis in (0, 1))
-    half = int(np.ceil(range_m / SQUARE_M))
-    return int(np.count_nonzero(np.bincount(2 * half * (y + half) + x + half)))
-
-
 @dataclass(frozen=True)
 class ComparedMap:
     """What a query is compared with.
@@ -318,8 +393,8 @@ class ComparedMap:
     path: Float64
 
 
-class MeasuredDetails:
-    """How walls, ground and free space fit at a pose, each measured on first use: most never are.
+class Compared:
+    """Compares walls, ground and free space at a pose.
 
     Parameters
     ----------
@@ -334,33 +409,20 @@ class MeasuredDetails:
         self, compared: ComparedMap, query: QueryCloud, T: Pose, config: VerificationConfig
     ) -> None:
         self._map, self._query, self._T, self._config = compared, query, T, config
-        self._ground: tuple[float | None] | None = None
-        self._flush: tuple[float | None] | None = None
-        self._intruding: float | None = None
 
-    @property
-    def ground(self) -> float | None:
-        """The share of the ground that lies on the map's."""
-        if self._ground is None:
-            surface = self._map.target.surface
-            self._ground = (ground_share(surface, self._query.surface, self._T),)
-        return self._ground[0]
+    def ground(self) -> Count:
+        """Count the ground points that lie on the map's ground."""
+        return ground_count(self._map.target.surface, self._query.surface, self._T)
 
-    @property
-    def flush(self) -> float | None:
-        """The share of wall points that are flush with the map's surfaces, of those near them."""
-        if self._flush is None:
-            source, offset = self._query.close_surface, self._config.flush_offset
-            self._flush = (flush_share(self._map.close, source, self._T, offset),)
-        return self._flush[0]
+    def flush(self) -> Count:
+        """Count the wall points that are flush with the map's surfaces, of those near them."""
+        source, offset = self._query.close_surface, self._config.flush_offset
+        return flush_count(self._map.close, source, self._T, offset)
 
-    @property
-    def intruding(self) -> float:
-        """The share of what stands that stands in free space of the map."""
-        if self._intruding is None:
-            index, sample = self._map.target.index, self._query.sample
-            self._intruding = intruding_share(index, sample, self._T, self._map.path, self._config)
-        return self._intruding
+    def intruding(self) -> Count:
+        """Count what stands in free space of the map, of what is known to stand or not to."""
+        index, sample = self._map.target.index, self._query.sample
+        return intruding_count(index, sample, self._T, self._map.path, self._config)
 
 
 class QueryView:
@@ -394,7 +456,7 @@ def visible_counts(
     range_m: float,
     sample: int,
     storeyed: bool,
-) -> tuple[int, int]:
+) -> Count:
     """Count the map points that the query sees, too, and those that were compared.
 
     Parameters
@@ -423,7 +485,7 @@ def visible_counts(
     points = index.sample(x, y, range_m, sample, low + T[2, 3], high + T[2, 3])
     T_local_map = np.ascontiguousarray(geometry.inverse(T))
     seen, violations = view.count(points, T_local_map, radius)
-    return seen, seen + violations
+    return Count(seen, seen + violations)
 
 
 def _heights(scene: Segmentation) -> tuple[float, float]:
@@ -449,10 +511,10 @@ def viewpoints(path: Float64, at: Float64) -> Float64:
     return np.array(chosen).reshape(-1, 3)
 
 
-def intruding_share(
+def intruding_count(
     index: _native.PointIndex, sample: Float32, T: Pose, path: Float64, config: VerificationConfig
-) -> float:
-    """Compute the share of a query's structure that occupies free space of the map.
+) -> Count:
+    """Count the points of a query's structure that occupy free space of the map.
 
     Parameters
     ----------
@@ -465,11 +527,6 @@ def intruding_share(
     path : (M, 3) float64
         Where the sensor was when the map was made, in the same frame.
     config : VerificationConfig
-
-    Returns
-    -------
-    float
-        A share, in [0, 1].
     """
     used, intruding = index.intrusion(
         sample,
@@ -481,7 +538,7 @@ def intruding_share(
         config.visibility_margin,
         _POINT_HALF_WIDTH_M,
     )
-    return intruding / used if used else 0.0
+    return Count(intruding, used)
 
 
 def close_surface(points: Float32) -> _native.Surface:
@@ -489,10 +546,8 @@ def close_surface(points: Float32) -> _native.Surface:
     return _native.Surface(np.ascontiguousarray(points), _CLOSE_M, _SUPPORT_M)
 
 
-def flush_share(
-    target: _native.Surface, source: _native.Surface, T: Pose, offset: float
-) -> float | None:
-    """Compute the share of a query's wall points on a surface of the map, of those near one.
+def flush_count(target: _native.Surface, source: _native.Surface, T: Pose, offset: float) -> Count:
+    """Count a query's wall points on a surface of the map, of those near one.
 
     What has no map point near it may be higher than the map reaches, and counts for the overlap.
 
@@ -504,19 +559,14 @@ def flush_share(
         Takes the source to the target.
     offset : float
         Distance from the map's plane below which a point is on it [m].
-
-    Returns
-    -------
-    float or None
-        A share, in [0, 1]; None where there are too few.
     """
     offsets, normals = target.offsets(source, T, _MAX_SURFACE_POINTS)
     wall = (np.abs(normals[:, 2]) < _MAX_WALL_NORMAL_Z) & normals.any(axis=1) & np.isfinite(offsets)
-    return float((offsets[wall] < offset).mean()) if wall.sum() >= _MIN_SURFACE_POINTS else None
+    return Count(int((offsets[wall] < offset).sum()), int(wall.sum()))
 
 
-def ground_share(target: _native.Surface, source: _native.Surface, T: Pose) -> float | None:
-    """Compute the share of a query's ground on that of the map, of what is near a surface.
+def ground_count(target: _native.Surface, source: _native.Surface, T: Pose) -> Count:
+    """Count a query's ground points on the ground of the map, of those near a surface.
 
     Parameters
     ----------
@@ -524,16 +574,7 @@ def ground_share(target: _native.Surface, source: _native.Surface, T: Pose) -> f
         Of the map and of the query.
     T : (4, 4) float64
         Takes the source to the target.
-
-    Returns
-    -------
-    float or None
-        A share, in [0, 1]; None where there is too little.
     """
     offsets, normals = target.offsets(source, T, _MAX_SURFACE_POINTS)
     level = (np.abs(normals[:, 2]) > _MIN_GROUND_NORMAL_Z) & np.isfinite(offsets)
-    return (
-        float((offsets[level] < _GROUND_TOLERANCE_M).mean())
-        if level.sum() >= _MIN_SURFACE_POINTS
-        else None
-    )
+    return Count(int((offsets[level] < _GROUND_TOLERANCE_M).sum()), int(level.sum()))

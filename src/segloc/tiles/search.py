@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from threading import Lock
@@ -10,8 +9,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ..likelihood import Verdict
-from ..likelihood.evidence import DECISIVE_INLIERS
+from ..likelihood import Posterior
+from ..likelihood.posterior import log_odds
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
@@ -24,13 +23,9 @@ from ..system.stage_times import StageTimes
 from ..types import Candidate, Matches
 from .index import Tile, TileIndex
 
-STRONG = 0.5
-"""Tiles are searched first in which a pose has such a share of the votes of the best."""
 FEW, MORE = 4, 10
 """So many tiles are looked into; all that a query may be in are searched where they are no more
 than the second. Set by hand."""
-PAIR = 2
-"""So many segments agree on a pose anywhere: the two that it is computed from."""
 Value = TypeVar("Value")
 
 
@@ -127,8 +122,9 @@ class TileSearch:
         """The tiles in which segments agree on poses: by their votes, then by all segments."""
         voted = self._voted(found)
         best = max(voted.values(), default=0)
-        strong = [tile for tile, votes in voted.items() if votes >= STRONG * best][:FEW]
-        if len(strong) == 1 and _stands_out(best, [c.inliers for c in found]):
+        strong = [tile for tile, votes in voted.items() if not self._decides(best, votes)][:FEW]
+        typical = int(np.median([c.inliers for c in found])) if found else 0
+        if len(strong) == 1 and self._decides(best, typical):
             yield tuple(strong)
         agree: dict[Tile, int] = {}
         for some in (strong, list(voted)[:FEW]):
@@ -139,16 +135,16 @@ class TileSearch:
             yield self._agreeing({tile: agree[tile] for tile in some})
 
     def _agreeing(self, agree: dict[Tile, int]) -> tuple[Tile, ...]:
-        """The tiles in which nearly as many segments agree as in the best; none where it is chance.
-
-        Chance is what the confidence takes for it: on a wrong pose fewer agree. In 100 km of
-        simulated towns at least 15 agreed where a query was found, and at most 7 in any tile that
-        was looked into for 48 queries from elsewhere, by which it was chosen.
-        """
+        """The tiles that segments do not decide against; none where they may agree by chance."""
         best = max(agree.values(), default=0)
-        if best < self._coarse.verifier.model.chance.most_inliers:
+        if not self._decides(best, 0):
             return ()
-        return tuple(tile for tile, count in agree.items() if count >= STRONG * best)
+        return tuple(tile for tile, count in agree.items() if not self._decides(best, count))
+
+    def _decides(self, inliers: int, elsewhere: int) -> bool:
+        """Whether segments would decide for a pose, against one that fits as well elsewhere."""
+        threshold = log_odds(self._coarse.config.verification.min_confidence)
+        return self._coarse.likelihood.model.margin(inliers, elsewhere) >= threshold
 
     def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
         """The tiles of the poses on which most matches with the thin map agree, best first."""
@@ -203,12 +199,6 @@ def _bytes(localizer: Localizer) -> int:
     return 4 * localizer.prior_map.memory_bytes
 
 
-def _stands_out(most: int, votes: list[int]) -> bool:
-    """Whether the best of some poses has more votes than chance gives, which is what most have."""
-    chance = max(float(np.median(votes)), PAIR)
-    return most * math.log(max(most, 1) / chance) >= DECISIVE_INLIERS
-
-
 def _nowhere(
     query: Query,
     matches: Matches,
@@ -218,9 +208,9 @@ def _nowhere(
 ) -> Localization:
     """The answer where no tile has a right to be searched."""
     reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
-    verdict = Verdict(reason, f"{reason} (of the segments {most} agree on a place, as by chance)")
-    counts = Search(len(matches), matches, found, verdict).counts(query)
-    return answer(query.cloud, verdict, counts, times.with_total(), near)
+    message = f"{reason} (of the segments {most} agree on a place, as by chance)"
+    search = Search(len(matches), matches, found, Posterior(), reason, message, near=near)
+    return answer(query, search, times.with_total())
 
 
 class Recent:

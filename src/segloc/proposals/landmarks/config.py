@@ -78,12 +78,6 @@ class LandmarkConfig(Section):
     min_support: float = Field(
         10.0, ge=3, le=1000, description="landmarks on the map, weighted by how well they fit"
     )
-    min_share: float = Field(
-        0.2, ge=0, le=1, description="the same as a share of the query's landmarks"
-    )
     min_confidence: float = Field(
         0.8, ge=0, le=1, description="probability above which a pose is believed"
-    )
-    max_rival: float = Field(
-        0.75, gt=0, le=1, description="ambiguous where another place has this share of the support"
     )

@@ -1,15 +1,17 @@
-"""Landmarks -> triangles -> matches -> poses -> verdict, on one page."""
+"""Landmarks -> triangles -> matches -> poses -> posterior, on one page."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ...errors import ConfigError, InvalidScan
 from ...geometry import Separation
-from ...localization import Localization, Localized, NotLocalized, Reason, RunnerUp, ambiguous_with
+from ...likelihood.posterior import Posterior, ScoredPose
+from ...localization import Localization, Localized, NotLocalized, Place, Reason
 from ...system.stage_times import Clock, StageTimes
 from ...types import Candidate, Float64, Matches, Pose
 from ..pose import PoseEstimator
@@ -21,10 +23,10 @@ from .triangles import TriangleIndex
 
 _NEARBY = Separation(metres=1.0, degrees=5.0)
 """Rivals of a pose are at least so far from it: rows of trees may stand 2 m apart."""
-CHANCE_SUPPORT = 3.0
+_CHANCE_SUPPORT = 3.0
 """What some wrong place of a map has almost always; a rival is not taken to have less."""
-CONFIDENCE = (2.42, 8.48, 14.81)
-"""Log-odds that a pose is right: a constant, times log(share), times log(ratio). Fitted by
+_WEIGHTS = (2.42, 8.48, 14.81)
+"""Log-ratio of a pose: a constant, times log(share), times log(ratio to the rival). Fitted by
 ``segloc_lab.calibration.landmarks``."""
 _LEAST = 1e-3
 
@@ -86,14 +88,14 @@ class LandmarkLocalizer:
         with times("gathering"):
             T_local_sensor = levelling(landmarks.directions)
             columns = landmarks.moved(T_local_sensor)
-        best, counts = self.judged(columns, times)
+        found, counts = self.search(columns, times)
         common = {"counts": counts, "times_ms": times.with_total(), "stamp": landmarks.stamp}
-        return _answer(best, len(landmarks), T_local_sensor, common)
+        return _answer(found, len(landmarks), T_local_sensor, common)
 
-    def judged(
+    def search(
         self, columns: Float64, times: StageTimes | None = None
-    ) -> tuple[LandmarkVerdict, dict[str, int]]:
-        """The verdict on landmarks in a frame whose z axis points up, and the counts of stages.
+    ) -> tuple[LandmarkSearch, dict[str, int]]:
+        """What is found by landmarks in a frame whose z axis points up, and the counts of stages.
 
         Parameters
         ----------
@@ -103,20 +105,20 @@ class LandmarkLocalizer:
         """
         times = times or StageTimes(self._clock)
         counts: dict[str, int] = {"segments": len(columns)}
-        best: LandmarkVerdict | None = None
+        best: LandmarkSearch | None = None
         for effort, index in enumerate(self._indices, start=1):
             counts["efforts"] = effort
-            verdict = self._attempt(columns, index, counts, times)
-            if best is None or verdict.rank > best.rank:
-                best = verdict
-            if not verdict.undecided:
+            found = self._attempt(columns, index, counts, times)
+            if best is None or found.posterior.confidence > best.posterior.confidence:
+                best = found
+            if found.reason in (None, Reason.AMBIGUOUS):
                 break
         assert best is not None  # there is at least one effort
         return best, counts
 
     def _attempt(
         self, columns: Float64, index: TriangleIndex, counts: dict[str, int], times: StageTimes
-    ) -> LandmarkVerdict:
+    ) -> LandmarkSearch:
         positions = columns[:, :3].copy()
         with times("matching"):
             matches = index.matches(positions, columns[:, 6])
@@ -125,123 +127,100 @@ class LandmarkLocalizer:
             candidates = self._candidates(positions, matches)[: index.effort.most_candidates]
         counts["candidates"] = len(candidates)
         with times("verification"):
-            return self._verdict(columns, candidates, counts)
+            return self._found(columns, candidates, counts)
 
     def _candidates(self, positions: Float64, matches: Matches) -> list[Candidate]:
         if not len(matches):
             return []
         return self._estimator.estimate(positions, self.prior_map.positions, matches)
 
-    def _verdict(
+    def _found(
         self, columns: Float64, candidates: list[Candidate], counts: dict[str, int]
-    ) -> LandmarkVerdict:
+    ) -> LandmarkSearch:
         for what, reason in (
             ("segments", Reason.NO_SEGMENTS),
             ("matches", Reason.NO_MATCHES),
             ("candidates", Reason.NO_CONSISTENT_MATCHES),
         ):
             if not counts[what]:
-                return LandmarkVerdict(reason, reason.value)
+                return LandmarkSearch(Posterior(), reason, reason.value)
         best, *others = self._map.best(columns, candidates)
-        rival = _best_elsewhere(best, others)
-        verdict = decide(best, rival, len(columns), self.config)
-        if verdict.reason is not None:
-            return verdict
-        shifted = self._map.shifted(columns, best)
-        rival = _best_elsewhere(best, [a for a in (rival, shifted) if a is not None])
-        return decide(best, rival, len(columns), self.config)
+        found = self._concluded(best, others, len(columns))
+        if found.reason is None and (shifted := self._map.shifted(columns, best)) is not None:
+            found = self._concluded(best, [*others, shifted], len(columns))
+        return found
 
-
-def _best_elsewhere(best: Agreement, others: list[Agreement]) -> Agreement | None:
-    elsewhere = [a for a in others if _NEARBY.apart(a.T_map_local, best.T_map_local)]
-    return max(elsewhere, key=lambda found: found.support, default=None)
-
-
-def _answer(
-    verdict: LandmarkVerdict, landmarks: int, T_local_sensor: Pose, common: dict[str, Any]
-) -> Localization:
-    best, rival = verdict.best, verdict.rival
-    if best is not None:
-        common["inliers"], common["rmse"] = best.inliers, best.rmse
-        common["overlap"] = best.support / landmarks
-        common["inlier_ratio"] = ratio_to_rival(best, rival)
-    if best is not None and rival is not None:
-        T = rival.T_map_local @ T_local_sensor
-        common["runner_up"] = RunnerUp(T, rival.inliers, rival.support / landmarks)
-    common["confidence"] = verdict.confidence
-    if verdict.reason is not None or best is None:
-        return NotLocalized(
-            reason=verdict.reason or Reason.NO_SEGMENTS, message=verdict.message, **common
-        )
-    return Localized(T_map_sensor=best.T_map_local @ T_local_sensor, **common)
+    def _concluded(self, best: Agreement, others: list[Agreement], count: int) -> LandmarkSearch:
+        """The posterior of the best place and of its rival; few landmarks are no evidence."""
+        elsewhere = [a for a in others if _NEARBY.apart(a.T_map_local, best.T_map_local)]
+        rival = max(elsewhere, key=lambda found: found.support, default=None)
+        found = [best] if rival is None else [best, rival]
+        supports = [best.support, 0.0 if rival is None else rival.support]
+        enough = [a for a in found if a.support >= self.config.min_support]
+        scored = [scored_pose(a, supports, count) for a in enough]
+        posterior, needed = Posterior.of(scored), self.config.min_confidence
+        if not scored:
+            least = self.config.min_support
+            message = f"{Reason.TOO_UNCERTAIN} (support {best.support:.1f} < {least:g})"
+            return LandmarkSearch(posterior, Reason.TOO_UNCERTAIN, message, found)
+        return LandmarkSearch(posterior, posterior.reason(needed), posterior.message(needed), found)
 
 
 @dataclass(frozen=True)
-class LandmarkVerdict:
-    """What is decided of a query.
+class LandmarkSearch:
+    """What was found for one query.
 
     Attributes
     ----------
+    posterior : Posterior
     reason : Reason or None
-        Why no pose is believed; None where the best is.
+        Why the likeliest place is not believed; None where it is.
     message : str
-        The same as a sentence with its figures; "" where a pose is believed.
-    confidence : float
-        Probability that the best is right, in [0, 1].
-    best, rival : Agreement or None
+        The same as a sentence with its figures.
+    agreements : sequence of Agreement
         The best pose, and the best one at another place.
     """
 
+    posterior: Posterior
     reason: Reason | None
-    message: str = ""
-    confidence: float = 0.0
-    best: Agreement | None = None
-    rival: Agreement | None = None
-
-    @property
-    def undecided(self) -> bool:
-        """Whether too little spoke for any pose, so that more matches may help."""
-        return self.reason is not None and self.reason is not Reason.AMBIGUOUS
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """The better of two verdicts on one query has the higher one."""
-        return self.reason is None, self.best.support if self.best else 0.0
+    message: str
+    agreements: Sequence[Agreement] = ()
 
 
-def decide(
-    best: Agreement, rival: Agreement | None, landmarks: int, config: LandmarkConfig
-) -> LandmarkVerdict:
-    """Believe a pose, or say why not.
+def scored_pose(agreement: Agreement, supports: Sequence[float], count: int) -> ScoredPose:
+    """A pose with its log-ratio.
 
-    A pose is believed when enough of the query's landmarks lie on the map's, in number and as a
-    share, no other place has nearly as many, and its calibrated probability is high enough.
+    Parameters
+    ----------
+    agreement : Agreement
+    supports : sequence of float
+        Of this pose and of its rival, in any order.
+    count : int
+        Landmarks of the query.
     """
-    share, ratio = best.support / max(landmarks, 1), ratio_to_rival(best, rival)
-    confidence = probability(share, ratio)
-    reason, message = None, ""
-    if best.support < config.min_support:
-        reason = Reason.TOO_FEW_INLIERS
-        message = f"too few inliers (support {best.support:.1f} < {config.min_support:g})"
-    elif share < config.min_share:
-        reason = Reason.TOO_LITTLE_OVERLAP
-        message = reason.below(share, config.min_share)
-    elif rival is not None and rival.support > config.max_rival * best.support:
-        reason, message = Reason.AMBIGUOUS, ambiguous_with(rival.T_map_local)
-    elif confidence < config.min_confidence:
-        reason = Reason.TOO_UNCERTAIN
-        message = reason.below(confidence, config.min_confidence)
-    return LandmarkVerdict(reason, message, confidence, best, rival)
+    rival = min(supports) if agreement.support == max(supports) else max(supports)
+    constant, of_share, of_ratio = _WEIGHTS
+    share, ratio = agreement.support / count, agreement.support / max(rival, _CHANCE_SUPPORT)
+    log_ratio = constant + of_share * math.log(max(share, _LEAST))
+    log_ratio += of_ratio * math.log(max(ratio, _LEAST))
+    T, rmse = agreement.T_map_local, agreement.rmse
+    return ScoredPose(T, log_ratio, agreement.inliers, share, rmse=rmse)
 
 
-def ratio_to_rival(best: Agreement, rival: Agreement | None) -> float:
-    """How many times as much support as the rival, or as chance."""
-    return best.support / max(rival.support if rival else 0.0, CHANCE_SUPPORT)
-
-
-def probability(share: float, ratio: float) -> float:
-    """How likely a pose with enough support is to be right, in [0, 1]."""
-    constant, of_share, of_ratio = CONFIDENCE
-    logit = constant + of_share * math.log(max(share, _LEAST))
-    logit += of_ratio * math.log(max(ratio, _LEAST))
-    return 1 / (1 + math.exp(-max(-50.0, min(50.0, logit))))
+def _answer(
+    found: LandmarkSearch, count: int, T_local_sensor: Pose, common: dict[str, Any]
+) -> Localization:
+    posterior = found.posterior
+    if found.agreements:
+        best = found.agreements[0]
+        common["inliers"], common["rmse"] = best.inliers, best.rmse
+        common["overlap"] = best.support / count
+    common["confidence"], common["not_in_map"] = posterior.confidence, posterior.not_in_map
+    common["places"] = tuple(
+        Place(place.T_map_local @ T_local_sensor, p, place.inliers, place.overlap)
+        for place, p in zip(posterior.places, posterior.probabilities, strict=True)
+    )
+    if found.reason is not None or posterior.best is None:
+        reason = found.reason or Reason.NO_SEGMENTS
+        return NotLocalized(reason=reason, message=found.message, **common)
+    return Localized(T_map_sensor=posterior.best.T_map_local @ T_local_sensor, **common)

@@ -73,11 +73,11 @@ class StemProposer:
             return Proposals([])
         if self._localizer is None:  # threads that ask at once make the same
             self._localizer = LandmarkLocalizer(self._mapped(), LandmarkConfig(efforts=(EFFORT,)))
-        verdict, _ = self._localizer.judged(columns)
+        search, _ = self._localizer.search(columns)
         least = max(LEAST_SUPPORT, LEAST_SHARE * len(columns))
-        found = [a for a in (verdict.best, verdict.rival) if a and a.support >= least]
+        found = [a for a in search.agreements if a.support >= least]
         candidates = [Candidate(a.T_map_local, 0, a.support / len(columns)) for a in found]
-        return Proposals(candidates, verdict.reason is None)
+        return Proposals(candidates, search.reason is None)
 
     def _mapped(self) -> LandmarkMap:
         stems = self._finder.find(self._cloud, spacing=self._voxel)

@@ -1,0 +1,169 @@
+"""How much likelier a query is from a pose than from none of the map: a fitted linear model."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import ConfigError, WeightsError
+from ..system.section import Section
+from .observation import Count, Observation
+
+FEATURES = (
+    "in_view",
+    "flush",
+    "ground",
+    "inliers",
+    "inliers_over_rival",
+    "overlap_over_rival",
+    "seen_over_rival",
+    "flush_over_rival",
+    "free_space",
+)
+"""Names of the features, in the order of :meth:`Model.features`."""
+
+_PRIOR = {"flush": 10.0, "ground": 10.0, "seen": 15.0}
+"""Points by which shares are smoothed: few say little."""
+_CHANCE_OVERLAP, _CHANCE_SEEN, _CHANCE_FLUSH = 0.25, Count(50, 100), Count(25, 100)
+"""What stands in for a rival where there is none."""
+_CHANCE_INLIERS = 4
+"""Segments that agree on some wrong pose of any map."""
+_MOST_IN_VIEW, _MOST_EVIDENCE = 3000, 40.0
+"""More map points in view, and more evidence by inliers, say no more."""
+DOUBTFUL, FREE = Count(40, 2000), Count(0, 2000)
+"""What may stand in free space where it is not measured, and at best."""
+
+
+class Model(Section):
+    """The log-ratio of a pose: its features, weighed.
+
+    Attributes
+    ----------
+    weights : dict of str to float
+        By the names of :data:`FEATURES`; no unit, natural logarithms.
+    none : float
+        The score of "not in this map".
+    alias : float
+        What is added to the score that wrong poses of a map reach: another place of it, like them
+        but not proposed, has this much.
+    unseen : float
+        Log-probability that a place which segments do not name fits as well as the one they do.
+    settings : dict
+        The configuration under which the model was fitted.
+    card : dict
+        Data, command, figures and reliability of the fit.
+    """
+
+    format: int = Field(ge=3, le=3)
+    weights: Mapping[str, float]
+    none: float
+    alias: float
+    unseen: float
+    settings: Mapping[str, Any] = {}
+    card: Mapping[str, Any]
+
+    def floor(self, aliased: float | None = None) -> float:
+        """The score of "none of the places", in a map whose wrong poses reach ``aliased``."""
+        return (
+            self.none if aliased is None else float(np.logaddexp(self.none, aliased + self.alias))
+        )
+
+    def weighed(self, features: Sequence[float]) -> float:
+        """The score of a pose by its features, in the order of :data:`FEATURES`."""
+        return sum(self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
+
+    def features(
+        self,
+        fit: Observation,
+        others: Sequence[Observation],
+        inliers: int,
+        unknown: Count = DOUBTFUL,
+    ) -> tuple[float, ...]:
+        """What is weighed of a pose.
+
+        Parameters
+        ----------
+        fit : Observation
+        others : sequence of Observation
+            At other places: of these the best is compared with.
+        inliers : int
+            The most that agree with any pose at another place.
+        unknown : Count
+            What stands in free space, where that was not measured.
+        """
+        overlap, seen, flush = _CHANCE_OVERLAP, _CHANCE_SEEN, _CHANCE_FLUSH
+        if others:
+            rival = max(others, key=lambda o: share_odds(o.overlap) + _odds("seen", o.seen))
+            overlap, seen, flush = rival.overlap, rival.seen, rival.flush
+        return (
+            math.log(50.0 + min(fit.seen.of, _MOST_IN_VIEW)),
+            _odds("flush", fit.flush),
+            _odds("ground", fit.ground),
+            math.log1p(fit.inliers),
+            evidence(fit.inliers, inliers),
+            share_odds(fit.overlap) - share_odds(overlap),
+            _odds("seen", fit.seen) - _odds("seen", seen),
+            _odds("flush", fit.flush) - _odds("flush", flush),
+            free_space(fit.intruding if fit.has("intruding") else unknown),
+        )
+
+    def margin(self, inliers: int, elsewhere: int) -> float:
+        """How much likelier a pose is than one that fits as well but for its segments."""
+        weights = self.weights
+        more = evidence(inliers, elsewhere) - evidence(elsewhere, inliers)
+        agree = math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
+        return weights["inliers"] * agree + weights["inliers_over_rival"] * more - self.unseen
+
+
+def evidence(inliers: int, elsewhere: int) -> float:
+    """How much likelier so many inliers are than as many as elsewhere (Poisson), in tens."""
+    ratio = max(inliers, 1) / max(elsewhere, _CHANCE_INLIERS)
+    return min(inliers * math.log(ratio), _MOST_EVIDENCE) / 10.0
+
+
+def free_space(intruding: Count) -> float:
+    """How little stands in free space of the map."""
+    return -math.log((intruding.hits + 2.0) / (intruding.of + 40.0))
+
+
+def share_odds(share: float) -> float:
+    """The odds of a share on a logarithmic scale that ends at 0 and 1."""
+    return math.log((share + 0.05) / (1.05 - share))
+
+
+def _odds(name: str, count: Count) -> float:
+    return count.log_odds(_PRIOR[name])
+
+
+def load_model(path: Path) -> Model:
+    """Read a model.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing or damaged.
+    """
+    try:
+        model = Model.model_validate(json.loads(path.read_text("utf-8")))
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except ConfigError as error:
+        raise WeightsError(f"{path}: {error}") from error
+    except ValueError as error:
+        raise WeightsError(f"{path}: damaged ({error})") from error
+    if set(model.weights) != set(FEATURES):
+        raise WeightsError(f"{path}: weights must be those of {', '.join(FEATURES)}")
+    return model
+
+
+@cache
+def shipped_model() -> Model:
+    """The model that comes with the package."""
+    return load_model(Path(__file__).resolve().parent.parent / "weights" / "posterior.json")

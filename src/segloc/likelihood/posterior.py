@@ -1,0 +1,122 @@
+"""Places with log-ratios -> their probabilities, and what is concluded from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..localization import Reason, ambiguous_with
+from ..types import Float64, Pose
+
+
+@dataclass(frozen=True)
+class ScoredPose:
+    """A pose that a query may have been taken at.
+
+    Attributes
+    ----------
+    T_map_local : (4, 4) float64
+    log_ratio : float
+        Natural logarithm of how much likelier the query is from here than from none of the places.
+    inliers : int
+        Distinct query segments that agree with the pose.
+    overlap : float
+        Share of the query that lies on the map, in [0, 1].
+    seen : float or None
+        Share of the map in view that the query sees, too; None where none is in view.
+    rmse : float or None
+        Residual of the alignment [m].
+    covariance : (6, 6) float64 or None
+        Of rotation (rad) then translation (m), in the local frame.
+    features : tuple of float
+        What the log-ratio was weighed of.
+    """
+
+    T_map_local: Pose
+    log_ratio: float
+    inliers: int
+    overlap: float
+    seen: float | None = None
+    rmse: float | None = None
+    covariance: Float64 | None = None
+    features: tuple[float, ...] = ()
+
+    def __str__(self) -> str:
+        return f"overlap {self.overlap:.2f} and {self.inliers} inliers"
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The distinct places that a query may be from, and how likely each is.
+
+    Attributes
+    ----------
+    places : tuple of ScoredPose
+        The likeliest first.
+    probabilities : tuple of float
+        Of each of them; they and ``not_in_map`` add up to 1.
+    not_in_map : float
+        Probability that it is from none of them, in [0, 1].
+    """
+
+    places: tuple[ScoredPose, ...] = ()
+    probabilities: tuple[float, ...] = ()
+    not_in_map: float = 1.0
+
+    @classmethod
+    def of(cls, places: Sequence[ScoredPose]) -> Posterior:
+        """The softmax over places and "none of them", whose log-ratio is 0."""
+        ordered = sorted(places, key=lambda place: -place.log_ratio)
+        log_ratios = np.array([*(place.log_ratio for place in ordered), 0.0])
+        shares = np.exp(log_ratios - log_ratios.max())
+        *probabilities, not_in_map = (shares / shares.sum()).tolist()
+        return cls(tuple(ordered), tuple(probabilities), not_in_map)
+
+    @property
+    def best(self) -> ScoredPose | None:
+        """The likeliest place."""
+        return self.places[0] if self.places else None
+
+    @property
+    def confidence(self) -> float:
+        """The probability of the likeliest place, in [0, 1]."""
+        return self.probabilities[0] if self.places else 0.0
+
+    def reason(self, min_confidence: float) -> Reason | None:
+        """Why the likeliest place is not believed; None where it is."""
+        if self.confidence >= min_confidence:
+            return None
+        if 1.0 - self.not_in_map >= min_confidence:
+            return Reason.AMBIGUOUS
+        if self.not_in_map >= min_confidence:
+            return Reason.NOT_IN_MAP
+        return Reason.TOO_UNCERTAIN
+
+    def message(self, min_confidence: float) -> str:
+        """The reason as a sentence with its figures; "" where the likeliest place is believed."""
+        reason = self.reason(min_confidence)
+        if reason is None:
+            return ""
+        best = self.best
+        if best is None:
+            return Reason.NO_CONSISTENT_MATCHES.value
+        if reason is Reason.AMBIGUOUS:
+            return ambiguous_with(self.places[1].T_map_local)
+        elsewhere = f", elsewhere {self.places[1]}" if len(self.places) > 1 else ""
+        if reason is Reason.NOT_IN_MAP:
+            return f"{reason} (probability {floored(self.not_in_map)}): {best}{elsewhere}"
+        return f"{reason.below(self.confidence, min_confidence)}: {best}{elsewhere}"
+
+
+def log_odds(probability: float) -> float:
+    """Natural logarithm of the odds, finite."""
+    p = min(max(probability, 1e-12), 1.0 - 1e-12)
+    return math.log(p / (1.0 - p))
+
+
+def floored(probability: float) -> str:
+    """A probability with two digits, never rounded up to 1."""
+    return f"{math.floor(100 * probability) / 100:.2f}"

@@ -1,0 +1,234 @@
+"""Candidate poses -> the distinct places at which a query was measured -> their posterior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from ..frontend.segmentation import Segmentation
+from ..geometry import Separation
+from ..types import Candidate, Float32, Float64, Pose
+from .config import VerificationConfig
+from .model import DOUBTFUL, FREE, shipped_model
+from .observation import Count, MapCloud, Observation, QueryCloud, RankedCandidate
+from .posterior import Posterior, ScoredPose, log_odds
+
+Inliers = Callable[[Pose], int]
+"""How many distinct query segments agree with a pose T_map_local."""
+Allowed = Callable[[Pose], bool]
+"""Whether the sensor may be at a pose T_map_local at all."""
+
+
+class Likelihood:
+    """Compares queries with the map's own cloud.
+
+    Parameters
+    ----------
+    cloud : (N, 3) float32
+        The map's voxelised cloud, relative to ``origin``.
+    origin : (3,) float64
+        Added to the cloud it gives map coordinates.
+    config : VerificationConfig, optional
+    separation : Separation, optional
+        Poses closer than this are one.
+    threads : int
+        0: all cores. No result depends on it.
+    storeyed : bool
+        Whether the map has several storeys.
+    path : (M, 3) float64, optional
+        Where the sensor was when the map was made, in map coordinates.
+    alias : float, optional
+        The score that wrong poses of this map reach; by default that of a typical map.
+
+    Attributes
+    ----------
+    model : Model
+    """
+
+    def __init__(
+        self,
+        cloud: Float32,
+        origin: Float64,
+        config: VerificationConfig | None = None,
+        *,
+        separation: Separation | None = None,
+        threads: int = 0,
+        storeyed: bool = False,
+        path: Float64,
+        alias: float | None = None,
+    ) -> None:
+        self.config, self.model = config or VerificationConfig(), shipped_model()
+        self.separation, self.alias = separation or Separation(), alias
+        self.cloud = MapCloud(cloud, origin, self.config, self.separation, threads, storeyed, path)
+
+    def query(self, scene: Segmentation) -> QueryCloud:
+        """A query's cloud, made ready to be compared with the map any number of times."""
+        return self.cloud.query(scene)
+
+    def scorer(self, query: QueryCloud, allowed: Allowed = lambda _: True) -> Scorer:
+        """What measures one query; places that are not ``allowed`` are none."""
+        return Scorer(self, query, allowed)
+
+    def at(self, query: QueryCloud, T_map_local: Pose, inliers: int = 0) -> ScoredPose:
+        """Align a query at a pose and measure it there: no search, and no rivals."""
+        fit = self.cloud.refined(T_map_local, query)
+        fit.inliers = inliers
+        features = self.model.features(fit, [], 0)
+        return _scored(fit, features, self.model.weighed(features) - self.model.floor(self.alias))
+
+
+class Scorer:
+    """Measures one query at the places that proposers name, each at most once.
+
+    Attributes
+    ----------
+    fits : list of Observation
+        The distinct places that were measured.
+    """
+
+    def __init__(self, likelihood: Likelihood, query: QueryCloud, allowed: Allowed) -> None:
+        self._likelihood, self._query, self._allowed = likelihood, query, allowed
+        self._config, self._model = likelihood.config, likelihood.model
+        self._map, self._apart = likelihood.cloud, likelihood.separation.apart
+        self._threshold = log_odds(self._config.min_confidence)
+        self._floor = self._model.floor(likelihood.alias)
+        self._candidates: Sequence[Candidate] = ()
+        self.fits: list[Observation] = []
+
+    def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
+        """Whether more segments agree on one of the candidates than a place that fits as well, but
+        was not named, could explain."""
+        if not candidates:
+            return False
+        best = max(candidates, key=lambda c: c.inliers)
+        elsewhere = self._most_elsewhere(candidates, best.T_map_local)
+        return self._model.margin(best.inliers, elsewhere) >= self._threshold
+
+    def fit(
+        self, candidates: Sequence[Candidate], inliers: Inliers, *, thorough: bool = False
+    ) -> Posterior:
+        """Measure the most promising candidates.
+
+        Aligning with some of the points is for a few; with all of them, and the search of what
+        stands in free space, only for those that may be believed or be their rivals.
+
+        Parameters
+        ----------
+        candidates : sequence of Candidate
+            All so far, T_map_local.
+        inliers : callable
+            Counts the segments that agree with a pose.
+        thorough : bool
+            Measure more of them, and everything.
+        """
+        self._candidates = candidates
+        for fit in self.fits:
+            fit.inliers = inliers(fit.T_map_local)
+        for start, T in self._promising(candidates, thorough):
+            fit = self._map.refined(T, self._query, start)
+            fit.inliers = inliers(fit.T_map_local)
+            self._take(fit)
+        while (fit_left := self._undecided(thorough)) is not None:
+            finished = self._map.finished(fit_left, self._query)
+            finished.intruding  # noqa: B018  (measured on first use)
+            self.fits[self.fits.index(fit_left)] = finished
+        return self.posterior()
+
+    def posterior(self) -> Posterior:
+        """The probabilities of all that was measured."""
+        unknown = FREE if any(fit.has("intruding") for fit in self.fits) else DOUBTFUL
+        return Posterior.of([self._scored(fit, unknown) for fit in self.fits])
+
+    def _undecided(self, thorough: bool) -> Observation | None:
+        """The likeliest place that is not measured wholly, if that could change what is believed.
+
+        It could where the place, if nothing stood in free space there, might be believed, or be a
+        rival of the best.
+        """
+        known = [self._score(fit) for fit in self.fits if fit.has("intruding")]
+        best = max(known, default=-math.inf)
+        left = [fit for fit in self.fits if not fit.has("intruding")]
+        if not left:
+            return None
+        fit = max(left, key=lambda fit: self._score(fit, FREE))
+        most = self._score(fit, FREE)
+        matters = best - most < self._threshold + 1.0 and max(best, most) >= self._threshold
+        return fit if matters or thorough else None
+
+    def _promising(
+        self, candidates: Sequence[Candidate], thorough: bool
+    ) -> list[tuple[Pose | None, Pose]]:
+        """Poses to be measured, each with a better start, if there is one."""
+        if not candidates:
+            return []
+        ranked = self._map.ranked(candidates, self._query)
+        most = self._config.max_refined * (3 if thorough or self._map.storeyed else 1)
+        chosen: list[RankedCandidate] = []
+        for key in (by_segments, by_clouds, by_overlap):
+            best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
+            chosen += [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
+        found: list[tuple[Pose | None, Pose]] = [(None, c.T_map_local) for c in chosen]
+        if self.segments_decide(candidates) and not thorough:
+            return found
+        around = self._map.around(chosen[0].T_map_local, self._query)
+        found[0] = around.start, chosen[0].T_map_local
+        near = [Candidate(T, 0) for T in around.rivals if self._allowed(T)]
+        rivals = self._map.ranked(near, self._query) if near else []
+        least = self._config.refined_from * chosen[0].overlap
+        return [*found, *((None, c.T_map_local) for c in rivals if c.overlap >= least)]
+
+    def _is_new(self, candidate: RankedCandidate, chosen: Sequence[RankedCandidate]) -> bool:
+        T = candidate.T_map_local
+        return all(self._apart(T, other.T_map_local) for other in chosen)
+
+    def _take(self, fit: Observation) -> None:
+        """Keep a place, once: of two fits of one place the better."""
+        same = [f for f in self.fits if not self._apart(f.T_map_local, fit.T_map_local)]
+        if all(fit.overlap > f.overlap for f in same):
+            self.fits = [f for f in self.fits if f not in same] + [fit]
+
+    def _most_elsewhere(self, candidates: Sequence[Candidate], T: Pose) -> int:
+        """The most inliers of any candidate at another place."""
+        apart = self._apart
+        return max([0, *(c.inliers for c in candidates if apart(c.T_map_local, T))])
+
+    def _score(self, fit: Observation, unknown: Count = DOUBTFUL) -> float:
+        return self._model.weighed(self._features(fit, unknown)) - self._floor
+
+    def _features(self, fit: Observation, unknown: Count) -> tuple[float, ...]:
+        apart, T = self._apart, fit.T_map_local
+        others = [f for f in self.fits if f is not fit and apart(f.T_map_local, T)]
+        inliers = max([self._most_elsewhere(self._candidates, T), *(f.inliers for f in others)])
+        return self._model.features(fit, others, inliers, unknown)
+
+    def _scored(self, fit: Observation, unknown: Count) -> ScoredPose:
+        features = self._features(fit, unknown)
+        return _scored(fit, features, self._model.weighed(features) - self._floor)
+
+
+def by_segments(candidate: RankedCandidate) -> float:
+    """Key to sort by: the segments that agree, and the overlap there."""
+    return -candidate.inliers * candidate.overlap
+
+
+def by_clouds(candidate: RankedCandidate) -> float:
+    """Key to sort by: the overlap, and how much of the map in view is seen."""
+    return -candidate.overlap * candidate.seen
+
+
+def by_overlap(candidate: RankedCandidate) -> float:
+    """Key to sort by: the overlap alone."""
+    return -candidate.overlap
+
+
+def _scored(fit: Observation, features: tuple[float, ...], log_ratio: float) -> ScoredPose:
+    return ScoredPose(
+        T_map_local=fit.T_map_local,
+        log_ratio=log_ratio,
+        inliers=fit.inliers,
+        overlap=fit.overlap,
+        seen=fit.seen.share,
+        rmse=fit.rmse,
+        covariance=fit.covariance,
+        features=features,
+    )
