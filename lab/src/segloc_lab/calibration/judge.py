@@ -1,0 +1,150 @@
+"""Localize the queries of sealed worlds end to end, and count what is found, false and refused.
+
+The worlds (:data:`.worlds.SEALED`) take no part in the fit. Answers are kept, one line a world, so
+that a run continues where it stopped; files of other versions stand beside it in the table.
+
+    python -m segloc_lab.calibration.judge rows/sealed --out posterior.jsonl --beside 0.2.0.jsonl
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from segloc import Config, Localizer
+
+from ..report import Cell, Table, entries, keep, publish, reporting, wilson
+from .rows import HOME, World, errors, worlds_of
+
+RIGHT_M = 2.0
+"""Error from which an answer is false [m]."""
+ALIKE = ("offices", "warehouse")
+"""Kinds of worlds whose parts repeat."""
+Answers = list[dict[str, Any]]
+
+
+def judged(world: World, config: Config) -> dict[str, Any]:
+    """Localize every query of a world in all of its maps."""
+    places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
+    answers = []
+    for n, made in enumerate(world.queries()):
+        for name, localizer in places.items():
+            start = time.process_time()
+            answer = localizer.localize(made.scans)
+            taken = time.process_time() - start
+            error = None
+            if answer.T_map_sensor is not None and name in HOME:
+                error = round(errors(answer.T_map_sensor, made.truth)[0], 3)
+            answers.append(
+                {
+                    "query": n,
+                    "made": made.kind,
+                    "sensor": made.sensor,
+                    "map": name,
+                    "localized": answer.localized,
+                    "error_m": error,
+                    "confidence": answer.confidence,
+                    "reason": answer.reason and answer.reason.name,
+                    "ms": round(1000 * taken, 1),
+                }
+            )
+    return {"world": world.name, "kind": world.kind, "answers": answers}
+
+
+def flat(worlds: Sequence[dict[str, Any]]) -> Answers:
+    """List the answers of all worlds with their outcome."""
+    named = ({**a, "world": w["world"], "kind": w["kind"]} for w in worlds for a in w["answers"])
+    return [{**a, "outcome": outcome(a)} for a in named]
+
+
+def outcome(answer: dict[str, Any]) -> str:
+    """Classify an answer as found, false or refused."""
+    if not answer["localized"]:
+        return "refused"
+    error = answer["error_m"]
+    return "found" if error is not None and error < RIGHT_M else "false"
+
+
+COLUMNS = ("queries", "answers of", "in their map", "found", "elsewhere", "false", "worlds")
+
+
+def table(runs: dict[str, Answers], by: str, title: str) -> Table:
+    """Count outcomes by a property of the queries, one row for each run."""
+    values = dict.fromkeys(str(a[by]) for answers in runs.values() for a in answers)
+    rows = [
+        _counted(value, name, [a for a in answers if a[by] == value])
+        for value in values
+        for name, answers in runs.items()
+    ]
+    return Table(COLUMNS, rows, title=title)
+
+
+def _counted(value: str, name: str, answers: Answers) -> tuple[Cell, ...]:
+    home = [a["outcome"] for a in answers if a["map"] in HOME]
+    false = [a for a in answers if a["outcome"] == "false"]
+    spoilt = len({a["world"] for a in false})
+    found = home.count("found")
+    return (value, name, len(home), found, len(answers) - len(home), len(false), spoilt)
+
+
+def summary(runs: dict[str, Answers]) -> Table:
+    """Compare runs as a whole: found, false with bounds by query and by world, time."""
+    columns = (
+        "answers of",
+        "found",
+        "false",
+        "at most, queries",
+        "worlds",
+        "at most",
+        "ms",
+        "95 %",
+    )
+    rows = [(name, *_summed(answers)) for name, answers in runs.items()]
+    note = "At most: upper ends of Wilson's 95 % intervals. Times are of one core."
+    return Table(columns, rows, note, "All")
+
+
+def _summed(answers: Answers) -> Iterator[Cell]:
+    home = [a for a in answers if a["map"] in HOME]
+    false = [a for a in answers if a["outcome"] == "false"]
+    worlds, spoilt = ({a["world"] for a in chosen} for chosen in (answers, false))
+    yield f"{sum(a['outcome'] == 'found' for a in home)} of {len(home)}"
+    yield f"{len(false)} of {len(answers)}"
+    yield f"{100 * wilson(len(false), len(answers))[1]:.2f} %"
+    yield f"{len(spoilt)} of {len(worlds)}"
+    yield f"{100 * wilson(len(spoilt), len(worlds))[1]:.0f} %"
+    yield from (round(float(np.percentile([a["ms"] for a in answers], q))) for q in (50, 95))
+
+
+def main() -> None:
+    options = reporting(__doc__)
+    options.add_argument("worlds", type=Path, help="folder of generated worlds")
+    options.add_argument("--out", type=Path, default=Path("posterior.jsonl"))
+    options.add_argument("--beside", type=Path, nargs="+", default=[], help="answers of others")
+    options.add_argument("--quiet", action="store_true", help="keep the answers, show no table")
+    options.add_argument("--every", type=int, default=1, help="take each Nth world")
+    options.add_argument("--first", type=int, default=0, help="number of the first world taken")
+    args = options.parse_args()
+    config = Config.preset("profile").model_copy(update={"threads": 1})
+    done = {entry["world"] for entry in entries(args.out)} if args.out.exists() else set()
+    for world in track(worlds_of(args.worlds)[args.first :: args.every], "worlds"):
+        if world.name not in done:
+            keep(args.out, judged(world, config))
+    if not args.quiet:
+        runs = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
+        by = (("kind", "By kind"), ("map", "By map"), ("made", "By query"))
+        publish(
+            args.report,
+            "Answers in sealed worlds",
+            summary(runs),
+            *(table(runs, name, title) for name, title in by),
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""Collect what the posterior is fitted to: the measures of all refined poses of simulated queries.
+
+Each query of a world (:mod:`.worlds`) is searched in several maps: its own, the first half of it,
+its mirror image, its own among other places (60 000 segments), the map of another world of the same
+kind, and of another kind. Measures are kept raw, so that features can change without collecting
+anew. One file a world; files that exist are kept.
+
+    python -m segloc_lab.calibration.rows rows/fit --out rows/measured
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from rich.progress import track
+
+from segloc import Config, Localizer, SegmentMap, geometry
+from segloc.proposals import Query
+from segloc.types import Float64, Int64, Pose
+
+from ..padding import mirrored, padded
+from ..report import parser
+from .worlds import KINDS, Made, load_queries
+
+PADDED = 60_000
+"""Segments of a padded map."""
+MAPS = ("own", "half", "mirrored", "padded", "same kind", "other kind")
+HOME = ("own", "half", "padded")
+"""Maps in which a query may have a right pose."""
+MEASURES = (
+    "x",
+    "y",
+    "z",
+    "heading",
+    "error_m",
+    "error_deg",
+    "inliers",
+    "elsewhere",
+    "overlap",
+    "rmse",
+    "seen",
+    "in_view",
+    "ground",
+    "ground_of",
+    "flush",
+    "flush_of",
+    "intruding",
+    "standing",
+)
+"""Columns of the fits: the pose [m, rad], its error (NaN in maps of other places), segments that
+agree with it and at most with a pose elsewhere, shares, and counts of points with their totals."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What was measured of the queries of one world.
+
+    Attributes
+    ----------
+    fits : (F, M) float64
+        Columns are :data:`MEASURES`.
+    spans : (R, 2) int64
+        First row of ``fits`` of each record (a query in a map), and the row after its last.
+    query, place : (R,) int64
+        Number of the query in the world, and its map as an index of :data:`MAPS`.
+    sensor, made : (R,) str
+        Sensor of the query, and whether it is accumulated, single or thinned.
+    """
+
+    fits: Float64
+    spans: Int64
+    query: Int64
+    place: Int64
+    sensor: np.ndarray
+    made: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.spans)
+
+    def save(self, path: Path) -> None:
+        """Write the rows; the file appears when it is complete."""
+        part = path.with_suffix(".part.npz")
+        np.savez_compressed(part, **{f.name: getattr(self, f.name) for f in fields(self)})
+        part.rename(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Rows:
+        """Read what :meth:`save` wrote."""
+        with np.load(path) as file:
+            return cls(**{f.name: file[f.name] for f in fields(cls)})
+
+
+class World:
+    """The maps and queries of a world that was generated.
+
+    Parameters
+    ----------
+    folder : path
+        Of the world.
+    same, other : path
+        Of a world of the same kind, and of one of another kind.
+    """
+
+    def __init__(self, folder: Path, same: Path, other: Path) -> None:
+        self.name, self._folder, self._same, self._other = folder.name, folder, same, other
+        self.kind = folder.name.rsplit("-", 1)[0]
+
+    def queries(self) -> Iterator[Made]:
+        """Yield all queries, drive by drive."""
+        for each in load_queries(self._folder / "queries.npz"):
+            yield from each
+
+    @cached_property
+    def maps(self) -> dict[str, SegmentMap]:
+        """The maps to search, by their names of :data:`MAPS`."""
+        own, same = (SegmentMap.load(p / "own.segmap") for p in (self._folder, self._same))
+        found = {"own": own, "half": SegmentMap.load(self._folder / "half.segmap")}
+        if not KINDS[self.kind].alike:
+            found["mirrored"] = mirrored(own)
+        found["padded"] = padded(own, [same], PADDED)
+        other = SegmentMap.load(self._other / "own.segmap")
+        return found | {"same kind": same, "other kind": other}
+
+
+def worlds_of(folder: Path) -> list[World]:
+    """List the complete worlds of a folder, by seed, each with two others to be lost in."""
+    found = [p for p in folder.iterdir() if (p / "queries.npz").exists() and p.suffix != ".part"]
+    found.sort(key=lambda path: int(path.name.rsplit("-", 1)[1]))
+    kinds = [path.name.rsplit("-", 1)[0] for path in found]
+    listed = []
+    for k, (path, kind) in enumerate(zip(found, kinds, strict=True)):
+        around = [(k - step) % len(found) for step in range(1, len(found))]
+        same = next((j for j in around if kinds[j] == kind), None)
+        other = next((j for j in around if kinds[j] != kind), None)
+        if same is not None and other is not None:
+            listed.append(World(path, found[same], found[other]))
+    return listed
+
+
+def collect(world: World, config: Config) -> Rows:
+    """Search every query of a world in all of its maps."""
+    places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
+    fits: list[Float64] = []
+    records: list[tuple[int, int, str, str]] = []
+    for n, made in enumerate(world.queries()):
+        query = places["own"].describe(made.scans)
+        for name, localizer in places.items():
+            truth = made.truth if name in HOME else None
+            fits.append(measured(localizer, query, truth))
+            records.append((n, MAPS.index(name), made.sensor, made.kind))
+    ends = np.cumsum([len(rows) for rows in fits])
+    spans = np.column_stack([np.concatenate([[0], ends[:-1]]), ends])
+    numbers, maps, sensors, kinds = map(np.array, zip(*records, strict=True))
+    return Rows(np.concatenate(fits), spans, numbers, maps, sensors, kinds)
+
+
+def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
+    """Measure a query at all distinct poses that are found in a map, (F, M)."""
+    found = localizer.search(query, thorough=True)
+    rows = []
+    for fit in found.fits:
+        T = fit.T_map_local
+        error = errors(T @ query.cloud.T_local_sensor, truth)
+        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.intruding)
+        agreeing = fit.inliers, found.elsewhere(fit)
+        rows.append(
+            (*T[:3, 3], geometry.heading(T), *error, *agreeing, fit.overlap, fit.rmse, *counts)
+        )
+    return np.array(rows, np.float64).reshape(-1, len(MEASURES))
+
+
+def errors(T_map_sensor: Pose, truth: Pose | None) -> tuple[float, float]:
+    """Compute the error of a pose [m, deg]; NaN where the map does not hold the place."""
+    if truth is None:
+        return float("nan"), float("nan")
+    delta = geometry.inverse(truth) @ T_map_sensor
+    return float(np.linalg.norm(delta[:3, 3])), float(np.degrees(geometry.rotation_angle(delta)))
+
+
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("worlds", type=Path, help="folder of generated worlds")
+    options.add_argument("--out", type=Path, required=True)
+    options.add_argument("--every", type=int, default=1, help="take each Nth world")
+    options.add_argument("--first", type=int, default=0, help="number of the first world taken")
+    args = options.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    config = Config.preset("profile").model_copy(update={"threads": 1})
+    chosen = worlds_of(args.worlds)[args.first :: args.every]
+    for world in track(chosen, "worlds"):
+        path = args.out / f"{world.name}.npz"
+        if not path.exists():
+            start = time.process_time()
+            rows = collect(world, config)
+            rows.save(path)
+            seconds = time.process_time() - start
+            print(f"{world.name}: {len(rows)} records, {len(rows.fits)} fits, {seconds:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
