@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.walk import POINTS_ASIDE, Site, run
+from segloc.likelihood.confidence import FEATURES, shipped_confidence
 
 from segloc import Localizer, SegmentMap
 from segloc.inspect import steps, trace, verdict
 from segloc.inspect.trace import BEYOND
 from segloc.io import read_trajectory
-from segloc.likelihood.confidence import FEATURES, shipped_confidence
 from segloc.types import Scan
 
 

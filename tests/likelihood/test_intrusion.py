@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from segloc import geometry
 from segloc._native import PointIndex
 from segloc.likelihood import VerificationConfig
-from segloc.likelihood.observation import intruding_share, viewpoints
+from segloc.likelihood.observation import Count, intruding_count, viewpoints
 from segloc.types import Float32, Float64
 
 REACH, BIN_DEG, RADIUS, MARGIN, HALF_WIDTH = 15.0, 3.0, 0.5, 0.7, 0.2
@@ -97,9 +97,10 @@ def walls(*xs: float) -> Float32:
 def test_what_stands_where_the_path_looked_through_intrudes(query: Float32, share: float) -> None:
     index, path = PointIndex(walls(8.0), 0.5), np.array([[0.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
     config = VerificationConfig()
-    assert intruding_share(index, query, np.eye(4), path, config) == pytest.approx(share, abs=0.05)
-    assert intruding_share(index, query, np.eye(4), path[:0], config) == 0.0
-    assert intruding_share(index, query[:0], np.eye(4), path, config) == 0.0
+    found = intruding_count(index, query, np.eye(4), path, config)
+    assert found.of == len(query) and found.share == pytest.approx(share, abs=0.05)
+    assert intruding_count(index, query, np.eye(4), path[:0], config).hits == 0
+    assert intruding_count(index, query[:0], np.eye(4), path, config) == Count(0, 0)
 
 
 def test_a_wall_beside_the_path_has_no_holes() -> None:
@@ -107,7 +108,7 @@ def test_a_wall_beside_the_path_has_no_holes() -> None:
     beside, room = walls(1.0), walls(9.0)
     index = PointIndex(np.concatenate([beside, room]), 0.5)
     path = np.zeros((1, 3))
-    assert intruding_share(index, walls(5.0), np.eye(4), path, VerificationConfig()) == 0.0
+    assert intruding_count(index, walls(5.0), np.eye(4), path, VerificationConfig()).hits == 0
 
 
 def test_a_place_is_looked_at_from_the_path_near_it_on_its_storey() -> None:

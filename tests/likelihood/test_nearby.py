@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 from segloc import _native, geometry
 from segloc.frontend.segmentation import Segmentation, Segmenter
 from segloc.geometry import Separation
-from segloc.likelihood import Verifier
+from segloc.likelihood import Likelihood, Posterior
 from segloc.likelihood.nearby import NearbyConfig, NearbySearch
-from segloc.likelihood.observation import close_surface, flush_share, ground_share
+from segloc.likelihood.observation import close_surface, flush_count, ground_count
 from segloc.localization import Reason
 from segloc.types import Candidate, Float32, LocalCloud, Pose
 
@@ -102,9 +102,9 @@ def test_offsets_are_those_across_the_nearest_surface() -> None:
     assert (some == offsets[::2]).all() and (their_normals == normals[::2]).all()
 
 
-def hall(first: int = -6, last: int = 6, marked: bool = True) -> Float32:
+def hall(first: int = -6, last: int = 6, marked: bool = True, seed: int = 3) -> Float32:
     """Pillars 5 m apart between two walls; where ``marked``, something stands in the middle."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     parts = [rng.uniform([-40, y, -1.5], [40, y + 0.05, 4.0], (9000, 3)) for y in (-7.0, 7.0)]
     parts.append(rng.uniform([-40, -7, -1.55], [40, 7, -1.5], (9000, 3)))
     for k in range(first, last + 1):
@@ -133,30 +133,25 @@ def test_a_place_one_period_off_is_found_from_its_alias() -> None:
     assert np.hypot(*better[:2, 3]) < 0.6 and abs(geometry.heading(better)) < np.radians(3.0)
 
 
-def verifier(cloud: Float32) -> Verifier:
-    return Verifier(cloud, np.zeros(3))
+def posterior(cloud: Float32, seen: Float32, candidate: Candidate) -> Posterior:
+    likelihood = Likelihood(cloud, np.zeros(3), path=np.zeros((1, 3)))
+    scorer = likelihood.scorer(likelihood.query(scene(seen)))
+    return scorer.fit([candidate], lambda _: candidate.inliers)
 
 
 @pytest.mark.parametrize("alias", [(5.0, 0.0), (10.0, np.pi)])
 def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) -> None:
     x, yaw = alias
     wrong = Candidate(geometry.yaw_transform(yaw, (x, 0.0, 0.0)), 3)
-    judge = verifier(hall())
-    verdict = judge.verify(judge.query(scene(hall())), [wrong], lambda T: 3)
-    assert verdict.evidence is not None
-    best = verdict.evidence.score.T_map_local
+    best, *others = (place.T_map_local for place in posterior(hall(), hall(), wrong).places)
     assert np.hypot(*best[:2, 3]) < 0.2 and np.cos(geometry.heading(best)) > 0.99
-    assert any(np.hypot(*r.T_map_local[:2, 3]) > 2.0 for r in verdict.evidence.rivals)
+    assert any(np.hypot(*T[:2, 3]) > 2.0 for T in others)
 
 
 def test_where_a_place_repeats_itself_nothing_is_believed() -> None:
-    inliers = 12
-    bare = hall(marked=False)
-    right = Candidate(np.eye(4), inliers)
-    judge = verifier(bare)
-    verdict = judge.verify(judge.query(scene(bare)), [right], lambda T: inliers)
-    assert verdict.reason in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
-    assert verdict.confidence < 0.8 or verdict.reason is Reason.AMBIGUOUS
+    bare, seen = (hall(marked=False, seed=seed) for seed in (3, 4))
+    found = posterior(bare, seen, Candidate(np.eye(4), 12))
+    assert found.reason(0.95) in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
 
 
 def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
@@ -169,14 +164,14 @@ def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
     shares = []
     for metres in (0.0, 0.2):
         T = geometry.yaw_transform(0.0, (metres, metres, 0.0))
-        share = flush_share(surface, query, T, 0.1)
+        share = flush_count(surface, query, T, 0.1).share
         assert share is not None
         overlap, _ = index.overlap(few[:2000], T[None], 0.3, 0.0)
         shares.append((share, float(overlap[0])))
     (flush, fits), (off, still_fits) = shares
     assert fits > 0.95 and still_fits > 0.85
     assert flush > 0.85 and off < 0.35
-    assert flush_share(surface, close_surface(room[:20]), np.eye(4), 0.1) is None
+    assert flush_count(surface, close_surface(room[:2]), np.eye(4), 0.1).share is None
 
 
 def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
@@ -186,8 +181,8 @@ def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
     half = _native.Surface(waves[x < 0], 1.5, 0.8)  # the rest lies beyond the map's end
     shifted = geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))
     for target, T, low, high in ((hills, np.eye(4), 0.99, 1), (half, np.eye(4), 0.95, 1)):
-        ground = ground_share(target, hills, T)
+        ground = ground_count(target, hills, T).share
         assert ground is not None and low <= ground <= high
-    wrong = ground_share(hills, hills, shifted)
+    wrong = ground_count(hills, hills, shifted).share
     assert wrong is not None and wrong < 0.4
-    assert ground_share(hills, _native.Surface(waves[:20], 1.5, 0.8), np.eye(4)) is None
+    assert ground_count(hills, _native.Surface(waves[:2], 1.5, 0.8), np.eye(4)).share is None

@@ -1,8 +1,9 @@
-"""Nearest map points against a k-d tree, and the gates of verification one by one."""
+"""Nearest map points against a k-d tree, and what is believed of a query."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -144,19 +145,18 @@ def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_j
     assert seen == 0 and through > 0.5 * len(y)
 
 
-def test_each_gate_refuses_and_says_so(plaza: Plaza) -> None:
+def test_a_place_is_believed_from_the_probability_that_is_asked_for(plaza: Plaza) -> None:
     config = Config.preset("geo")
     prior_map = build_map(PlazaSequence(plaza, steps=6), config)
     scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
-    assert Localizer(prior_map, config).localize(scan).localized
-    for gates, reason in (
-        (VerificationConfig(min_inliers=10_000), Reason.TOO_FEW_INLIERS),
-        (VerificationConfig(min_confidence=1.0), Reason.TOO_UNCERTAIN),
-    ):
-        changed = config.model_copy(update={"verification": gates})
-        result = Localizer(prior_map, changed).localize(scan)
-        assert not result.localized and result.reason is reason and reason.value in result.message
-        assert result.T_map_sensor is None
+    found = Localizer(prior_map, config).localize(scan)
+    assert found.localized and found.confidence == found.places[0].probability
+    assert sum(place.probability for place in found.places) + found.not_in_map == pytest.approx(1)
+    all_of_it = VerificationConfig(min_confidence=1.0)
+    changed = config.model_copy(update={"verification": all_of_it})
+    refused = Localizer(prior_map, changed).localize(scan)
+    assert not refused.localized and refused.reason is Reason.TOO_UNCERTAIN
+    assert refused.T_map_sensor is None and refused.confidence < 1.0
 
 
 def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) -> None:
@@ -170,13 +170,10 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
     answers = []
     for escalation in (1, 80):
         matching = MatchingConfig(neighbours=1, escalation=escalation)
-        gates = VerificationConfig(min_inliers=3)
         clouds = OccupancyConfig(enabled=False)
-        config = Config.preset("geo").model_copy(
-            update={"matching": matching, "verification": gates, "occupancy": clouds}
-        )
+        config = Config.preset("geo").model_copy(update={"matching": matching, "occupancy": clouds})
         answers.append(Localizer(prior_map, config).localize(scan))
     lost, found = answers
-    assert not lost.localized and lost.reason is Reason.TOO_FEW_INLIERS
+    assert not lost.localized and lost.confidence < 0.5
     assert found.localized
     assert found.counts["proposed"] == min(80, len(prior_map)) * found.counts["segments"]

@@ -86,5 +86,7 @@ def single_pass(
             scene.segments.centroids, localizer.prior_map.centroids, matches
         )
     with watch("verification"):
-        localizer.verifier.verify(localizer.verifier.query(scene), hypotheses)
+        likelihood, where = localizer.likelihood, localizer.prior_map.centroids
+        agree = localizer.estimator.agreement(scene.segments.centroids, where, matches)
+        likelihood.scorer(likelihood.query(scene)).fit(hypotheses, agree)
     return scene, matches

@@ -55,6 +55,8 @@ class Model(Section):
         but not proposed, has this much.
     unseen : float
         Log-probability that a place which segments do not name fits as well as the one they do.
+    lapse : float
+        Probability that a query is like none that the model was fitted to.
     settings : dict
         The configuration under which the model was fitted.
     card : dict
@@ -66,6 +68,7 @@ class Model(Section):
     none: float
     alias: float
     unseen: float
+    lapse: float = Field(ge=0, lt=1)
     settings: Mapping[str, Any] = {}
     card: Mapping[str, Any]
 
@@ -119,7 +122,7 @@ class Model(Section):
         weights = self.weights
         more = evidence(inliers, elsewhere) - evidence(elsewhere, inliers)
         agree = math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
-        return weights["inliers"] * agree + weights["inliers_over_rival"] * more - self.unseen
+        return weights["inliers"] * agree + weights["inliers_over_rival"] * more
 
 
 def evidence(inliers: int, elsewhere: int) -> float:

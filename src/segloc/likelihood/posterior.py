@@ -67,13 +67,17 @@ class Posterior:
     not_in_map: float = 1.0
 
     @classmethod
-    def of(cls, places: Sequence[ScoredPose]) -> Posterior:
-        """The softmax over places and "none of them", whose log-ratio is 0."""
+    def of(cls, places: Sequence[ScoredPose], lapse: float = 0.0) -> Posterior:
+        """The softmax over places and "none of them", whose log-ratio is 0.
+
+        ``lapse`` is the probability that the log-ratios themselves mislead: it goes to "none".
+        """
         ordered = sorted(places, key=lambda place: -place.log_ratio)
         log_ratios = np.array([*(place.log_ratio for place in ordered), 0.0])
         shares = np.exp(log_ratios - log_ratios.max())
-        *probabilities, not_in_map = (shares / shares.sum()).tolist()
-        return cls(tuple(ordered), tuple(probabilities), not_in_map)
+        shares *= (1.0 - lapse) / shares.sum()
+        *probabilities, not_in_map = shares.tolist()
+        return cls(tuple(ordered), tuple(probabilities), not_in_map + lapse)
 
     @property
     def best(self) -> ScoredPose | None:

@@ -96,13 +96,16 @@ class Scorer:
         self.fits: list[Observation] = []
 
     def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
-        """Whether more segments agree on one of the candidates than a place that fits as well, but
-        was not named, could explain."""
+        """Whether so many more segments agree on one of the candidates than on the others that it
+        would be believed against a place that fits as well and that segments did not name."""
+        return self._margin(candidates) - self._model.unseen >= self._threshold
+
+    def _margin(self, candidates: Sequence[Candidate]) -> float:
         if not candidates:
-            return False
+            return -math.inf
         best = max(candidates, key=lambda c: c.inliers)
         elsewhere = self._most_elsewhere(candidates, best.T_map_local)
-        return self._model.margin(best.inliers, elsewhere) >= self._threshold
+        return self._model.margin(best.inliers, elsewhere)
 
     def fit(
         self, candidates: Sequence[Candidate], inliers: Inliers, *, thorough: bool = False
@@ -137,7 +140,8 @@ class Scorer:
     def posterior(self) -> Posterior:
         """The probabilities of all that was measured."""
         unknown = FREE if any(fit.has("intruding") for fit in self.fits) else DOUBTFUL
-        return Posterior.of([self._scored(fit, unknown) for fit in self.fits])
+        places = [self._scored(fit, unknown) for fit in self.fits]
+        return Posterior.of(places, self._model.lapse)
 
     def _undecided(self, thorough: bool) -> Observation | None:
         """The likeliest place that is not measured wholly, if that could change what is believed.
@@ -168,7 +172,7 @@ class Scorer:
             best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
             chosen += [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
         found: list[tuple[Pose | None, Pose]] = [(None, c.T_map_local) for c in chosen]
-        if self.segments_decide(candidates) and not thorough:
+        if self._margin(candidates) >= self._threshold and not thorough:
             return found
         around = self._map.around(chosen[0].T_map_local, self._query)
         found[0] = around.start, chosen[0].T_map_local

@@ -144,7 +144,8 @@ class TileSearch:
     def _decides(self, inliers: int, elsewhere: int) -> bool:
         """Whether segments would decide for a pose, against one that fits as well elsewhere."""
         threshold = log_odds(self._coarse.config.verification.min_confidence)
-        return self._coarse.likelihood.model.margin(inliers, elsewhere) >= threshold
+        model = self._coarse.likelihood.model
+        return model.margin(inliers, elsewhere) - model.unseen >= threshold
 
     def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
         """The tiles of the poses on which most matches with the thin map agree, best first."""

@@ -203,7 +203,7 @@ def on_the_cloud_of(
         other.config,
         estimator=estimator or other.estimator,
         proposers=first.proposers,
-        verifier=first.verifier,
+        likelihood=first.likelihood,
     )
 
 

@@ -14,8 +14,8 @@ from segloc import geometry
 from segloc.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, query_clouds
 from segloc.errors import DatasetError
 from segloc.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
-from segloc.likelihood import Verdict
-from segloc.types import Candidate, Float64, LocalCloud, Matches, Pose
+from segloc.pipeline import Search
+from segloc.types import Float64, LocalCloud, Matches, Pose
 
 if TYPE_CHECKING:
     from segloc.frontend import Segmentation
@@ -171,15 +171,15 @@ def _examine(
     held = _objects(centroids[repeated], localizer)
     proposed = _objects(centroids[matched & repeated], localizer)
     inliers = max((h.inliers for h in nearest), default=0)
-    stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found.verdict, T)
-    reason = found.verdict.reason
+    stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found, T)
+    reason = found.reason
     detail = reason.value if reason is not None and stage == STAGES[-1] else ""
     return Case(index, stage, detail, len(centroids), held, proposed, inliers, overlap, T.tolist())
 
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
     """The true pose, moved to where the clouds fit best; as it was where they do not."""
-    refined = localizer.verifier.refined(Candidate(T, 0), localizer.verifier.query(scene))
+    refined = localizer.likelihood.at(localizer.likelihood.query(scene), T)
     return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
 
 
@@ -212,19 +212,19 @@ def _stage(
     segments: int,
     objects: tuple[int, int],
     found: bool,
-    verdict: Verdict,
+    search: Search,
     T: Pose,
 ) -> str:
-    needed = max(localizer.config.verification.min_inliers, FEWEST_INLIERS)
     localized, falsely, few, unrepeated, unmatched, unfound, rejected = STAGES
-    if verdict.best is not None and verdict.reason is None:
-        return localized if _same(verdict.best.T_map_local, T) else falsely
+    best = search.posterior.best
+    if best is not None and search.reason is None:
+        return localized if _same(best.T_map_local, T) else falsely
     if segments < FEWEST_SEGMENTS:
         return few
     repeated, matched = objects
-    if repeated < needed:
+    if repeated < FEWEST_INLIERS:
         return unrepeated
-    if matched < needed:
+    if matched < FEWEST_INLIERS:
         return unmatched
     return rejected if found else unfound
 

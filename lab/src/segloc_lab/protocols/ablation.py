@@ -105,14 +105,14 @@ def localizers(
                 prior_map,
                 shared_config(name, 1),
                 proposers=first.proposers[:count],
-                verifier=first.verifier,
+                likelihood=first.likelihood,
             )
     found[NO_MATCHES, PROPOSERS[-1]] = Localizer(
         first.prior_map,
         first.config,
         estimator=NoMatches(),
         proposers=first.proposers,
-        verifier=first.verifier,
+        likelihood=first.likelihood,
     )
     return found
 

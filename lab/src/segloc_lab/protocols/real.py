@@ -170,9 +170,9 @@ class Judge:
             for name, localizer in self._places(chosen):
                 start = time.process_time()
                 search = localizer.search(query)
-                found = answer(query.cloud, search.verdict, search.counts(query), {})
+                found = answer(query, search, {})
                 spent = common + 1e3 * (time.process_time() - start)
-                best = search.verdict.best
+                best = search.posterior.best
                 own = name in chosen.maps
                 near = own and truth is not None and self._covered(localizer, truth)
                 self.records.append(

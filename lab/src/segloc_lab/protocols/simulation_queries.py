@@ -23,7 +23,7 @@ from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.batch import distances_to_path
 from segloc.system.files import replacing
 from segloc.system.stage_times import StageTimes
-from segloc.types import Candidate, Pose
+from segloc.types import Pose
 
 from ..calibration.confidence import first_half
 from ..recordings import kept
@@ -360,27 +360,20 @@ def missing(localizer: Localizer, scans: list[Scan], truth: Pose) -> Row:
     off = float(np.degrees(np.arccos(np.clip(up @ true_up, -1, 1))))
     T_map_local = truth @ geometry.inverse(T_local_sensor)
     rank = [k for k, c in enumerate(search.candidates) if is_right(c.T_map_local, T_map_local)]
-    cloud = localizer.verifier.query(query.scene)
-    at_truth = localizer.verifier.refined(Candidate(T_map_local, 0), cloud)
-    best = search.verdict.best
+    likelihood = localizer.likelihood
+    at_truth = likelihood.at(likelihood.query(query.scene), T_map_local)
+    best = search.posterior.best
     cause = "attitude" if off > ATTITUDE_DEG else "verdict" if rank else "candidate"
     return {
         "cause": cause,
         "attitude_off": off,
         "rank": rank[:1],
         "candidates": len(search.candidates),
-        "by_segments": search.by_segments,
-        "at_truth": [at_truth.overlap, at_truth.seen, at_truth.judged, at_truth.flush],
+        "at_truth": [at_truth.overlap, at_truth.seen, at_truth.log_ratio],
         "best_is_right": best is not None and is_right(best.T_map_local, T_map_local),
-        "message": search.verdict.message,
-        "features": _features(localizer, search.verdict.evidence),
+        "message": search.message,
+        "features": [] if best is None else [round(v, 2) for v in best.features],
     }
-
-
-def _features(localizer: Localizer, evidence: Any) -> list[float]:
-    if evidence is None:
-        return []
-    return [round(v, 2) for v in localizer.verifier.model.features(evidence)]
 
 
 def piece(scenario: Scenario, seed: int, work: Path, count: int) -> Iterator[Row]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from segloc import Prior, SeglocError, geometry
-from segloc.likelihood import Verdict
 from segloc.live import LiveCore
 from segloc.live.core import Asked
 from segloc.pipeline import Search
@@ -39,7 +38,7 @@ class Answer:
     job : Job
     view : View or None
         None where it could not be made.
-    verdict : Verdict or None
+    search : Search or None
         None where nothing was searched: the track alone was checked.
     times_ms : dict
         Milliseconds of each stage.
@@ -53,7 +52,7 @@ class Answer:
 
     job: Job
     view: View | None
-    verdict: Verdict | None = None
+    search: Search | None = None
     times_ms: Mapping[str, float] = field(default_factory=dict)
     position: Float64 | None = None
     centroids: Float64 = field(default_factory=lambda: np.empty((0, 3)))
@@ -61,9 +60,9 @@ class Answer:
 
     def matches(self, frame: str) -> MatchesReply | None:
         """What to show of it; None where nothing was searched or found."""
-        if self.position is None or self.verdict is None:
+        if self.position is None or self.search is None:
             return None
-        believed = self.verdict.reason is None
+        believed = self.search.reason is None
         return MatchesReply(self.job.asked.stamp, frame, self.position, self.centroids, believed)
 
 
@@ -77,19 +76,19 @@ def make(job: Job) -> Answer:
     if not found:
         return Answer(job, view)
     query, search, times = found[-1]
-    verdict, position, centroids = search.verdict, None, np.empty((0, 3))
-    if verdict.best is not None:
-        T = verdict.best.T_map_local
+    position, centroids = None, np.empty((0, 3))
+    if search.posterior.best is not None:
+        T = search.posterior.best.T_map_local
         position = (T @ query.cloud.T_local_sensor)[:3, 3]
         centroids = _agreeing(job, query, search)
     place = f" ({job.near})" if job.near else ""
-    message = f"{verdict.message}{place}" if verdict.reason is not None else ""
-    return Answer(job, view, verdict, times, position, centroids, message)
+    message = f"{search.message}{place}" if search.reason is not None else ""
+    return Answer(job, view, search, times, position, centroids, message)
 
 
 def _agreeing(job: Job, query: Query, search: Search) -> Float64:
     """Centroids of the map's segments that matches put where they are, (K, 3)."""
-    best, matches = search.verdict.best, search.matches
+    best, matches = search.posterior.best, search.matches
     if best is None or not len(matches):
         return np.empty((0, 3))
     ours = geometry.transform(best.T_map_local, query.scene.segments.centroids[matches.query])

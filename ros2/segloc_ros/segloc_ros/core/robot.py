@@ -188,7 +188,7 @@ class Robot:
         """Take a query's answer in; one in a map that was replaced meanwhile is passed over."""
         if answer.job.core is not self._core:
             return []
-        if answer.verdict is not None:
+        if answer.search is not None:
             self.last = answer
         replies = self._tell([answer.job.core.answer(answer.job.asked, answer.view)])
         shown = answer.matches(self.settings.map_frame) if self.settings.matches else None
