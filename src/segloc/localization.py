@@ -68,6 +68,31 @@ class Place:
     overlap: float
 
 
+@dataclass(frozen=True)
+class NextView:
+    """A step that tells places apart which look alike from here.
+
+    Attributes
+    ----------
+    metres : float
+        How far to go.
+    bearing_deg : float
+        In which direction from the sensor's x axis, to the left positive [deg].
+    """
+
+    metres: float
+    bearing_deg: float
+
+    def __str__(self) -> str:
+        degrees = abs(self.bearing_deg)
+        side = "left" if self.bearing_deg > 0 else "right"
+        if degrees < 1.0:
+            return f"go about {self.metres:.0f} m forward"
+        if degrees > 179.0:
+            return f"go about {self.metres:.0f} m back"
+        return f"go about {self.metres:.0f} m, {degrees:.0f} deg to the {side}"
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class _Answer:
     """What both answers tell of the best candidate.
@@ -184,16 +209,21 @@ class NotLocalized(_Answer):
     reason : Reason
     message : str
         The reason as a sentence, with its figures.
+    next_view : NextView or None
+        A step after which the two likeliest places look different; None where none is needed, or
+        none is known.
     """
 
     reason: Reason
     message: str
+    next_view: NextView | None = None
     localized: Literal[False] = False
     T_map_sensor: None = None
     covariance: None = None
 
     def __str__(self) -> str:
-        return f"not localized: {self.message}"
+        step = "" if self.next_view is None else f"; {self.next_view} to tell places apart"
+        return f"not localized: {self.message}{step}"
 
     def __repr__(self) -> str:
         return (

@@ -13,7 +13,7 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans, listed
 from .frontend.segmentation import Segmenter
 from .likelihood import Likelihood, Scorer
-from .localization import Localization
+from .localization import Localization, Reason
 from .map.segment_map import SegmentMap
 from .pipeline import Proposed, Search, answer, explained
 from .prior import Near, Prior, allowed, within
@@ -215,7 +215,12 @@ class Localizer:
         if self._tile_search is not None:
             return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
-        return answer(query, found, times.with_total())
+        result = answer(query, found, times.with_total())
+        if result.localized or result.reason not in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN):
+            return result
+        poses = [place.T_map_sensor for place in result.places[:2]]
+        step = self.likelihood.cloud.next_view(*poses) if len(poses) == 2 else None
+        return result if step is None else replace(result, next_view=step)
 
     def search(
         self,

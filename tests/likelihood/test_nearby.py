@@ -13,6 +13,7 @@ from segloc.frontend.segmentation import Segmentation, Segmenter
 from segloc.geometry import Separation
 from segloc.likelihood import Likelihood, Posterior
 from segloc.likelihood.nearby import NearbyConfig, NearbySearch
+from segloc.likelihood.next_view import next_view
 from segloc.likelihood.observation import close_surface, flush_count, ground_count
 from segloc.localization import Reason
 from segloc.types import Candidate, Float32, LocalCloud, Pose
@@ -186,3 +187,25 @@ def test_ground_that_rises_and_falls_otherwise_does_not_fit() -> None:
     wrong = ground_count(hills, hills, shifted).share
     assert wrong is not None and wrong < 0.4
     assert ground_count(hills, _native.Surface(waves[:2], 1.5, 0.8), np.eye(4)).share is None
+
+
+def test_the_next_view_is_where_two_places_differ() -> None:
+    """Two bays of a hall 10 m apart; a crate stands 14 m beyond one of them."""
+    crate = np.random.default_rng(0).uniform([13.0, -6.0, -1.5], [17.0, 6.0, 3.0], (4000, 3))
+    cloud = np.concatenate([hall(-12, 12, marked=False), crate.astype(np.float32)])
+    path = np.column_stack([np.arange(-38.0, 38.0), np.zeros((76, 2))])
+    index = _native.PointIndex(cloud, 0.5)
+    one, other = (geometry.yaw_transform(0.0, (x, 0.0, 0.0)) for x in (-20.0, -30.0))
+    step = next_view(index, path, one, other)
+    assert step is not None
+
+    def alike(metres: float) -> float:
+        x = metres * np.cos(np.radians(step.bearing_deg))
+        views = [
+            cloud[np.hypot(cloud[:, 0] - x - T[0, 3], cloud[:, 1]) < 25.0] for T in (one, other)
+        ]
+        moved = [views[0] - np.float32([10, 0, 0]), views[1] + np.float32([10, 0, 0])]
+        return min(float((cKDTree(cloud).query(points)[0] < 0.5).mean()) for points in moved)
+
+    assert alike(step.metres) < alike(0.0) - 0.1
+    assert next_view(index, path, one, one) is None

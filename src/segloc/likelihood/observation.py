@@ -23,9 +23,11 @@ import numpy as np
 from .. import _native, geometry
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
+from ..localization import NextView
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
 from .nearby import NearbySearch, Surroundings
+from .next_view import next_view
 from .registration import ERRORS, Aligner, Registered, Target, thinned
 
 _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
@@ -283,6 +285,11 @@ class MapCloud:
         config, T = self._config, self._relative(ranked.T_map_local)
         seen = self._visible(query, T, config.coarse_radius, _RANKING_SAMPLE)
         return (seen.hits + _RANKING_PRIOR * ranked.overlap) / (seen.of + _RANKING_PRIOR)
+
+    def next_view(self, T_one: Pose, T_other: Pose) -> NextView | None:
+        """The shortest step that tells two poses T_map_sensor apart."""
+        poses = self._relative(T_one), self._relative(T_other)
+        return next_view(self._target.index, self._path, *poses)
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
         """Poses around one at which the clouds roughly fit."""
