@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,21 +89,17 @@ class QueryRequest:
         What hypotheses are checked by.
     hypotheses : dict of int to (4, 4) float64
         T_map_odom of those to be checked.
+    view : View
+        Without what is to be measured.
+    epoch : int
+        Views of an earlier one are ignored.
     """
 
     scans: Scans | LocalCloud | None
     newest: Scan | LocalCloud | None
     hypotheses: Mapping[int, Pose]
-    T_odom_sensor: Pose
-    at: float
-    new_check: float
-    new_search: float
+    view: View
     epoch: int
-
-    @property
-    def search(self) -> bool:
-        """Whether the map is searched."""
-        return self.scans is not None
 
 
 class Tracker:
@@ -130,16 +126,17 @@ class Tracker:
 
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
         self.localizer, self.config = localizer.in_one_piece(), config or TrackerConfig()
-        least = localizer.config.verification.min_confidence
-        self.belief = Belief(least, self.config, localizer.config.pose.separation)
+        settings = localizer.config
+        least, separation = settings.verification.min_confidence, settings.pose.separation
+        self.belief = Belief(self.config, least, separation)
         self.travelled = 0.0
         self._last: Pose | None = None
         self._epoch = 0
         self._searched = self._checked = -math.inf  # distances travelled
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
-            voxel_size = localizer.config.segmentation.accumulated.voxel_size
-            self.rolling = RollingCloud(localizer.config.local_cloud, voxel_size)
+            voxel_size = settings.segmentation.accumulated.voxel_size
+            self.rolling = RollingCloud(settings.local_cloud, voxel_size)
 
     def update(self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
         """Take the next query, or the next scan of one.
@@ -195,33 +192,28 @@ class Tracker:
             self.travelled += metres
             self.belief.move(metres)
         self._last = T
-        localized = self.belief.status()[0] is Status.LOCALIZED
-        every = self.config.every_m
-        if not localized:
-            every = min(every, self.config.searching_m)
+        every, config = self.config.every_m, self.config
+        if self.belief.status()[0] is not Status.LOCALIZED:
+            every = min(every, config.searching_m)
         search = due or self.travelled - self._searched >= every
         likely = [h for h in self.belief.hypotheses[:_CHECKED] if h.probability > _LEAST_CHECKED]
-        if not search and (not likely or self.travelled - self._checked < self.config.check_m):
-            return None
-        return self._request(scans, T, search, {h.key: h.T_map_odom for h in likely})
+        if search or (likely and self.travelled - self._checked >= config.check_m):
+            return self._request(scans, T, search, {h.key: h.T_map_odom for h in likely})
+        return None
 
     def _request(
         self, scans: Scans | LocalCloud, T: Pose, search: bool, hypotheses: Mapping[int, Pose]
     ) -> QueryRequest:
-        at, check_m = self.travelled, self.config.check_m
-        new_check = min(1.0, (at - self._checked) / check_m)
-        new_search = new_check
+        check_m = self.config.check_m
+        new_check = min(1.0, (self.travelled - self._checked) / check_m)
+        new_search = min(1.0, (self.travelled - self._searched) / max(check_m, self._window(scans)))
+        view = View(self.belief.travelled, T, new_check, new_search)
+        self._checked = self.travelled
         cloud = None
         if search:
+            self._searched = self.travelled
             cloud = scans if self.rolling is None else self.rolling.cloud()
-            window_m = max(check_m, self._window(cloud))
-            new_search = min(1.0, (at - self._searched) / window_m)
-            self._searched = at
-        self._checked = at
-        newest = newest_alone(scans, T)
-        return QueryRequest(
-            cloud, newest, hypotheses, T, self.belief.travelled, new_check, new_search, self._epoch
-        )
+        return QueryRequest(cloud, _newest(scans, T), hypotheses, view, self._epoch)
 
     def ask(
         self,
@@ -242,70 +234,36 @@ class Tracker:
         heard : callable, optional
             Called after each search.
         """
-        T_sensor_odom = geometry.inverse(request.T_odom_sensor)
-        places: list[Reading] = []
-        single: Query | None = None
+        view, localizer = request.view, self.localizer
         if request.scans is not None:
-            times = StageTimes(self.localizer.clock)
-            query = self.localizer.describe(request.scans, times)
-            found = self.localizer.search(query, times, deadline_ms, near)
+            times = StageTimes(localizer.clock)
+            query = localizer.describe(request.scans, times)
+            found = localizer.search(query, times, deadline_ms, near)
             if heard is not None:
                 heard(query, found, times.with_total())
-            single = query if query.cloud.num_scans == 1 else None
-            prior = self.localizer.log_prior(query.scene)
-            T = query.cloud.T_local_sensor
-            places = [_reading(p, T, T_sensor_odom, prior) for p in found.posterior.places]
-        checks = self._checks(request, places if single else (), single, T_sensor_odom)
-        return View(
-            request.at,
-            request.T_odom_sensor,
-            checks,
-            places,
-            request.new_check,
-            request.new_search,
-        )
-
-    def _checks(
-        self,
-        request: QueryRequest,
-        places: Sequence[Reading],
-        query: Query | None,
-        T_sensor_odom: Pose,
-    ) -> dict[int, Reading]:
-        """The newest scan, at hypotheses where ``places`` do not show it already."""
-        T = request.T_odom_sensor
-        rest = {
-            key: T_map_odom
-            for key, T_map_odom in request.hypotheses.items()
-            if not any(self.belief.same(T_map_odom @ T, p.T_map_odom @ T) for p in places)
+            prior = localizer.log_prior(query.scene)
+            places = [_reading(p, query.cloud, view, prior) for p in found.posterior.places]
+            view = replace(view, places=places)
+        if request.newest is None or not request.hypotheses:
+            return view
+        cloud = request.newest
+        if isinstance(cloud, Scan):
+            cloud = localizer.accumulator.gather(cloud)
+        scene = localizer.segmenter.segment(cloud)
+        prior = localizer.log_prior(scene)
+        T_odom_local = view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
+        checks = {
+            key: _reading(localizer.score_at(scene, T @ T_odom_local), cloud, view, prior)
+            for key, T in request.hypotheses.items()
         }
-        if request.newest is None or not rest:
-            return {}
-        if query is not None:
-            cloud, scene = query.cloud, query.scene
-        else:
-            newest = request.newest
-            cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
-            scene = self.localizer.segmenter.segment(cloud)
-        prior, T_sensor_local = self.localizer.log_prior(scene), geometry.inverse(cloud.T_local_sensor)
-        return {
-            key: _reading(
-                self.localizer.score_at(scene, T_map_odom @ T @ T_sensor_local),
-                cloud.T_local_sensor,
-                T_sensor_odom,
-                prior,
-            )
-            for key, T_map_odom in rest.items()
-        }
+        return replace(view, checks=checks)
 
     def take(self, request: QueryRequest, view: View) -> None:
         """Weigh the hypotheses by a view, the last third of :meth:`update`."""
         if request.epoch != self._epoch:
             return
-        had_track = self.belief.track is not None
-        self.belief.update(view)
-        if had_track and self.belief.track is None:
-            self._begin_anew()  # the scans so far may show another place
+        if self.belief.update(view):
+            self._begin_anew()
 
     def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
         """Follow a jump of the odometry, as if the robot had stood still; less is certain then.
@@ -345,27 +303,28 @@ class Tracker:
         """Travel from the oldest scan of a query to the newest [m]."""
         if self.rolling is not None:
             return float(geometry.travelled(self.rolling.poses)[-1])
-        if not isinstance(scans, Sequence):
-            return 0.0
-        poses = [scan.T_odom_sensor for scan in scans if isinstance(scan, Scan)]
+        several = scans if isinstance(scans, Sequence) else ()
+        poses = [s.T_odom_sensor for s in several if isinstance(s, Scan)]
         known = [T for T in poses if T is not None]
         return float(geometry.travelled(np.array(known))[-1]) if known else 0.0
 
 
-def _reading(place: Place, T_local_sensor: Pose, T_sensor_odom: Pose, log_prior: float) -> Reading:
-    covariance = geometry.rotated_covariance(place.fit.covariance, T_local_sensor)
-    T_map_odom = place.T_map_local @ T_local_sensor @ T_sensor_odom
+def _reading(place: Place, cloud: LocalCloud, view: View, log_prior: float) -> Reading:
+    covariance = geometry.rotated_covariance(place.fit.covariance, cloud.T_local_sensor)
+    T_map_sensor = place.T_map_local @ cloud.T_local_sensor
+    T_map_odom = T_map_sensor @ geometry.inverse(view.T_odom_sensor)
     return Reading(T_map_odom, place.log_ratio, log_prior, covariance)
 
 
-def newest_alone(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
-    """The last scan by itself; None if that is not known."""
+def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
+    """The last scan alone; None if it cannot be told from the others."""
+    if isinstance(scans, np.ndarray):
+        return Scan(scans, T_odom_sensor=T_odom_sensor)
+    if isinstance(scans, Scan):
+        scans = copy.copy(scans)
+        scans.T_odom_sensor = T_odom_sensor
+        return scans
     if isinstance(scans, LocalCloud):
         return scans
-    if isinstance(scans, Sequence):
-        return scans[-1] if scans and isinstance(scans[-1], Scan) else None
-    if not isinstance(scans, (Scan, np.ndarray)):
-        return None
-    newest = Scan(scans) if isinstance(scans, np.ndarray) else copy.copy(scans)
-    newest.T_odom_sensor = T_odom_sensor
-    return newest
+    last = scans[-1] if scans else None
+    return last if isinstance(last, Scan) else None
