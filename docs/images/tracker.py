@@ -33,7 +33,7 @@ from segloc.inspect.pictures import (
 )
 from segloc.map.segment_map import SegmentMap
 from segloc.tracker import Track, Tracker, TrackerConfig
-from segloc.tracking.views import Status
+from segloc.tracking.belief import Status
 from segloc.types import Float32, Float64, Pose
 
 SEED, SIZE_M, LENGTH_M, UNMAPPED = 7, 150.0, 110.0, 22

@@ -1,10 +1,11 @@
-"""Successive queries of one robot: hypotheses kept between them and compared through odometry."""
+"""The page over time: one posterior over where a robot is, carried on from view to view."""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,50 +15,98 @@ from . import geometry
 from .errors import InvalidScan
 from .frontend.local_cloud import Scans
 from .frontend.rolling_cloud import RollingCloud
-from .likelihood import RefinedScore
-from .localization import Reason
+from .likelihood import Place
 from .localizer import Localizer
 from .pipeline import Search
 from .prior import Prior
 from .proposals.proposer import Query
 from .system.checks import checked_pose
 from .system.stage_times import StageTimes
-from .tracking.hypotheses import Hypotheses
-from .tracking.scan_check import ScanCheck, ScanCheckConfig, newest_alone
-from .tracking.views import Check, HypothesesConfig, View
-from .tracking.views import Question as Question
-from .tracking.views import Track as Track
-from .types import LocalCloud, Pose, Scan
+from .tracking.belief import Belief, BeliefConfig, Reading, Status, View
+from .types import Float64, LocalCloud, Pose, Scan
 
-Heard = Callable[[Query, Search, Mapping[str, float]], None]
-"""Told what a query was, what was found, and how many milliseconds each stage took."""
+QueryCallback = Callable[[Query, Search, Mapping[str, float]], None]
+"""Receives a query, what its search found, and the milliseconds of each stage."""
+
+_CHECKED, _LEAST_CHECKED = 3, 0.01
+"""The hypotheses that a scan is compared at, at most, and how probable they are at least."""
 
 
-class TrackerConfig(HypothesesConfig):
-    """When queries are made, of what, and what is believed of them."""
+class TrackerConfig(BeliefConfig):
+    """When views are taken, of what, and what is concluded from them."""
 
-    accumulate: bool = Field(
-        False, description="queries are clouds of the scans over the last stretch of the path"
-    )
-    every_m: float = Field(
-        0.0, ge=0, description="scans nearer to the last query are accumulated and not localized"
-    )
-    searching_m: float = Field(
-        4.0, ge=0, description="the same while there is no track, or it is contradicted, metres"
-    )
+    accumulate: bool = Field(False, description="query with the scans of the last stretch of path")
+    every_m: float = Field(0.0, ge=0, description="travel between searches while localized [m]")
+    searching_m: float = Field(4.0, ge=0, description="travel between searches otherwise [m]")
     check_m: float = Field(
-        2.0, ge=0, description="between queries the track is checked by single scans, so far apart"
+        2.0,
+        gt=0,
+        description="travel between checks by the newest scan, which makes them independent [m]",
     )
-    check: ScanCheckConfig = ScanCheckConfig()
+
+
+@dataclass(frozen=True)
+class Track:
+    """The state of a tracker.
+
+    Attributes
+    ----------
+    status : Status
+    T_map_odom : (4, 4) float64 or None
+        Takes poses of the odometry to the map; None while lost or candidate.
+    confidence : float
+        Probability of the likeliest place, in [0, 1].
+    views : int
+        Independent views that agree with it.
+    reason : str
+        Why it is no better; "" when localized.
+    covariance : (6, 6) float64 or None
+        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
+    """
+
+    status: Status
+    T_map_odom: Pose | None
+    confidence: float
+    views: int
+    reason: str = ""
+    covariance: Float64 | None = None
+
+    @property
+    def localized(self) -> bool:
+        """Whether there is a pose: localized or degraded."""
+        return self.T_map_odom is not None
+
+
+@dataclass(frozen=True)
+class QueryRequest:
+    """A view that is due, with all that it takes to compute it elsewhere and later.
+
+    Attributes
+    ----------
+    scans : Scans, LocalCloud or None
+        What is searched for; None if hypotheses are only checked.
+    newest : Scan, LocalCloud or None
+        What hypotheses are checked by.
+    hypotheses : dict of int to (4, 4) float64
+        T_map_odom of those to be checked.
+    view : View
+        Without what is to be measured.
+    epoch : int
+        Views of an earlier one are ignored.
+    """
+
+    scans: Scans | LocalCloud | None
+    newest: Scan | LocalCloud | None
+    hypotheses: Mapping[int, Pose]
+    view: View
+    epoch: int
 
 
 class Tracker:
-    """Localizes a robot over successive queries.
+    """Localizes a robot over successive queries by a Bayes filter.
 
-    A query that passes all gates is believed at once, and after some travel where queries before it
-    found places alike. Poses that are only likely are kept until views that share no scan agree on
-    one. A track survives queries that find nothing, for ``memory_m`` of travel, and ends once the
-    map contradicts it twice in a row.
+    Places found by queries become hypotheses. Odometry moves them, blurs them, and leaks their
+    probability to "lost"; views weigh them against each other and against "lost".
 
     Parameters
     ----------
@@ -68,25 +117,26 @@ class Tracker:
     Attributes
     ----------
     rolling : RollingCloud or None
-        The scans that queries are made of, where they accumulate: to correct their poses, say.
+        The scans that queries accumulate.
+    belief : Belief
+        The hypotheses with their probabilities.
     travelled : float
-        Metres.
+        Distance travelled [m].
     """
 
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
-        self.localizer = localizer
-        self.config = config or TrackerConfig()
+        self.localizer, self.config = localizer.in_one_piece(), config or TrackerConfig()
+        settings = localizer.config
+        least, separation = settings.verification.min_confidence, settings.pose.separation
+        self.belief = Belief(self.config, least, separation)
         self.travelled = 0.0
-        self._hypotheses = Hypotheses(self.config)
-        self._epoch = 0
-        self._check = ScanCheck(localizer, self.config.check)
         self._last: Pose | None = None
-        self._foreign = False  # whether the newest scan showed the track's place
-        self._queried = self._checked = -math.inf  # metres travelled at the last query and check
+        self._epoch = 0
+        self._searched = self._checked = -math.inf  # distances travelled
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
-            voxel_size = localizer.config.segmentation.accumulated.voxel_size
-            self.rolling = RollingCloud(localizer.config.local_cloud, voxel_size)
+            voxel_size = settings.segmentation.accumulated.voxel_size
+            self.rolling = RollingCloud(settings.local_cloud, voxel_size)
 
     def update(self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
         """Take the next query, or the next scan of one.
@@ -94,7 +144,7 @@ class Tracker:
         Parameters
         ----------
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
-            As for :meth:`Localizer.localize`; one scan where they are accumulated here.
+            As for :meth:`Localizer.localize`; one scan if the tracker accumulates.
         T_odom_sensor : (4, 4) array
             Pose of the (last) scan's sensor in the odometry's frame, whose z axis points up.
 
@@ -103,130 +153,120 @@ class Tracker:
         InvalidScan
             If the pose is not a rigid transform, or the scans cannot be accumulated.
         """
-        question = self.add(scans, T_odom_sensor)
-        if question is not None:
-            self.take(question, self.ask(question))
+        request = self.add(scans, T_odom_sensor)
+        if request is not None:
+            self.take(request, self.ask(request))
         return self.track
 
     @property
     def track(self) -> Track:
-        """Where the tracker stands."""
-        hypotheses = self._hypotheses
-        status, reason = hypotheses.status(self.travelled)
-        if (best := hypotheses.track) is not None and self._last is not None:
-            covariance = hypotheses.covariance(self.travelled, self._last)
-            return Track(status, best.T_map_odom, best.confidence, best.views, reason, covariance)
-        views = max((k.views for k in hypotheses.candidates), default=0)
-        return Track(status, None, 0.0, views, reason)
+        """The current state."""
+        status, reason = self.belief.status()
+        if not self.belief.hypotheses:
+            return Track(status, None, 0.0, 0, reason)
+        best, covariance = self.belief.hypotheses[0], None
+        if best.believed and self._last is not None:
+            covariance = self.belief.covariance(self._last)
+        T_map_odom = best.T_map_odom if best.believed else None
+        return Track(status, T_map_odom, best.probability, int(best.views), reason, covariance)
 
     def add(
         self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike, *, due: bool = False
-    ) -> Question | None:
-        """The first third of :meth:`update`: take scans, and say what is to be asked, if anything.
+    ) -> QueryRequest | None:
+        """Add scans, the first third of :meth:`update`; return a request if a view is due.
 
         Parameters
         ----------
         scans, T_odom_sensor
             As for :meth:`update`.
         due : bool
-            Whether to ask however little was travelled since the last query.
+            Request a search however short the travel since the last one.
         """
         T = checked_pose(T_odom_sensor, "T_odom_sensor")
-        self._add(scans, T)
+        if self.rolling is not None:
+            if not isinstance(scans, (Scan, np.ndarray)):
+                raise InvalidScan("a tracker that accumulates takes one scan at a time")
+            self.rolling.add(scans, T)
         if self._last is not None:
-            self.travelled += float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
+            metres = float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
+            self.travelled += metres
+            self.belief.move(metres)
         self._last = T
-        self._hypotheses.forget(self.travelled)
-        track = self._hypotheses.track
-        search = due or self._is_due()
-        if not search and (track is None or self.travelled - self._checked < self.config.check_m):
-            return None
+        every, config = self.config.every_m, self.config
+        if self.belief.status()[0] is not Status.LOCALIZED:
+            every = min(every, config.searching_m)
+        search = due or self.travelled - self._searched >= every
+        likely = [h for h in self.belief.hypotheses[:_CHECKED] if h.probability > _LEAST_CHECKED]
+        if search or (likely and self.travelled - self._checked >= config.check_m):
+            return self._request(scans, T, search, {h.key: h.T_map_odom for h in likely})
+        return None
+
+    def _request(
+        self, scans: Scans | LocalCloud, T: Pose, search: bool, hypotheses: Mapping[int, Pose]
+    ) -> QueryRequest:
+        check_m = self.config.check_m
+        new_check = min(1.0, (self.travelled - self._checked) / check_m)
+        new_search = min(1.0, (self.travelled - self._searched) / max(check_m, self._window(scans)))
+        view = View(self.belief.travelled, T, new_check, new_search)
         self._checked = self.travelled
-        cloud = self.rolling.cloud() if search and self.rolling is not None else scans
-        self._queried = self.travelled if search else self._queried
-        expected = None if track is None else track.T_map_odom
-        newest = newest_alone(scans, T)
-        reach_m = self._reach(scans)
-        return Question(search, cloud, newest, T, expected, self.travelled, reach_m, self._epoch)
+        cloud = None
+        if search:
+            self._searched = self.travelled
+            cloud = scans if self.rolling is None else self.rolling.cloud()
+        return QueryRequest(cloud, _newest(scans, T), hypotheses, view, self._epoch)
 
     def ask(
         self,
-        question: Question,
+        request: QueryRequest,
         deadline_ms: float | None = None,
         *,
         near: Prior | None = None,
-        heard: Heard | None = None,
+        heard: QueryCallback | None = None,
     ) -> View:
-        """The second third, and nearly all of the work; it changes nothing in the tracker.
-
-        Where places look alike it names none: such views agree at wrong places, too.
+        """Compute a view, the second third of :meth:`update`; any thread may.
 
         Parameters
         ----------
-        question : Question
+        request : QueryRequest
         deadline_ms : float, optional
         near : Prior, optional
-            Where alone it is looked for, as for :meth:`Localizer.localize`.
+            Where the search is confined to, as for :meth:`Localizer.localize`.
         heard : callable, optional
-            Called with the query, the search and the times of the stages, where there was a search.
+            Called after each search.
         """
-        if not question.search:
-            return self._checked_by(question, None)
-        times = StageTimes(self.localizer.clock)
-        query = self.localizer.describe(question.scans, times)
-        with times("check"):
-            view = self._checked_by(question, query)
-        T_local_sensor = checked_pose(query.cloud.T_local_sensor, "T_local_sensor")
-        found = self.localizer.search(query, times, deadline_ms, near)
-        verdict = found.verdict
-        if heard is not None:
-            heard(query, found, times.with_total())
-        best, believed = verdict.best, verdict.reason is None
-        if best is None or verdict.reason is Reason.AMBIGUOUS:
-            return replace(view, ambiguous=best is not None)
-        if not believed and verdict.confidence < self.config.min_confidence:
+        view, localizer = request.view, self.localizer
+        if request.scans is not None:
+            times = StageTimes(localizer.clock)
+            query = localizer.describe(request.scans, times)
+            found = localizer.search(query, times, deadline_ms, near)
+            if heard is not None:
+                heard(query, found, times.with_total())
+            prior = localizer.log_prior(query.scene)
+            places = [_reading(p, query.cloud, view, prior) for p in found.posterior.places]
+            view = replace(view, places=places)
+        if request.newest is None or not request.hypotheses:
             return view
-        T_map_sensor = best.T_map_local @ T_local_sensor
-        covariance = best.covariance if isinstance(best, RefinedScore) else None
-        said_more = query.cloud.num_scans == 1 and view.check is Check.UNDECIDED
-        return replace(
-            view,
-            T_checked=None if said_more else view.T_checked,
-            T_map_odom=T_map_sensor @ geometry.inverse(question.T_odom_sensor),
-            confidence=verdict.confidence,
-            believed=believed,
-            covariance=geometry.rotated_covariance(covariance, T_local_sensor),
-        )
+        cloud = request.newest
+        if isinstance(cloud, Scan):
+            cloud = localizer.accumulator.gather(cloud)
+        scene = localizer.segmenter.segment(cloud)
+        prior = localizer.log_prior(scene)
+        T_odom_local = view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
+        checks = {
+            key: _reading(localizer.score_at(scene, T @ T_odom_local), cloud, view, prior)
+            for key, T in request.hypotheses.items()
+        }
+        return replace(view, checks=checks)
 
-    def _checked_by(self, question: Question, query: Query | None) -> View:
-        """A view that says no more than what the newest scan says of the track."""
-        T_odom_sensor, newest = question.T_odom_sensor, question.newest
-        view = View(question.at, T_odom_sensor, reach_m=question.reach_m)
-        if question.T_map_odom is None or newest is None:
-            return view
-        if query is not None and query.cloud.num_scans == 1:
-            cloud, scene = query.cloud, query.scene
-        else:
-            cloud, scene = self._check.scene(newest)
-        check, T_map_sensor, covariance = self._check.at(
-            cloud, scene, question.T_map_odom @ T_odom_sensor
-        )
-        T_checked = T_map_sensor @ geometry.inverse(T_odom_sensor)
-        return replace(view, check=check, T_checked=T_checked, checked_covariance=covariance)
-
-    def take(self, question: Question, view: View) -> None:
-        """The last third: let what was found support the track, or speak against it."""
-        if question.epoch != self._epoch:
+    def take(self, request: QueryRequest, view: View) -> None:
+        """Weigh the hypotheses by a view, the last third of :meth:`update`."""
+        if request.epoch != self._epoch:
             return
-        self._hypotheses.take(view)
-        if view.check in (Check.CONTRADICTS, Check.UNMAPPED) and not self._foreign:
-            self._begin_anew()  # the scans before show another place, perhaps
-        self._foreign = view.check in (Check.CONTRADICTS, Check.UNMAPPED)
+        if self.belief.update(view):
+            self._begin_anew()
 
     def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
-        """Follow a jump of the odometry: the robot is taken to stand where it stood before it.
-
-        The track is degraded until the map confirms it.
+        """Follow a jump of the odometry, as if the robot had stood still; less is certain then.
 
         Parameters
         ----------
@@ -236,48 +276,55 @@ class Tracker:
             What happened.
         """
         T = checked_pose(T_new_old, "T_new_old")
-        self._hypotheses.carry(T, self.travelled, doubt)
+        self.belief.carry(T, doubt)
         if self._last is not None:
             self._last = T @ self._last
-        self._queried = -math.inf
+        self._searched = -math.inf
         self._begin_anew()
 
     def forget(self) -> None:
-        """Forget the track and what was likely; keep the scans, and ask at once."""
-        self._hypotheses.clear()
-        self._queried, self._epoch = -math.inf, self._epoch + 1
+        """Forget all hypotheses, keep the scans, and search at once."""
+        self.belief.clear()
+        self._searched, self._epoch = -math.inf, self._epoch + 1
 
     def clear(self) -> None:
-        """Forget the track and all scans."""
-        self._hypotheses.clear()
-        self._last, self._queried = None, -math.inf
+        """Forget all hypotheses and all scans."""
+        self.belief.clear()
+        self._last, self._searched = None, -math.inf
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Let queries be made of what comes from now on."""
+        """Make queries of the scans from now on."""
         self._epoch += 1
         if self.rolling is not None:
             self.rolling.clear()
 
-    def _add(self, scans: Scans | LocalCloud, T_odom_sensor: Pose) -> None:
-        if self.rolling is None:
-            return
-        if not isinstance(scans, (Scan, np.ndarray)):
-            raise InvalidScan("a tracker that accumulates takes one scan at a time")
-        self.rolling.add(scans, T_odom_sensor)
-
-    def _reach(self, scans: Scans | LocalCloud) -> float:
-        """How far back the oldest scan of a query is, metres."""
+    def _window(self, scans: Scans | LocalCloud) -> float:
+        """Travel from the oldest scan of a query to the newest [m]."""
         if self.rolling is not None:
             return float(geometry.travelled(self.rolling.poses)[-1])
-        if not isinstance(scans, Sequence):
-            return 0.0
-        poses = [scan.T_odom_sensor for scan in scans if isinstance(scan, Scan)]
+        several = scans if isinstance(scans, Sequence) else ()
+        poses = [s.T_odom_sensor for s in several if isinstance(s, Scan)]
         known = [T for T in poses if T is not None]
         return float(geometry.travelled(np.array(known))[-1]) if known else 0.0
 
-    def _is_due(self) -> bool:
-        every = self.config.every_m
-        if self._hypotheses.track is None or self._hypotheses.contradicted:
-            every = min(every, self.config.searching_m)
-        return self.travelled - self._queried >= every
+
+def _reading(place: Place, cloud: LocalCloud, view: View, log_prior: float) -> Reading:
+    covariance = geometry.rotated_covariance(place.fit.covariance, cloud.T_local_sensor)
+    T_map_sensor = place.T_map_local @ cloud.T_local_sensor
+    T_map_odom = T_map_sensor @ geometry.inverse(view.T_odom_sensor)
+    return Reading(T_map_odom, place.log_ratio, log_prior, covariance)
+
+
+def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
+    """The last scan alone; None if it cannot be told from the others."""
+    if isinstance(scans, np.ndarray):
+        return Scan(scans, T_odom_sensor=T_odom_sensor)
+    if isinstance(scans, Scan):
+        scans = copy.copy(scans)
+        scans.T_odom_sensor = T_odom_sensor
+        return scans
+    if isinstance(scans, LocalCloud):
+        return scans
+    last = scans[-1] if scans else None
+    return last if isinstance(last, Scan) else None

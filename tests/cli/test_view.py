@@ -24,7 +24,7 @@ from segloc.inspect.following import SO_FAR, draw_moments, follows, newest_point
 from segloc.inspect.pictures import GREEN, rgb
 from segloc.inspect.results import packed, read_results, unpacked
 from segloc.inspect.scene import FIXED, OF_QUERY, MapScene
-from segloc.tracking.views import Status
+from segloc.tracking.belief import Status
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,7 @@ def test_a_kidnapped_robot_is_noticed_and_found_again(localizer: Localizer, plaz
 def test_beyond_the_map_odometry_carries_on_and_in_the_end_gives_up(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    config = CONFIG.tracker.model_copy(update={"memory_m": 80.0})
+    config = CONFIG.tracker.model_copy(update={"leak": 0.01})
     core = LiveCore(localizer, LiveConfig(tracker=config))
     elsewhere = Plaza(7)
     drive(core, walked(plaza, 8))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ..system import lazy
-from ..tracking.views import Status as Status
+from ..tracking.belief import Status as Status
 from .config import LiveConfig as LiveConfig
 from .core import LiveCore as LiveCore
 from .core import State as State

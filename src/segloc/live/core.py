@@ -18,8 +18,8 @@ from ..localizer import Localizer
 from ..motion import Motion, at_stamp
 from ..prior import Prior
 from ..system.checks import checked_pose
-from ..tracker import Heard, Question, Tracker
-from ..tracking.views import Status, View
+from ..tracker import QueryCallback, QueryRequest, Tracker
+from ..tracking.belief import Status, View
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 from .odometry import Cover, Jump, Odometry, known_stamp, span
@@ -35,11 +35,11 @@ class Asked:
     ----------
     stamp : float
         Of its scan.
-    question : Question
+    question : QueryRequest
     """
 
     stamp: float
-    question: Question
+    question: QueryRequest
 
 
 class LiveCore:
@@ -158,7 +158,7 @@ class LiveCore:
         self._open = self._open or asked is not None
         return asked
 
-    def ask(self, asked: Asked, *, near: Prior | None = None, heard: Heard | None = None) -> View:
+    def ask(self, asked: Asked, *, near: Prior | None = None, heard: QueryCallback | None = None) -> View:
         """Make a query, as :meth:`segloc.Tracker.ask` does. It changes nothing: any thread may.
 
         Raises

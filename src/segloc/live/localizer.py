@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import LiveError, SeglocError
 from ..localizer import Localizer
 from ..system.checks import checked_pose
-from ..tracking.views import View
+from ..tracking.belief import View
 from ..types import Pose, Scan
 from .config import LiveConfig
 from .core import Asked, LiveCore, State

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .. import geometry
 from ..errors import DatasetError
 from ..localizer import Localizer
-from ..tracking.views import Status
+from ..tracking.belief import Status
 from ..types import Float64, Int64, Recording
 from .config import LiveConfig
 from .core import LiveCore, State

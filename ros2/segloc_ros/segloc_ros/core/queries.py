@@ -12,7 +12,7 @@ from segloc.live import LiveCore
 from segloc.live.core import Asked
 from segloc.pipeline import Search
 from segloc.proposals.proposer import Query
-from segloc.tracking.views import View
+from segloc.tracking.belief import View
 from segloc.types import Float64
 
 from .replies import MatchesReply

@@ -1,0 +1,287 @@
+"""A Bayes filter over the places that a robot may be at, and "lost": none of them.
+
+No clouds and no clocks: poses are ``T_map_odom``, and time is the distance travelled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+from pydantic import Field
+
+from .. import geometry
+from ..system.section import Section
+from ..types import Float64, Pose
+
+_LEAST = 1e-3
+"""A hypothesis less probable than this is dropped."""
+_MOST = 300.0
+"""A larger log-ratio would overflow."""
+
+
+class Status(str, Enum):
+    """How well the pose of a robot is known."""
+
+    LOST = "lost"
+    CANDIDATE = "candidate"
+    LOCALIZED = "localized"
+    DEGRADED = "degraded"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+class BeliefConfig(Section):
+    """How odometry errs, and how much a view counts."""
+
+    min_confidence: float | None = Field(
+        None, gt=0.5, lt=1, description="probability to believe a pose; none: as for single queries"
+    )
+    drift: float = Field(0.02, ge=0, description="position error of odometry per distance [m/m]")
+    drift_deg: float = Field(0.05, ge=0, description="heading error of odometry [deg/m]")
+    leak: float = Field(
+        0.006, gt=0, description="probability to leave the track, kidnapped or slipping [1/m]"
+    )
+    jump_m: float = Field(
+        50.0, ge=0, description="unobserved travel that a jump of the odometry counts as [m]"
+    )
+    max_log_ratio: float = Field(
+        4.0, gt=0, description="bound of a view's log-ratio: a wrong view must not be final"
+    )
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How well a view fits at one pose.
+
+    Attributes
+    ----------
+    T_map_odom : (4, 4) float64
+    log_ratio : float
+        Log of how much likelier the view is from there than from none of the map.
+    log_prior : float
+        The same of a pose that has nothing of the map in view.
+    covariance : (6, 6) float64 or None
+        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
+    """
+
+    T_map_odom: Pose
+    log_ratio: float
+    log_prior: float = 0.0
+    covariance: Float64 | None = None
+
+    @property
+    def evidence(self) -> float:
+        """Log-ratio for (> 0) or against (< 0) a hypothesis, which has a prior of its own.
+
+        Between the prior of a search and 0, too little of the map is in view for either.
+        """
+        return max(0.0, self.log_ratio) + min(0.0, self.log_ratio - self.log_prior)
+
+
+@dataclass(frozen=True)
+class View:
+    """What was measured after ``at`` metres (:attr:`Belief.travelled`), from ``T_odom_sensor``.
+
+    Attributes
+    ----------
+    new_check, new_search : float
+        Share of the newest scan, and of the cloud of the search, that no earlier view has had.
+    checks : dict of int to Reading
+        Of the newest scan at hypotheses, by their keys.
+    places : sequence of Reading
+        What a search over the map found.
+    """
+
+    at: float
+    T_odom_sensor: Pose
+    new_check: float = 1.0
+    new_search: float = 1.0
+    checks: Mapping[int, Reading] = field(default_factory=dict)
+    places: Sequence[Reading] = ()
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One place that the robot may be at; its pose was measured ``at`` and from ``T_odom_sensor``.
+
+    ``views`` counts the views that support it, overlapping ones by their new share. It is
+    ``believed`` from ``min_confidence`` on, for as long as it is more probable than not.
+    """
+
+    key: int
+    T_map_odom: Pose
+    T_odom_sensor: Pose
+    covariance: Float64 | None
+    at: float
+    probability: float
+    views: float = 1.0
+    believed: bool = False
+
+
+class Belief:
+    """Probabilities of hypotheses, carried along by odometry and weighed by views.
+
+    Attributes
+    ----------
+    hypotheses : tuple of Hypothesis
+        The most probable first.
+    lost : float
+        Probability that the robot is at none of them.
+    travelled : float
+        Distance, with the unobserved travel of jumps [m].
+    doubt : str
+        What speaks against the track, or has ended it; "" if nothing.
+    """
+
+    def __init__(
+        self, config: BeliefConfig, min_confidence: float, separation: geometry.Separation
+    ) -> None:
+        self.config, self._separation = config, separation
+        self.min_confidence = config.min_confidence or min_confidence
+        self.travelled, self._count = 0.0, 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all hypotheses."""
+        self.hypotheses: tuple[Hypothesis, ...] = ()
+        self.lost, self.doubt = 1.0, ""
+
+    @property
+    def track(self) -> Hypothesis | None:
+        """The hypothesis that is believed."""
+        return next((h for h in self.hypotheses if h.believed), None)
+
+    def _same(self, T_a: Pose, T_b: Pose, T_odom_sensor: Pose) -> bool:
+        """Whether two T_map_odom put a sensor at one place."""
+        return not self._separation.apart(T_a @ T_odom_sensor, T_b @ T_odom_sensor)
+
+    def move(self, metres: float) -> None:
+        """Follow the odometry: every hypothesis leaks to "lost"."""
+        self.travelled += metres
+        kept = math.exp(-self.config.leak * metres)
+        moved = [replace(h, probability=kept * h.probability) for h in self.hypotheses]
+        self._settle(moved, 1.0 - kept * (1.0 - self.lost))
+
+    def carry(self, T_new_old: Pose, doubt: str) -> None:
+        """Follow a jump of the odometry, as if the robot had stood still."""
+        back = geometry.inverse(T_new_old)
+        self.hypotheses = tuple(
+            replace(h, T_map_odom=h.T_map_odom @ back, T_odom_sensor=T_new_old @ h.T_odom_sensor)
+            for h in self.hypotheses
+        )
+        self.doubt = doubt
+        self.move(self.config.jump_m)
+
+    def update(self, view: View) -> bool:
+        """Weigh the hypotheses by the newest scan, and by the places that a search found.
+
+        From "lost" alone, one view gives the posterior of a single query. Otherwise the ratios
+        count as much as is new. A place that has no hypothesis becomes one, of the probability of
+        "lost".
+
+        Returns
+        -------
+        bool
+            Whether the newest scan contradicts the track. Then the earlier scans may be of another
+            place: what was found with them does not count.
+        """
+        before, T = self.track, view.T_odom_sensor
+        known = [self._checked(h, view) for h in self.hypotheses]
+        change = 1.0 if before is None else known[0].probability / before.probability
+        contradicted = change < 0.5
+        if change != 1.0:
+            self.doubt = (
+                "the map contradicts the track" if contradicted else self.doubt * (change < 1)
+            )
+        share = max(view.new_search, self.lost)
+        for p in () if contradicted else view.places:
+            ratio = math.exp(min(share * p.log_ratio, _MOST))
+            known = [
+                replace(h, probability=h.probability * max(1.0, ratio), views=h.views + share)
+                if self._same(h.T_map_odom, p.T_map_odom, T)
+                else h
+                for h in known
+            ]
+            self._count += 1
+            new = self._count, p.T_map_odom, T, p.covariance, view.at, self.lost * ratio
+            known.append(Hypothesis(*new))
+        self._settle(self._merged(known, T), self.lost)
+        if self.track is not None and (before is None or self.track.key != before.key):
+            self.doubt = ""
+        return contradicted
+
+    def status(self) -> tuple[Status, str]:
+        """How well the pose is known, and why it is not known better."""
+        if (track := self.track) is not None:
+            if track.probability >= self.min_confidence:
+                return Status.LOCALIZED, ""
+            return Status.DEGRADED, self.doubt or self._unsupported(track)
+        if self.lost < 0.5:
+            several = sum(h.probability > 0.1 for h in self.hypotheses) > 1
+            return Status.CANDIDATE, "several places fit" if several else "no agreement yet"
+        return Status.LOST, self.doubt or "nothing found"
+
+    def covariance(self, T_odom_sensor: Pose) -> Float64 | None:
+        """Covariance of the track's pose, grown by the drift since it was measured."""
+        track = self.track
+        if track is None or track.covariance is None:
+            return None
+        T_now_then = geometry.inverse(T_odom_sensor) @ track.T_odom_sensor
+        path = max(0.0, self.travelled - track.at)
+        turn, shift = math.radians(self.config.drift_deg) * path, self.config.drift * path
+        grown = np.diag(np.repeat([turn**2, shift**2], 3))
+        return geometry.carried_covariance(track.covariance, T_now_then) + grown
+
+    def _checked(self, h: Hypothesis, view: View) -> Hypothesis:
+        """Apply a check; the pose is taken from one that would be believed by itself."""
+        if (seen := view.checks.get(h.key)) is None:
+            return h
+        most, p = self.config.max_log_ratio, self.min_confidence
+        evidence = view.new_check * min(max(seen.evidence, -most), most)
+        views = h.views + view.new_check * (evidence > 0)
+        h = replace(h, probability=h.probability * math.exp(evidence), views=views)
+        if seen.covariance is None or seen.log_ratio < math.log(p / (1 - p)):
+            return h
+        h = replace(h, T_map_odom=seen.T_map_odom, covariance=seen.covariance)
+        return replace(h, T_odom_sensor=view.T_odom_sensor, at=view.at)
+
+    def _merged(self, hypotheses: Sequence[Hypothesis], T_odom_sensor: Pose) -> list[Hypothesis]:
+        """Make hypotheses of one place one, at the pose of the most probable."""
+        merged: list[Hypothesis] = []
+        for h in sorted(hypotheses, key=lambda h: -h.probability):
+            for k, m in enumerate(merged):
+                if self._same(m.T_map_odom, h.T_map_odom, T_odom_sensor):
+                    merged[k] = replace(
+                        m,
+                        key=min(m.key, h.key),
+                        probability=m.probability + h.probability,
+                        views=max(m.views, h.views),
+                        believed=m.believed or h.believed,
+                    )
+                    break
+            else:
+                merged.append(h)
+        return merged
+
+    def _settle(self, hypotheses: Sequence[Hypothesis], lost: float) -> None:
+        """Normalise, drop what is improbable, and believe what is probable."""
+        before, total = self.track, lost + sum(h.probability for h in hypotheses)
+        kept = []
+        for h in sorted(hypotheses, key=lambda h: -h.probability):
+            p = h.probability / total
+            if p >= _LEAST:
+                believed = p >= (0.5 if h.believed else self.min_confidence)
+                kept.append(replace(h, probability=p, believed=believed))
+        dropped = len(kept) < len(hypotheses)
+        self.lost = 1.0 - sum(h.probability for h in kept) if dropped else lost / total
+        self.hypotheses = tuple(kept)
+        if before is not None and self.track is None:
+            self.doubt = self.doubt or self._unsupported(before)
+
+    def _unsupported(self, track: Hypothesis) -> str:
+        return f"nothing supports the track since {self.travelled - track.at:.0f} m"

@@ -1,0 +1,183 @@
+"""The filter behind a track, by views made up: no clouds, only log-ratios."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from segloc import geometry
+from segloc.tracking.belief import Belief, BeliefConfig, Reading, Status, View
+from segloc.types import Pose
+
+HERE = geometry.yaw_transform(0.4, (10.0, 5.0, 0.0))
+THERE = geometry.yaw_transform(-2.0, (80.0, -40.0, 0.0))
+COVARIANCE = np.diag([1e-4] * 3 + [1e-2] * 3)
+FITS, CONTRADICTS, UNMAPPED = 12.0, -20.0, -9.0
+PRIOR = -9.0
+STEP_M = 2.0
+
+
+def reading(T: Pose, log_ratio: float) -> Reading:
+    return Reading(T, log_ratio, PRIOR, COVARIANCE)
+
+
+class Robot:
+    """Drives straight on; its scans fit the map as they are told to."""
+
+    def __init__(self, **config: float) -> None:
+        self.belief = Belief(BeliefConfig(**config), 0.9, geometry.Separation())
+        self.x = 0.0
+
+    @property
+    def T_odom_sensor(self) -> Pose:
+        return geometry.yaw_transform(0.0, (self.x, 0.0, 0.0))
+
+    def searches(self, *places: tuple[Pose, float], new: float = 1.0) -> Robot:
+        found = [reading(T, ratio) for T, ratio in places]
+        at = self.belief.travelled
+        self.belief.update(View(at, self.T_odom_sensor, new, new, {}, found))
+        return self
+
+    def drives(self, metres: float, *ratios: tuple[Pose, float]) -> Robot:
+        """Drive on and check every hypothesis near one of the poses, each ``STEP_M``."""
+        for _ in range(round(metres / STEP_M)):
+            self.x += STEP_M
+            self.belief.move(STEP_M)
+            T = self.T_odom_sensor
+            checks = {
+                h.key: reading(pose, ratio)
+                for h in self.belief.hypotheses
+                for pose, ratio in ratios
+                if self.belief._same(h.T_map_odom, pose, T)
+            }
+            self.belief.update(View(self.belief.travelled, T, checks=checks))
+        return self
+
+    @property
+    def status(self) -> Status:
+        return self.belief.status()[0]
+
+    @property
+    def reason(self) -> str:
+        return self.belief.status()[1]
+
+    def is_at(self, T: Pose) -> bool:
+        track = self.belief.track
+        return track is not None and np.allclose(track.T_map_odom, T)
+
+
+def test_the_first_view_gives_the_posterior_of_a_single_query() -> None:
+    ratios = np.array([2.0, 1.2, -0.5, 0.0])
+    belief = Robot().searches((HERE, 2.0), (THERE, 1.2), (HERE @ THERE, -0.5)).belief
+    expected = np.exp(ratios) / np.exp(ratios).sum()
+    found = [*(h.probability for h in belief.hypotheses), belief.lost]
+    assert found == pytest.approx(expected)
+    assert belief.status()[0] is Status.CANDIDATE and belief.track is None
+    assert Robot().searches((HERE, 8.0)).status is Status.LOCALIZED
+    assert Robot().searches((HERE, -8.0)).status is Status.LOST
+
+
+def test_a_kidnapped_robot_is_noticed_and_found_however_long_its_track_was_supported() -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(400.0, (HERE, FITS))
+    assert robot.status is Status.LOCALIZED and robot.belief.track.views > 100  # type: ignore[union-attr]
+    robot.drives(4.0, (HERE, CONTRADICTS))
+    assert robot.status is Status.LOST and robot.reason == "the map contradicts the track"
+    assert robot.searches((THERE, 6.0)).is_at(THERE) and robot.status is Status.LOCALIZED
+
+
+def test_no_single_view_is_final() -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(50.0, (HERE, FITS)).drives(2.0, (HERE, -300.0))
+    assert robot.status is not Status.LOCALIZED
+    assert robot.drives(4.0, (HERE, FITS)).is_at(HERE) and robot.status is Status.LOCALIZED
+    wrong = Robot().searches((THERE, 300.0)).drives(4.0, (THERE, CONTRADICTS))
+    assert wrong.status is Status.LOST
+
+
+def test_two_equal_places_are_told_apart_by_what_is_seen_later() -> None:
+    robot = Robot().searches((HERE, 9.0), (THERE, 9.0))
+    assert robot.status is Status.CANDIDATE and robot.reason == "several places fit"
+    robot.drives(20.0, (HERE, FITS), (THERE, FITS))
+    assert robot.status is Status.CANDIDATE  # both still fit
+    assert robot.drives(4.0, (HERE, FITS), (THERE, CONTRADICTS)).is_at(HERE)
+
+
+def test_what_was_seen_before_is_no_evidence() -> None:
+    robot = Robot().searches((HERE, 0.5))
+    before = robot.belief.hypotheses[0].probability
+    for _ in range(20):
+        robot.searches((HERE, FITS), new=0.0)
+    assert robot.belief.hypotheses[0].probability == pytest.approx(before)
+    assert robot.searches((HERE, FITS)).status is Status.LOCALIZED
+
+
+def test_beyond_the_map_odometry_carries_on_with_a_growing_covariance_until_it_is_lost() -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(50.0, (HERE, FITS))
+    seen, widths = [robot.status], [0.0]
+    for _ in range(30):
+        robot.drives(10.0, (HERE, UNMAPPED))
+        seen.append(robot.status)
+        if robot.status is Status.DEGRADED:
+            assert robot.reason.startswith("nothing supports the track since")
+            covariance = robot.belief.covariance(robot.T_odom_sensor)
+            assert covariance is not None and covariance[3, 3] > widths[-1]
+            widths.append(covariance[3, 3])
+    changes = [a for a, b in zip(seen, [*seen[1:], None], strict=True) if a is not b]
+    assert changes == [Status.LOCALIZED, Status.DEGRADED, Status.LOST]
+    assert 80 < 10 * seen.index(Status.LOST) < 150
+    assert "supports the track" in robot.reason
+
+
+def test_an_unlikely_place_does_not_end_a_track_and_a_likely_one_ends_an_unsupported_one() -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(50.0, (HERE, FITS))
+    assert robot.searches((THERE, 2.0)).is_at(HERE)
+    robot.drives(80.0, (HERE, UNMAPPED))
+    assert robot.searches((THERE, 8.0)).is_at(THERE)
+
+
+def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:
+    jump = geometry.yaw_transform(1.0, (-7.0, 3.0, 0.0))
+    moved = HERE @ geometry.inverse(jump)
+
+    def jumped() -> Robot:
+        robot = Robot().searches((HERE, 8.0)).drives(20.0, (HERE, FITS))
+        robot.belief.carry(jump, "the odometry jumped")
+        assert robot.is_at(moved) and robot.status is Status.DEGRADED
+        assert robot.reason == "the odometry jumped"
+        return robot
+
+    confirmed = jumped().drives(2.0, (moved, FITS))
+    assert confirmed.status is Status.LOCALIZED and confirmed.reason == ""
+    assert jumped().drives(4.0, (moved, CONTRADICTS)).status is Status.LOST
+    alone = jumped().drives(100.0, (moved, UNMAPPED))
+    assert alone.status is Status.LOST and alone.reason == "the odometry jumped"
+
+
+def test_the_pose_is_taken_from_views_that_would_be_believed_alone() -> None:
+    near = geometry.yaw_transform(0.0, (0.5, 0.2, 0.0)) @ HERE
+    robot = Robot().searches((HERE, 8.0))
+    assert robot.drives(2.0, (near, 1.0)).is_at(HERE)
+    assert robot.drives(2.0, (near, FITS)).is_at(near)
+
+
+def test_hypotheses_that_meet_are_one() -> None:
+    beside = geometry.yaw_transform(0.0, (5.0, 0.0, 0.0)) @ HERE
+    robot = Robot().searches((HERE, 6.0), (beside, 6.0))
+    keys = [h.key for h in robot.belief.hypotheses]
+    robot.x, T = 2.0, geometry.yaw_transform(0.0, (2.0, 0.0, 0.0))
+    checks = {key: reading(HERE, FITS) for key in keys}
+    robot.belief.update(View(2.0, T, checks=checks))
+    assert len(robot.belief.hypotheses) == 1 and robot.is_at(HERE)
+    assert robot.belief.hypotheses[0].probability + robot.belief.lost == pytest.approx(1.0)
+
+
+def test_covariance_grows_with_the_path_and_turns_with_the_robot() -> None:
+    robot = Robot().searches((HERE, 8.0))
+    first = robot.belief.covariance(np.eye(4))
+    assert first is not None and np.allclose(first, COVARIANCE)
+    robot.belief.move(15.0)
+    ahead = geometry.yaw_transform(0.0, (15.0, 0.0, 0.0))
+    later = robot.belief.covariance(ahead)
+    assert later is not None
+    # Drift of 2 % is 0.3 m; 0.01 rad of the heading is 0.15 m sideways, 15 m ahead.
+    assert later[3, 3] == pytest.approx(1e-2 + 0.3**2)
+    assert later[4, 4] == pytest.approx(1e-2 + 0.15**2 + 0.3**2)
