@@ -11,17 +11,18 @@ anew. One file a world; files that exist are kept.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.proposals import Query
-from segloc.types import Float64, Int64, Pose
+from segloc.types import Float32, Float64, Int64, Pose
 
 from ..padding import mirrored, padded
 from ..report import parser
@@ -56,28 +57,33 @@ MEASURES = (
 agree with it and at most with a pose elsewhere, shares, and counts of points with their totals."""
 
 
+Names = NDArray[np.str_]
+
+
 @dataclass(frozen=True)
 class Rows:
-    """What was measured of the queries of one world.
+    """What was measured of queries in maps.
 
     Attributes
     ----------
-    fits : (F, M) float64
+    fits : (F, M) float32
         Columns are :data:`MEASURES`.
     spans : (R, 2) int64
         First row of ``fits`` of each record (a query in a map), and the row after its last.
-    query, place : (R,) int64
-        Number of the query in the world, and its map as an index of :data:`MAPS`.
-    sensor, made : (R,) str
-        Sensor of the query, and whether it is accumulated, single or thinned.
+    query : (R,) int64
+        Number of the query in its world.
+    world, place, sensor, made : (R,) str
+        Name of the world, map (of :data:`MAPS`), sensor, and whether the query is accumulated,
+        single or thinned.
     """
 
-    fits: Float64
+    fits: Float32
     spans: Int64
     query: Int64
-    place: Int64
-    sensor: np.ndarray
-    made: np.ndarray
+    world: Names
+    place: Names
+    sensor: Names
+    made: Names
 
     def __len__(self) -> int:
         return len(self.spans)
@@ -93,6 +99,16 @@ class Rows:
         """Read what :meth:`save` wrote."""
         with np.load(path) as file:
             return cls(**{f.name: file[f.name] for f in fields(cls)})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Rows]) -> Rows:
+        """Join the rows of several worlds."""
+        before = np.cumsum([0, *(len(part.fits) for part in parts)])
+        moved = [
+            replace(part, spans=part.spans + k) for part, k in zip(parts, before, strict=False)
+        ]
+        names = [f.name for f in fields(cls)]
+        return cls(**{n: np.concatenate([getattr(part, n) for part in moved]) for n in names})
 
 
 class World:
@@ -146,17 +162,17 @@ def collect(world: World, config: Config) -> Rows:
     """Search every query of a world in all of its maps."""
     places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
     fits: list[Float64] = []
-    records: list[tuple[int, int, str, str]] = []
+    records: list[tuple[int, str, str, str, str]] = []
     for n, made in enumerate(world.queries()):
         query = places["own"].describe(made.scans)
         for name, localizer in places.items():
             truth = made.truth if name in HOME else None
             fits.append(measured(localizer, query, truth))
-            records.append((n, MAPS.index(name), made.sensor, made.kind))
+            records.append((n, world.name, name, made.sensor, made.kind))
     ends = np.cumsum([len(rows) for rows in fits])
     spans = np.column_stack([np.concatenate([[0], ends[:-1]]), ends])
-    numbers, maps, sensors, kinds = map(np.array, zip(*records, strict=True))
-    return Rows(np.concatenate(fits), spans, numbers, maps, sensors, kinds)
+    columns = map(np.array, zip(*records, strict=True))
+    return Rows(np.concatenate(fits).astype(np.float32), spans, *columns)
 
 
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
