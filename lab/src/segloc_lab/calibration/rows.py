@@ -31,6 +31,10 @@ from .worlds import KINDS, Made, load_queries
 PADDED = 60_000
 """Segments of a padded map."""
 MAPS = ("own", "half", "mirrored", "padded", "same kind", "other kind")
+ALTERNATE = ({"mirrored"}, {"padded", "other kind"})
+"""Maps in which only even and only odd queries are searched."""
+MEASURED = 2
+"""Poses of each query in each map at which everything is measured."""
 HOME = ("own", "half", "padded")
 """Maps in which a query may have a right pose."""
 MEASURES = (
@@ -166,6 +170,8 @@ def collect(world: World, config: Config) -> Rows:
     for n, made in enumerate(world.queries()):
         query = places["own"].describe(made.scans)
         for name, localizer in places.items():
+            if name in ALTERNATE[1 - n % 2]:
+                continue
             truth = made.truth if name in HOME else None
             fits.append(measured(localizer, query, truth))
             records.append((n, world.name, name, made.sensor, made.kind))
@@ -176,14 +182,22 @@ def collect(world: World, config: Config) -> Rows:
 
 
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
-    """Measure a query at all distinct poses that are found in a map, (F, M)."""
-    found = localizer.search(query, thorough=True)
+    """Measure a query in a map at the distinct poses that are compared there, (F, M).
+
+    Free space is measured at the likeliest two at least; it is NaN where it was not.
+    """
+    found = localizer.search(query)
+    apart = localizer.likelihood.separation.apart
+    likeliest = [place.T_map_local for place in found.posterior.places[:MEASURED]]
     rows = []
     for fit in found.fits:
         T = fit.T_map_local
         error = errors(T @ query.cloud.T_local_sensor, truth)
-        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.intruding)
-        agreeing = fit.inliers, found.elsewhere(fit)
+        others = (o.inliers for o in (*found.candidates, *found.fits) if apart(o.T_map_local, T))
+        agreeing = fit.inliers, max(others, default=0)
+        known = fit.has("intruding") or any(T is other for other in likeliest)
+        free = fit.intruding if known else (np.nan, np.nan)
+        counts = (*fit.seen, *fit.ground, *fit.flush, *free)
         rows.append(
             (*T[:3, 3], geometry.heading(T), *error, *agreeing, fit.overlap, fit.rmse, *counts)
         )
