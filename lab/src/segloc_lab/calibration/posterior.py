@@ -23,7 +23,8 @@ from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import expit, logsumexp
 
-from segloc.likelihood import FEATURES, Count, shipped_model
+from segloc.likelihood import Count, shipped_model
+from segloc.likelihood.model import FEATURES, FREE
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
@@ -49,20 +50,20 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Fit:
-    """A measured pose as the model of the package reads it."""
+    """A measured pose as the model reads it; ``intruding`` is None where it was not measured."""
 
     inliers: int
     overlap: float
     seen: Count
     ground: Count
     flush: Count
-    intruding: Count
+    intruding: Count | None
 
     @classmethod
     def of(cls, row: Float32) -> Fit:
         """Read a row of measures."""
-        counts = (
-            Count(int(row[_COLUMN[hits]]), int(row[_COLUMN[of]]))
+        seen, ground, flush, intruding = (
+            Count(*np.nan_to_num(row[[_COLUMN[hits], _COLUMN[of]]]).astype(int).tolist())
             for hits, of in (
                 ("seen", "in_view"),
                 ("ground", "ground_of"),
@@ -70,11 +71,13 @@ class Fit:
                 ("intruding", "standing"),
             )
         )
-        return cls(int(row[_COLUMN["inliers"]]), float(row[_COLUMN["overlap"]]), *counts)
+        inliers, overlap = int(row[_COLUMN["inliers"]]), float(row[_COLUMN["overlap"]])
+        known = bool(np.isfinite(row[_COLUMN["standing"]]))
+        return cls(inliers, overlap, seen, ground, flush, intruding if known else None)
 
     def has(self, name: str) -> bool:
-        """Return whether a measure is known: all are."""
-        return True
+        """Return whether a measure is known."""
+        return getattr(self, name) is not None
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,7 @@ def described(rows: Float32) -> Float64:
     model, fits = shipped_model(), [Fit.of(row) for row in rows]
     elsewhere = rows[:, _COLUMN["elsewhere"]]
     features = [
-        model.features(fit, [f for f in fits if f is not fit], int(most), fit.intruding)
+        model.features(fit, [f for f in fits if f is not fit], int(most), FREE)  # type: ignore
         for fit, most in zip(fits, elsewhere, strict=True)
     ]
     return np.array(features, np.float64).reshape(-1, len(FEATURES))
@@ -217,7 +220,7 @@ def folds(records: Records) -> Int64:
 
 def found_table(records: Records, runs: dict[str, Judged]) -> Table:
     """Count what is found at a few false answers, of each kind of world."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for name, judged in runs.items():
         limits = [judged.threshold(count) for count in FALSE_AT]
         for kind in (*KINDS, "all"):

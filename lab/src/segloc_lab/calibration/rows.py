@@ -193,7 +193,8 @@ def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
     for fit in found.fits:
         T = fit.T_map_local
         error = errors(T @ query.cloud.T_local_sensor, truth)
-        others = (o.inliers for o in (*found.candidates, *found.fits) if apart(o.T_map_local, T))
+        others = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
+        others += [o.inliers for o in found.fits if apart(o.T_map_local, T)]
         agreeing = fit.inliers, max(others, default=0)
         known = fit.has("intruding") or any(T is other for other in likeliest)
         free = fit.intruding if known else (np.nan, np.nan)
