@@ -1,30 +1,48 @@
-"""The confidence that is shipped is the one that the stored candidates give."""
+"""Worlds that are read again, and the fit of the posterior."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from segloc_lab.calibration import reliability
-from segloc_lab.calibration.reliability import fit, fit_cautious, joined
-
-from segloc.likelihood import shipped_confidence
-from segloc.likelihood.confidence import CAUTIOUS_FEATURES, FEATURES
-
-ROWS = Path(reliability.__file__).parent
+from segloc_lab.calibration.posterior import FEATURES, Judged, Records, fit
+from segloc_lab.calibration.worlds import MAX_THINNED, QuerySet, load_queries, save_queries
 
 
-def test_weights_are_those_of_the_stored_candidates() -> None:
-    first, alike = (np.load(ROWS / f"confidence-rows{name}.npz")["rows"] for name in ("", "-alike"))
-    model = shipped_confidence()
-    constant, *weights = fit(first)
-    assert abs(constant - model.constant) < 0.25
-    assert np.allclose(weights, [model.weights[name] for name in FEATURES], atol=0.1)
-    constant, *weights = fit_cautious(joined([first, alike]))
-    assert abs(constant - model.cautious.constant) < 0.25
-    assert np.allclose(
-        weights[: len(CAUTIOUS_FEATURES)],
-        [model.cautious.weights[name] for name in CAUTIOUS_FEATURES],
-        atol=0.1,
+def test_queries_are_made_again(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    sizes = [MAX_THINNED + 500, 40, 30]
+    points = rng.normal(size=(sum(sizes), 3)).astype(np.float32)
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    truth = np.stack([np.eye(4)] * 3)
+    truth[:, 0, 3] = [0.0, 2.0, 4.0]
+    spans, thinning = np.array([[0, 0], [0, 0], [0, 2]]), np.array([-1, 5, -1])
+    save_queries(
+        tmp_path / "queries.npz",
+        [QuerySet("vlp16", points, offsets, truth, truth, spans, thinning)],
     )
-    assert np.allclose(weights[len(CAUTIOUS_FEATURES) :], 0.0)  # of others they have none
+    single, thinned, accumulated = load_queries(tmp_path / "queries.npz")[0]
+    assert np.array_equal(single.scans[0].points, points[: sizes[0]])
+    assert single.scans[0].T_odom_sensor is None
+    assert len(thinned.scans[0]) == MAX_THINNED
+    assert [len(scan) for scan in accumulated.scans] == sizes
+    assert accumulated.truth[0, 3] == 4.0
+    assert (single.kind, thinned.kind, accumulated.kind) == ("single", "thinned", "accumulated")
+
+
+def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
+    rng = np.random.default_rng(2)
+    weights = np.append(rng.normal(size=len(FEATURES)), 1.0)
+    features = rng.normal(size=(20_000, 3, len(FEATURES)))
+    scores = np.column_stack([features @ weights[:-1], np.full(len(features), weights[-1])])
+    drawn = (scores + rng.gumbel(size=scores.shape)).argmax(axis=1)
+    right = drawn[:, None] == np.arange(3)
+    poses, names = np.ones_like(right), np.full(len(right), "town")
+    number = np.zeros(len(right), np.int64)
+    records = Records(features, poses, right, ~right, number, names, names)
+    found = fit(records)
+    assert np.allclose(found, weights, atol=0.1)
+    judged = Judged.by(records, found)
+    sure = judged.log_odds > np.log(9.0)
+    assert 0.9 < judged.right[sure].mean() < 1.0
+    assert np.array_equal(judged.right, ~judged.false)

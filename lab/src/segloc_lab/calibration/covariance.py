@@ -1,6 +1,6 @@
 """Fit how wide the covariance of a pose must be on simulated worlds, and show how well it holds.
 
-The worlds are those of ``calibration.confidence``, by other seeds: every kind is mapped in one
+The worlds are those of ``calibration.worlds``, by other seeds: every kind is mapped in one
 session and localized in by two sensors in another, with accumulated scans and with single ones of
 which nothing tells how they stand; the poses of every second world err by centimetres. Every answer
 within 1 m and 5 degrees of the truth gives its error and the covariance of its alignment. The first
@@ -32,7 +32,7 @@ from segloc.types import Float64, LocalCloud, Pose
 
 from ..protocols.real import maps, queries
 from ..report import head, parser, row
-from .confidence import EVERY_M, KINDS, SimulatedWorld, views, worlds
+from .worlds import EVERY_M, KINDS, SimulatedWorld, views, worlds
 
 FALSE_M, FALSE_DEG = 1.0, 5.0
 """Answers farther off are false: no covariance is meant to cover them."""

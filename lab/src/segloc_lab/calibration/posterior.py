@@ -5,13 +5,13 @@ For each query in each map (:mod:`.rows`) the classes are the distinct poses tha
 convex. All tables show worlds judged by a fit to other worlds. False answers come in clumps, a
 world at a time, so worlds are counted beside queries. Real recordings take no part.
 
-    python -m segloc_lab.calibration.posterior rows/measured --out src/segloc/weights/posterior.json
+    python -m segloc_lab.calibration.posterior ROWS... --out src/segloc/weights/posterior.json
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,8 +23,9 @@ from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import expit, logsumexp
 
-from segloc.likelihood import FEATURES, Count, shipped_model
-from segloc.types import Float64, Int64
+from segloc.likelihood import Count, shipped_model
+from segloc.likelihood.model import FEATURES, FREE
+from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
 from .rows import HOME, MAPS, MEASURES, Rows
@@ -49,20 +50,20 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Fit:
-    """A measured pose as the model of the package reads it."""
+    """A measured pose as the model reads it; ``intruding`` is None where it was not measured."""
 
     inliers: int
     overlap: float
     seen: Count
     ground: Count
     flush: Count
-    intruding: Count
+    intruding: Count | None
 
     @classmethod
-    def of(cls, row: Float64) -> Fit:
+    def of(cls, row: Float32) -> Fit:
         """Read a row of measures."""
-        counts = (
-            Count(int(row[_COLUMN[hits]]), int(row[_COLUMN[of]]))
+        seen, ground, flush, intruding = (
+            Count(*np.nan_to_num(row[[_COLUMN[hits], _COLUMN[of]]]).astype(int).tolist())
             for hits, of in (
                 ("seen", "in_view"),
                 ("ground", "ground_of"),
@@ -70,11 +71,13 @@ class Fit:
                 ("intruding", "standing"),
             )
         )
-        return cls(int(row[_COLUMN["inliers"]]), float(row[_COLUMN["overlap"]]), *counts)
+        inliers, overlap = int(row[_COLUMN["inliers"]]), float(row[_COLUMN["overlap"]])
+        known = bool(np.isfinite(row[_COLUMN["standing"]]))
+        return cls(inliers, overlap, seen, ground, flush, intruding if known else None)
 
     def has(self, name: str) -> bool:
-        """Return whether a measure is known: all are."""
-        return True
+        """Return whether a measure is known."""
+        return getattr(self, name) is not None
 
 
 @dataclass(frozen=True)
@@ -110,55 +113,33 @@ class Records:
     def found_at(self) -> Int64:
         """The right pose of each record; M where there is none, (R,)."""
         most = self.right.shape[1]
-        return np.where(self.right.any(axis=1), self.right.argmax(axis=1), most)
+        first: Int64 = self.right.argmax(axis=1)
+        return np.where(self.right.any(axis=1), first, most)
 
 
-def read(paths: Sequence[Path]) -> Records:
-    """Read the rows of worlds, by seed, as records."""
-    paths = sorted(paths, key=lambda path: int(path.stem.rsplit("-", 1)[1]))
-    return joined([_records(Rows.load(path), path.stem, k) for k, path in enumerate(track(paths))])
-
-
-def joined(parts: Sequence[Records]) -> Records:
-    """Join the records of worlds, padded to the most poses of any."""
-    most = max(part.poses.shape[1] for part in parts)
-
-    def widened(array: NDArray[Any]) -> NDArray[Any]:
-        missing = most - array.shape[1]
-        return np.pad(array, [(0, 0), (0, missing), *[(0, 0)] * (array.ndim - 2)])
-
-    wide = {
-        name: np.concatenate([widened(getattr(part, name)) for part in parts])
-        for name in ("features", "poses", "right", "false")
-    }
-    flat = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("world", "kind", "place")
-    }
-    return Records(**wide, **flat)
-
-
-def _records(rows: Rows, world: str, number: int) -> Records:
+def records_of(rows: Rows) -> Records:
+    """Compute the features of all poses, query by query."""
     count, most = len(rows), int(np.diff(rows.spans).max(initial=1))
     features = np.zeros((count, most, len(FEATURES)))
     poses, right, false = (np.zeros((count, most), bool) for _ in range(3))
-    place = np.array(MAPS)[rows.place]
-    for k, (first, end) in enumerate(rows.spans):
+    for k, (first, end) in enumerate(track(rows.spans, "features")):
         fits, n = rows.fits[first:end], end - first
         features[k, :n] = described(fits)
         error, turned = fits[:, _COLUMN["error_m"]], fits[:, _COLUMN["error_deg"]]
-        near = (error < RIGHT_M) & (place[k] in HOME)
+        near = (error < RIGHT_M) & (rows.place[k] in HOME)
         poses[k, :n], right[k, :n], false[k, :n] = True, near & (turned < RIGHT_DEG), ~near
-    kind = np.full(count, world.rsplit("-", 1)[0])
-    return Records(features, poses, right, false, np.full(count, number), kind, place)
+    names = {name: k for k, name in enumerate(dict.fromkeys(rows.world))}
+    world = np.array([names[name] for name in rows.world])
+    kind = np.array([name.rsplit("-", 1)[0] for name in rows.world])
+    return Records(features, poses, right, false, world, kind, rows.place)
 
 
-def described(rows: Float64) -> Float64:
+def described(rows: Float32) -> Float64:
     """Compute the features of the poses of one query in one map, (N, K)."""
     model, fits = shipped_model(), [Fit.of(row) for row in rows]
     elsewhere = rows[:, _COLUMN["elsewhere"]]
     features = [
-        model.features(fit, [f for f in fits if f is not fit], int(most), fit.intruding)
+        model.features(fit, [f for f in fits if f is not fit], int(most), FREE)  # type: ignore
         for fit, most in zip(fits, elsewhere, strict=True)
     ]
     return np.array(features, np.float64).reshape(-1, len(FEATURES))
@@ -239,7 +220,7 @@ def folds(records: Records) -> Int64:
 
 def found_table(records: Records, runs: dict[str, Judged]) -> Table:
     """Count what is found at a few false answers, of each kind of world."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for name, judged in runs.items():
         limits = [judged.threshold(count) for count in FALSE_AT]
         for kind in (*KINDS, "all"):
@@ -300,17 +281,16 @@ def _bin(p: Float64, judged: Judged, here: Mask) -> Iterator[Cell]:
     yield round(float((1.0 - p[here]).sum()), 2)
 
 
-def card(
-    records: Records, judged: Judged, threshold: float, paths: Sequence[Path]
-) -> dict[str, Any]:
+def card(records: Records, judged: Judged, threshold: float, rows: Rows) -> dict[str, Any]:
     """Describe the data, the command and the figures of a fit."""
     false = judged.false & (judged.log_odds > threshold)
     possible = int(records.right.any(axis=1).sum())
-    seeds = sorted(int(path.stem.rsplit("-", 1)[1]) for path in paths)
+    worlds = set(rows.world.tolist())
+    seeds = sorted(int(name.rsplit("-", 1)[1]) for name in worlds)
     return {
         "what": "Linear log-ratio of a pose against 'not in this map': a conditional logit",
         "command": command(),
-        "data": f"{len(paths)} simulated worlds of {len(KINDS)} kinds (seeds {seeds[0]} to "
+        "data": f"{len(worlds)} simulated worlds of {len(KINDS)} kinds (seeds {seeds[0]} to "
         f"{seeds[-1]}), {len(records)} queries in maps, {int(records.poses.sum())} poses. No real "
         "recording",
         "ridge": RIDGE,
@@ -338,11 +318,15 @@ def weights_table(weights: Float64, each: Iterable[Float64] = ()) -> Table:
 
 def main() -> None:
     options = reporting(__doc__)
-    options.add_argument("rows", type=Path, nargs="+", help="folders of rows")
+    options.add_argument("rows", type=Path, nargs="+", help="files of rows")
+    options.add_argument("--join", type=Path, help="file to keep all rows in")
     options.add_argument("--out", type=Path, help="file of the model whose weights are replaced")
     args = options.parse_args()
-    paths = [path for folder in args.rows for path in folder.glob("*-*.npz")]
-    records = read(paths)
+    paths = sorted(args.rows, key=lambda path: path.stem.rsplit("-", 1)[-1])
+    rows = Rows.joined([Rows.load(path) for path in paths])
+    if args.join is not None:
+        rows.save(args.join)
+    records = records_of(rows)
     runs = {"worlds": held_out(records, folds(records)), "kinds": held_out(records, records.kind)}
     threshold = max(run.threshold(0) for run in runs.values()) + MARGIN
     weights = fit(records)
@@ -355,7 +339,7 @@ def main() -> None:
         weights_table(weights),
     )
     if args.out is not None:
-        write(args.out, weights, card(records, runs["worlds"], threshold, paths))
+        write(args.out, weights, card(records, runs["worlds"], threshold, rows))
 
 
 if __name__ == "__main__":

@@ -11,17 +11,18 @@ anew. One file a world; files that exist are kept.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.proposals import Query
-from segloc.types import Float64, Int64, Pose
+from segloc.types import Float32, Float64, Int64, Pose
 
 from ..padding import mirrored, padded
 from ..report import parser
@@ -30,6 +31,10 @@ from .worlds import KINDS, Made, load_queries
 PADDED = 60_000
 """Segments of a padded map."""
 MAPS = ("own", "half", "mirrored", "padded", "same kind", "other kind")
+ALTERNATE = ({"mirrored"}, {"padded", "other kind"})
+"""Maps in which only even and only odd queries are searched."""
+MEASURED = 2
+"""Poses of each query in each map at which everything is measured."""
 HOME = ("own", "half", "padded")
 """Maps in which a query may have a right pose."""
 MEASURES = (
@@ -56,28 +61,33 @@ MEASURES = (
 agree with it and at most with a pose elsewhere, shares, and counts of points with their totals."""
 
 
+Names = NDArray[np.str_]
+
+
 @dataclass(frozen=True)
 class Rows:
-    """What was measured of the queries of one world.
+    """What was measured of queries in maps.
 
     Attributes
     ----------
-    fits : (F, M) float64
+    fits : (F, M) float32
         Columns are :data:`MEASURES`.
     spans : (R, 2) int64
         First row of ``fits`` of each record (a query in a map), and the row after its last.
-    query, place : (R,) int64
-        Number of the query in the world, and its map as an index of :data:`MAPS`.
-    sensor, made : (R,) str
-        Sensor of the query, and whether it is accumulated, single or thinned.
+    query : (R,) int64
+        Number of the query in its world.
+    world, place, sensor, made : (R,) str
+        Name of the world, map (of :data:`MAPS`), sensor, and whether the query is accumulated,
+        single or thinned.
     """
 
-    fits: Float64
+    fits: Float32
     spans: Int64
     query: Int64
-    place: Int64
-    sensor: np.ndarray
-    made: np.ndarray
+    world: Names
+    place: Names
+    sensor: Names
+    made: Names
 
     def __len__(self) -> int:
         return len(self.spans)
@@ -93,6 +103,16 @@ class Rows:
         """Read what :meth:`save` wrote."""
         with np.load(path) as file:
             return cls(**{f.name: file[f.name] for f in fields(cls)})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Rows]) -> Rows:
+        """Join the rows of several worlds."""
+        before = np.cumsum([0, *(len(part.fits) for part in parts)])
+        moved = [
+            replace(part, spans=part.spans + k) for part, k in zip(parts, before, strict=False)
+        ]
+        names = [f.name for f in fields(cls)]
+        return cls(**{n: np.concatenate([getattr(part, n) for part in moved]) for n in names})
 
 
 class World:
@@ -146,28 +166,39 @@ def collect(world: World, config: Config) -> Rows:
     """Search every query of a world in all of its maps."""
     places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
     fits: list[Float64] = []
-    records: list[tuple[int, int, str, str]] = []
+    records: list[tuple[int, str, str, str, str]] = []
     for n, made in enumerate(world.queries()):
         query = places["own"].describe(made.scans)
         for name, localizer in places.items():
+            if name in ALTERNATE[1 - n % 2]:
+                continue
             truth = made.truth if name in HOME else None
             fits.append(measured(localizer, query, truth))
-            records.append((n, MAPS.index(name), made.sensor, made.kind))
+            records.append((n, world.name, name, made.sensor, made.kind))
     ends = np.cumsum([len(rows) for rows in fits])
     spans = np.column_stack([np.concatenate([[0], ends[:-1]]), ends])
-    numbers, maps, sensors, kinds = map(np.array, zip(*records, strict=True))
-    return Rows(np.concatenate(fits), spans, numbers, maps, sensors, kinds)
+    columns = map(np.array, zip(*records, strict=True))
+    return Rows(np.concatenate(fits).astype(np.float32), spans, *columns)
 
 
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
-    """Measure a query at all distinct poses that are found in a map, (F, M)."""
-    found = localizer.search(query, thorough=True)
+    """Measure a query in a map at the distinct poses that are compared there, (F, M).
+
+    Free space is measured at the likeliest two at least; it is NaN where it was not.
+    """
+    found = localizer.search(query)
+    apart = localizer.likelihood.separation.apart
+    likeliest = [place.T_map_local for place in found.posterior.places[:MEASURED]]
     rows = []
     for fit in found.fits:
         T = fit.T_map_local
         error = errors(T @ query.cloud.T_local_sensor, truth)
-        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.intruding)
-        agreeing = fit.inliers, found.elsewhere(fit)
+        others = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
+        others += [o.inliers for o in found.fits if apart(o.T_map_local, T)]
+        agreeing = fit.inliers, max(others, default=0)
+        known = fit.has("intruding") or any(T is other for other in likeliest)
+        free = fit.intruding if known else (np.nan, np.nan)
+        counts = (*fit.seen, *fit.ground, *fit.flush, *free)
         rows.append(
             (*T[:3, 3], geometry.heading(T), *error, *agreeing, fit.overlap, fit.rmse, *counts)
         )

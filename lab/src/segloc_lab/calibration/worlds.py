@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
 from shutil import rmtree
@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from segloc import Config, Scan, build_map
 from segloc.batch import query_positions
-from segloc.datasets import Selection
+from segloc.datasets import Selection, Sequence
 from segloc.frontend import LocalCloudConfig, window
 from segloc.types import Float32, Float64, Int64, Pose
 
@@ -50,6 +50,7 @@ AZIMUTHS = 900
 """Firings of each beam in a turn."""
 MAX_THINNED = 6_400
 """Points of a thinned scan."""
+SCANS_IN_MEMORY = 64
 LATER = Conditions(foliage=0.6, replaced=0.2)
 UNSHARP_M, UNSHARP_DEG = 0.04, 0.15
 """Standard deviation of pose errors in every second world [m, deg], each axis."""
@@ -144,6 +145,17 @@ def first_half(drive: SimulatedSequence) -> SimulatedSequence:
     """Return the first half of a drive's scans."""
     last = drive.indices[len(drive) // 2 - 1]
     return drive.select(Selection(((0, int(last)),)))
+
+
+def views(
+    drive: Sequence, every_m: float, local: LocalCloudConfig
+) -> Iterator[tuple[int, list[Scan], Scan]]:
+    """Yield queries along a drive: the scan's position, the window that it ends, and the scan."""
+    poses, scan = drive.poses, lru_cache(SCANS_IN_MEMORY)(drive.scan)  # windows overlap
+    assert poses is not None
+    for i in query_positions(poses, every_m, local.max_gap_m):
+        behind = window(poses, i, local.window_m, centred=False, max_gap_m=local.max_gap_m)
+        yield int(i), [scan(k) for k in behind], scan(i)
 
 
 @dataclass(frozen=True)

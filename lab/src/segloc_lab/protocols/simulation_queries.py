@@ -25,7 +25,7 @@ from segloc.system.files import replacing
 from segloc.system.stage_times import StageTimes
 from segloc.types import Pose
 
-from ..calibration.confidence import first_half
+from ..calibration.worlds import first_half
 from ..recordings import kept
 from ..report import Cell, Table, publish, reporting, row, share
 from ..simulation import (

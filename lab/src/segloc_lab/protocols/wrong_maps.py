@@ -29,7 +29,7 @@ from segloc.datasets import Sequence
 from segloc.proposals import Query
 from segloc.types import Pose
 
-from ..calibration.confidence import KINDS, SimulatedWorld, first_half, thinned, views, worlds
+from ..calibration.worlds import KINDS, SimulatedWorld, first_half, thinned, views, worlds
 from ..padding import mirrored
 from ..report import Table, entries, keep, publish, resumed, wilson
 
@@ -49,7 +49,7 @@ def queries(localizer: Localizer, drive: Sequence, every_m: float) -> Kinds:
         truth = drive.poses[i]
         found["accumulated"].append((localizer.describe(accumulated), truth))
         found["single"].append((localizer.describe(scan.points), truth))  # without its pose
-        found["thinned"].append((localizer.describe(thinned(scan, n)), truth))
+        found["thinned"].append((localizer.describe(thinned(scan.points, n)), truth))
     return found
 
 
