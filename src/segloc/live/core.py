@@ -158,7 +158,9 @@ class LiveCore:
         self._open = self._open or asked is not None
         return asked
 
-    def ask(self, asked: Asked, *, near: Prior | None = None, heard: QueryCallback | None = None) -> View:
+    def ask(
+        self, asked: Asked, *, near: Prior | None = None, heard: QueryCallback | None = None
+    ) -> View:
         """Make a query, as :meth:`segloc.Tracker.ask` does. It changes nothing: any thread may.
 
         Raises

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .landmarks import Landmarks as Landmarks
     from .landmarks import StemFinder as StemFinder
     from .landmarks import find_stems as find_stems
+    from .landmarks import levelling as levelling
     from .matching import Matcher as Matcher
     from .matching import MatchingConfig as MatchingConfig
     from .pose import PoseConfig as PoseConfig
@@ -25,7 +26,7 @@ else:
         __name__,
         {
             "landmarks": "LandmarkConfig LandmarkLocalizer LandmarkMap LandmarkMapper "
-            "Landmarks StemFinder find_stems",
+            "Landmarks StemFinder find_stems levelling",
             "matching": "Matcher MatchingConfig",
             "pose": "PoseConfig PoseEstimator",
             "proposer": "Estimator Query",

@@ -5,9 +5,8 @@
 Wild and planted stands are mapped along a path and queried up to 16 m beside it, seeing 20 to 100 %
 of the stems within 8 to 28 m, with noise of 5 to 15 cm and up to 40 % false detections: in their
 own map, in its mirror image and in the map of another stand. Every query gets its best pose,
-believed or not; a logistic regression on the logarithms of its share and of its ratio to the rival
-says how likely it is to be right. Poses with too little support to be believed at all are left
-out. Nothing real is among them.
+believed or not; a logistic regression on the logarithms of its share, of its ratio to the rival and
+of its support says how likely it is to be right. Nothing real is among them.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from segloc.proposals import (
     LandmarkMap,
     LandmarkMapper,
     Landmarks,
+    levelling,
 )
 from segloc.types import Float64, Pose
 
@@ -128,24 +128,8 @@ def _grown(where: Float64, rng: np.random.Generator) -> Landmarks:
 
 SIZE_M = 120.0
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
-LEAST_SUPPORT = 8.0
-"""Less than what is ever believed: small numbers make their own rules."""
 RIDGE = 0.01
 """Keeps the weights finite where right and wrong are told apart without fault."""
-
-
-def believing() -> LandmarkConfig:
-    """A configuration in which the best pose is always believed."""
-    config = LandmarkConfig()
-    return config.model_copy(
-        update={
-            "efforts": config.efforts[-1:],
-            "min_support": 0.0,
-            "min_share": 0.0,
-            "min_confidence": 0.0,
-            "max_rival": 1e9,
-        }
-    )
 
 
 def stands(seed: int) -> Iterator[tuple[Landmarks, LandmarkMap, np.random.Generator]]:
@@ -160,10 +144,11 @@ def stands(seed: int) -> Iterator[tuple[Landmarks, LandmarkMap, np.random.Genera
         yield stems, surveyed(stems, path, Detector(), rng), rng
 
 
-def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, float, bool]]:
-    """Share, ratio, support and whether it is right, of the best pose of each query."""
+def outcomes(seed: int, queries: int) -> Iterator[tuple[tuple[float, ...], bool]]:
+    """Features of the best pose of each query, and whether it is right."""
     others = [made for _, made, _ in stands(seed + 1)]
-    config = believing()
+    config = LandmarkConfig()
+    config = config.model_copy(update={"efforts": config.efforts[-1:]})
     for k, (stems, own, rng) in enumerate(stands(seed)):
         maps = (own, own, mirrored(own), others[k])
         localizers = [LandmarkLocalizer(prior_map, config) for prior_map in maps]
@@ -172,14 +157,14 @@ def outcomes(seed: int, queries: int) -> Iterator[tuple[float, float, float, boo
             where = rng.uniform(-16, 16, 2) + [25 + 70 * share, 40 + 40 * share]
             T = pose_at(where[0], where[1], rng)
             radius, keep, noise, invented = rng.uniform([8, 0.2, 0.05, 0.0], [28, 1.0, 0.15, 0.4])
-            detector = Detector(radius, keep, noise, invented)
-            query = detector.seen(stems, T, rng)
-            found = localizers[i % 4].localize(query)
-            if found.localized and found.inlier_ratio is not None:
-                metres, degrees = pose_errors(found.T_map_sensor[None], T[None])
+            query = Detector(radius, keep, noise, invented).seen(stems, T, rng)
+            T_local_sensor = levelling(query.directions)
+            search, _ = localizers[i % 4].search(query.moved(T_local_sensor))
+            for place in search.posterior.places[:1]:
+                T_found = place.T_map_local @ T_local_sensor
+                metres, degrees = pose_errors(T_found[None], T[None])
                 right = metres[0] < RIGHT_M and degrees[0] < RIGHT_DEG and i % 4 < 2
-                support = found.overlap * len(query)
-                yield found.overlap, found.inlier_ratio, support, bool(right)
+                yield place.features, bool(right)
 
 
 def fitted(rows: Float64, right: Float64) -> Float64:
@@ -200,12 +185,10 @@ def fitted(rows: Float64, right: Float64) -> Float64:
     return weights
 
 
-def features(found: list[tuple[float, float, float, bool]]) -> tuple[Float64, Float64]:
-    """Rows of 1, log(share), log(ratio), and what is right as 1 or 0; see ``LEAST_SUPPORT``."""
-    table = np.array(found, np.float64)
-    table = table[table[:, 2] >= LEAST_SUPPORT]
-    logs = np.log(np.maximum(table[:, :2], 1e-3))
-    return np.column_stack([np.ones(len(table)), logs]), table[:, 3]
+def table(found: list[tuple[tuple[float, ...], bool]]) -> tuple[Float64, Float64]:
+    """Rows of features, and what is right as 1 or 0."""
+    rows, right = zip(*found, strict=True)
+    return np.array(rows), np.array(right, np.float64)
 
 
 def main() -> None:
@@ -213,18 +196,19 @@ def main() -> None:
     options.add_argument("--queries", type=int, default=120, help="of each stand")
     options.add_argument("--seed", type=int, default=100)
     args = options.parse_args()
-    rows, right = features(list(outcomes(args.seed, args.queries)))
-    held_rows, held_right = features(list(outcomes(args.seed + 50, args.queries)))
+    rows, right = table(list(outcomes(args.seed, args.queries)))
+    held_rows, held_right = table(list(outcomes(args.seed + 50, args.queries)))
     weights = fitted(rows, right)
     p = 1 / (1 + np.exp(-held_rows @ weights))
     print(f"weights: {', '.join(f'{w:.2f}' for w in weights)}")
     print(f"{int(right.sum())} of {len(right)} right; others: Brier score")
     print(f"{np.mean((p - held_right) ** 2):.4f}, {int(held_right.sum())} of {len(p)} right")
     wrong = np.column_stack([p, held_rows])[held_right == 0]
-    print("most likely wrong ones (probability, share, ratio):")
+    print("most likely wrong ones (probability, share, ratio, support):")
     for likely, _, *logs in wrong[np.argsort(-wrong[:, 0])][:5]:
         print(f"  {likely:.3f}", *(f"{value:.2f}" for value in np.exp(logs)))
-    print(f"right and at least 0.8 likely: {int((held_right * (p >= 0.8)).sum())}")
+    threshold = LandmarkConfig().min_confidence
+    print(f"right and believed: {int((held_right * (p >= threshold)).sum())}")
 
 
 if __name__ == "__main__":

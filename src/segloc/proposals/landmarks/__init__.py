@@ -4,6 +4,7 @@ from .config import LandmarkConfig as LandmarkConfig
 from .landmark_map import LandmarkMap as LandmarkMap
 from .landmark_map import LandmarkMapper as LandmarkMapper
 from .landmarks import Landmarks as Landmarks
+from .landmarks import levelling as levelling
 from .localizer import LandmarkLocalizer as LandmarkLocalizer
 from .stem_search import StemProposer as StemProposer
 from .stems import StemFinder as StemFinder

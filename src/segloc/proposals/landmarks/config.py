@@ -75,9 +75,6 @@ class LandmarkConfig(Section):
     )
     height_tolerance: float = Field(2.0, gt=0, le=100, description="the same along z, metres")
     max_refined: int = Field(4, ge=2, le=100, description="candidates that are refined")
-    min_support: float = Field(
-        10.0, ge=3, le=1000, description="landmarks on the map, weighted by how well they fit"
-    )
     min_confidence: float = Field(
         0.8, ge=0, le=1, description="probability above which a pose is believed"
     )

@@ -25,9 +25,9 @@ _NEARBY = Separation(metres=1.0, degrees=5.0)
 """Rivals of a pose are at least so far from it: rows of trees may stand 2 m apart."""
 _CHANCE_SUPPORT = 3.0
 """What some wrong place of a map has almost always; a rival is not taken to have less."""
-_WEIGHTS = (2.42, 8.48, 14.81)
-"""Log-ratio of a pose: a constant, times log(share), times log(ratio to the rival). Fitted by
-``segloc_lab.calibration.landmarks``."""
+_WEIGHTS = (2.42, 8.48, 14.81, 0.0)
+"""Log-ratio of a pose: a constant, and weights of the logarithms of its share, of its ratio to the
+rival, and of its support. Fitted by ``segloc_lab.calibration.landmarks``."""
 _LEAST = 1e-3
 
 
@@ -151,18 +151,13 @@ class LandmarkLocalizer:
         return found
 
     def _concluded(self, best: Agreement, others: list[Agreement], count: int) -> LandmarkSearch:
-        """The posterior of the best place and of its rival; few landmarks are no evidence."""
+        """The posterior of the best place and of its rival."""
         elsewhere = [a for a in others if _NEARBY.apart(a.T_map_local, best.T_map_local)]
         rival = max(elsewhere, key=lambda found: found.support, default=None)
         found = [best] if rival is None else [best, rival]
         supports = [best.support, 0.0 if rival is None else rival.support]
-        enough = [a for a in found if a.support >= self.config.min_support]
-        scored = [scored_pose(a, supports, count) for a in enough]
-        posterior, needed = Posterior.of(scored), self.config.min_confidence
-        if not scored:
-            least = self.config.min_support
-            message = f"{Reason.TOO_UNCERTAIN} (support {best.support:.1f} < {least:g})"
-            return LandmarkSearch(posterior, Reason.TOO_UNCERTAIN, message, found)
+        posterior = Posterior.of([scored_pose(a, supports, count) for a in found])
+        needed = self.config.min_confidence
         return LandmarkSearch(posterior, posterior.reason(needed), posterior.message(needed), found)
 
 
@@ -199,12 +194,17 @@ def scored_pose(agreement: Agreement, supports: Sequence[float], count: int) -> 
         Landmarks of the query.
     """
     rival = min(supports) if agreement.support == max(supports) else max(supports)
-    constant, of_share, of_ratio = _WEIGHTS
     share, ratio = agreement.support / count, agreement.support / max(rival, _CHANCE_SUPPORT)
-    log_ratio = constant + of_share * math.log(max(share, _LEAST))
-    log_ratio += of_ratio * math.log(max(ratio, _LEAST))
-    T, rmse = agreement.T_map_local, agreement.rmse
-    return ScoredPose(T, log_ratio, agreement.inliers, share, rmse=rmse)
+    logs = (math.log(max(value, _LEAST)) for value in (share, ratio, agreement.support))
+    features = (1.0, *logs)
+    return ScoredPose(
+        T_map_local=agreement.T_map_local,
+        log_ratio=sum(weight * x for weight, x in zip(_WEIGHTS, features, strict=True)),
+        inliers=agreement.inliers,
+        overlap=share,
+        rmse=agreement.rmse,
+        features=features,
+    )
 
 
 def _answer(
