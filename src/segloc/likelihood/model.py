@@ -117,8 +117,7 @@ class Model(Section):
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """How much likelier a pose is than one that fits as well but for its segments."""
-        more = inlier_ratio(inliers, elsewhere) - inlier_ratio(elsewhere, inliers)
-        return self.weights["inliers_over_rival"] * more
+        return 2.0 * self.weights["inliers_over_rival"] * inlier_ratio(inliers, elsewhere)
 
 
 def inlier_ratio(inliers: int, elsewhere: int) -> float:
