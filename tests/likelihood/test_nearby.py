@@ -151,7 +151,7 @@ def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) ->
 
 def test_where_a_place_repeats_itself_nothing_is_believed() -> None:
     bare, seen = (hall(marked=False, seed=seed) for seed in (3, 4))
-    found = posterior(bare, seen, Candidate(np.eye(4), 12))
+    found = posterior(bare, seen, Candidate(np.eye(4), 8))
     assert found.reason(0.95) in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
 
 

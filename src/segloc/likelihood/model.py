@@ -19,24 +19,22 @@ from .observation import Count, Observation
 FEATURES = (
     "in_view",
     "flush",
-    "ground",
-    "inliers",
+    "free_space",
     "inliers_over_rival",
     "overlap_over_rival",
     "seen_over_rival",
-    "flush_over_rival",
-    "free_space",
+    "ground_over_rival",
 )
 """Names of the features, in the order of :meth:`Model.features`."""
 
 _PRIOR = {"flush": 10.0, "ground": 10.0, "seen": 15.0}
 """Points by which shares are smoothed: few say little."""
-_CHANCE_OVERLAP, _CHANCE_SEEN, _CHANCE_FLUSH = 0.25, Count(50, 100), Count(25, 100)
+_CHANCE_OVERLAP, _CHANCE_SEEN, _CHANCE_GROUND = 0.25, Count(50, 100), Count(80, 100)
 """What stands in for a rival where there is none."""
 _CHANCE_INLIERS = 4
 """Segments that agree on some wrong pose of any map."""
-_MOST_IN_VIEW, _MOST_EVIDENCE = 3000, 40.0
-"""More map points in view, and more evidence by inliers, say no more."""
+_MAX_IN_VIEW = 3000
+"""Map points in view beyond which more say no more."""
 DOUBTFUL, FREE = Count(40, 2000), Count(0, 2000)
 """What may stand in free space where it is not measured, and at best."""
 
@@ -95,40 +93,36 @@ class Model(Section):
         ----------
         fit : Observation
         others : sequence of Observation
-            At other places: of these the best is compared with.
+            At other places. Overlap and visibility are compared with those of the best of them,
+            the ground with the best of each.
         inliers : int
             The most that agree with any pose at another place.
         unknown : Count
             What stands in free space, where that was not measured.
         """
-        overlap, seen, flush = _CHANCE_OVERLAP, _CHANCE_SEEN, _CHANCE_FLUSH
+        overlap, seen = _CHANCE_OVERLAP, _CHANCE_SEEN
         if others:
             rival = max(others, key=lambda o: share_odds(o.overlap) + _odds("seen", o.seen))
-            overlap, seen, flush = rival.overlap, rival.seen, rival.flush
+            overlap, seen = rival.overlap, rival.seen
+        grounds = [other.ground for other in others] or [_CHANCE_GROUND]
         return (
-            math.log(50.0 + min(fit.seen.of, _MOST_IN_VIEW)),
+            math.log(50.0 + min(fit.seen.of, _MAX_IN_VIEW)),
             _odds("flush", fit.flush),
-            _odds("ground", fit.ground),
-            math.log1p(fit.inliers),
-            evidence(fit.inliers, inliers),
+            free_space(fit.intruding if fit.has("intruding") else unknown),
+            inlier_ratio(fit.inliers, inliers),
             share_odds(fit.overlap) - share_odds(overlap),
             _odds("seen", fit.seen) - _odds("seen", seen),
-            _odds("flush", fit.flush) - _odds("flush", flush),
-            free_space(fit.intruding if fit.has("intruding") else unknown),
+            _odds("ground", fit.ground) - max(_odds("ground", ground) for ground in grounds),
         )
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """How much likelier a pose is than one that fits as well but for its segments."""
-        weights = self.weights
-        more = evidence(inliers, elsewhere) - evidence(elsewhere, inliers)
-        agree = math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
-        return weights["inliers"] * agree + weights["inliers_over_rival"] * more
+        return 2.0 * self.weights["inliers_over_rival"] * inlier_ratio(inliers, elsewhere)
 
 
-def evidence(inliers: int, elsewhere: int) -> float:
-    """How much likelier so many inliers are than as many as elsewhere (Poisson), in tens."""
-    ratio = max(inliers, 1) / max(elsewhere, _CHANCE_INLIERS)
-    return min(inliers * math.log(ratio), _MOST_EVIDENCE) / 10.0
+def inlier_ratio(inliers: int, elsewhere: int) -> float:
+    """Logarithm of how many times as many segments agree as elsewhere, or as by chance."""
+    return math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
 
 
 def free_space(intruding: Count) -> float:

@@ -29,13 +29,13 @@ Answers = list[dict[str, Any]]
 
 
 def judged(world: World, config: Config) -> dict[str, Any]:
-    """Localize every query of a world in all of its maps."""
+    """Localize every query of a world in its maps."""
     places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
     answers = []
     for n, made in enumerate(world.queries()):
-        for name, localizer in places.items():
+        for name in world.searched(n):
             start = time.process_time()
-            answer = localizer.localize(made.scans)
+            answer = places[name].localize(made.scans)
             taken = time.process_time() - start
             error = None
             if answer.T_map_sensor is not None and name in HOME:

@@ -11,7 +11,7 @@ world at a time, so worlds are counted beside queries. Real recordings take no p
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 from scipy.optimize import minimize
-from scipy.special import expit, logsumexp
+from scipy.special import expit, logit, logsumexp
 
-from segloc.likelihood import Count, shipped_model
+from segloc.likelihood import Count, VerificationConfig, shipped_model
 from segloc.likelihood.model import FEATURES, FREE
 from segloc.types import Float32, Float64, Int64
 
@@ -37,11 +37,10 @@ RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
 FOLDS = 12
-MARGIN = 1.0
-"""Log-odds by which the threshold exceeds that of the worst false answer."""
 FALSE_AT = (0, 1, 3, 10)
 """Numbers of false answers at which answers found are counted."""
 BINS = (0.5, 0.9, 0.99, 0.999, 1.0)
+CONFIDENCES = (0.8, 0.9, 0.95, 0.99, 0.999)
 ALIKE = ("offices", "warehouse")
 """Kinds of worlds whose parts repeat."""
 _COLUMN = {name: k for k, name in enumerate(MEASURES)}
@@ -190,14 +189,13 @@ class Judged:
         exists = records.poses[rows, best]
         return cls(log_odds, records.right[rows, best], records.false[rows, best] & exists)
 
+    def __getitem__(self, chosen: Mask) -> Judged:
+        return Judged(self.log_odds[chosen], self.right[chosen], self.false[chosen])
+
     def threshold(self, false: int) -> float:
-        """Return the log-odds above which so many answers are false."""
+        """Return the log-odds above which ``false`` answers are false."""
         worst = np.sort(self.log_odds[self.false])[::-1]
         return float(worst[false]) if false < len(worst) else -np.inf
-
-    def found(self, threshold: float, chosen: Mask | bool = True) -> int:
-        """Count the right answers above a threshold."""
-        return int((self.right & (self.log_odds > threshold) & chosen).sum())
 
 
 def held_out(records: Records, groups: NDArray[Any]) -> Judged:
@@ -213,55 +211,71 @@ def held_out(records: Records, groups: NDArray[Any]) -> Judged:
     return Judged(log_odds, right, false)
 
 
+def told_apart(records: Records) -> Mask:
+    """Return which records a single view can decide: not half of a hall whose halves are alike."""
+    alike = [name for name, kind in KINDS.items() if kind.alike]
+    half_of_alike: Mask = np.isin(records.kind, alike) & (records.place == "half")
+    return ~half_of_alike
+
+
 def folds(records: Records) -> Int64:
     """Number the folds: whole worlds, each fold of all kinds."""
     return records.world // len(KINDS) % FOLDS
 
 
-def found_table(records: Records, runs: dict[str, Judged]) -> Table:
+def found_table(runs: dict[str, tuple[Records, Judged]]) -> Table:
     """Count what is found at a few false answers, of each kind of world."""
     rows: list[tuple[Cell, ...]] = []
-    for name, judged in runs.items():
+    for name, (records, judged) in runs.items():
         limits = [judged.threshold(count) for count in FALSE_AT]
         for kind in (*KINDS, "all"):
             here = (records.kind == kind) | (kind == "all")
-            possible = int((records.right.any(axis=1) & here).sum())
-            rows.append((name, kind, possible, *(judged.found(t, here) for t in limits)))
-        rows.append((name, "log-odds", None, *(round(t, 2) for t in limits)))
+            possible, right = records.right.any(axis=1) & here, judged.right & here
+            found = (int((right & (judged.log_odds > limit)).sum()) for limit in limits)
+            rows.append((name, kind, int(possible.sum()), *found))
+        rows.append((name, "log-odds", None, *(round(limit, 2) for limit in limits)))
     columns = ("held out", "kind", "right pose", *(f"found at {n} false" for n in FALSE_AT))
     return Table(columns, rows, title="Found, by the number of false answers")
 
 
-def false_table(records: Records, judged: Judged, threshold: float) -> Table:
-    """Count answers above a threshold by map: found, false, and worlds with a false one."""
+def confidence_table(runs: dict[str, tuple[Records, Judged]]) -> Table:
+    """Count what is found and false at a confidence, by query and by world."""
     rows = [
-        _false_row(name, records, judged, threshold, here)
-        for name, here in (
-            *((name, records.place == name) for name in MAPS),
-            *((name, records.kind == name) for name in KINDS),
-            ("all", np.ones(len(records), bool)),
-        )
+        (name, confidence, *_counted(records, judged, logit(confidence)))
+        for name, (records, judged) in runs.items()
+        for confidence in CONFIDENCES
     ]
-    columns = ("map or kind", "records", "found", "false", "at most", "worlds", "at most of them")
-    note = f"Log-odds above {threshold:.2f}. At most: upper ends of Wilson's 95 % intervals."
-    return Table(columns, rows, note, "False answers")
+    columns = ("held out", "confidence", *COUNTED)
+    return Table(columns, rows, WILSON, "Answers, by the confidence needed")
 
 
-def _false_row(
-    name: str, records: Records, judged: Judged, threshold: float, here: Mask
-) -> tuple[Cell, ...]:
-    false = judged.false & (judged.log_odds > threshold) & here
-    count, worlds = int(false.sum()), len(np.unique(records.world[here]))
-    spoilt = len(np.unique(records.world[false]))
-    return (
-        name,
-        int(here.sum()),
-        judged.found(threshold, here),
-        count,
-        f"{100 * wilson(count, int(here.sum()))[1]:.3f} %",
-        f"{spoilt} of {worlds}",
-        f"{100 * wilson(spoilt, worlds)[1]:.1f} %",
-    )
+def false_table(records: Records, judged: Judged, confidence: float) -> Table:
+    """Count what is found and false at a confidence, of each map and kind of world."""
+    parts = [(name, records.place == name) for name in MAPS]
+    parts += [(name, records.kind == name) for name in KINDS]
+    limit = logit(confidence)
+    rows = [(name, *_counted(records[here], judged[here], limit)) for name, here in parts]
+    title = f"Answers of confidence {confidence:g}, by map and kind"
+    return Table(("map or kind", *COUNTED), rows, WILSON, title)
+
+
+COUNTED = ("right pose", "found", "queries", "false", "at most", "worlds", "false in", "at most")
+WILSON = "At most: upper ends of Wilson's 95 % intervals."
+
+
+def _counted(records: Records, judged: Judged, limit: float) -> Iterator[Cell]:
+    answered = judged.log_odds > limit
+    false = judged.false & answered
+    yield int(records.right.any(axis=1).sum())
+    yield int((judged.right & answered).sum())
+    for all_of, bad in ((len(records), false.sum()), (_count(records), _count(records[false]))):
+        yield all_of
+        yield int(bad)
+        yield f"{100 * wilson(int(bad), all_of)[1]:.2f} %"
+
+
+def _count(records: Records) -> int:
+    return len(np.unique(records.world))
 
 
 def reliability_table(records: Records, judged: Judged) -> Table:
@@ -281,24 +295,19 @@ def _bin(p: Float64, judged: Judged, here: Mask) -> Iterator[Cell]:
     yield round(float((1.0 - p[here]).sum()), 2)
 
 
-def card(records: Records, judged: Judged, threshold: float, rows: Rows) -> dict[str, Any]:
+def card(records: Records, judged: Judged, rows: Rows) -> dict[str, Any]:
     """Describe the data, the command and the figures of a fit."""
-    false = judged.false & (judged.log_odds > threshold)
-    possible = int(records.right.any(axis=1).sum())
     worlds = set(rows.world.tolist())
     seeds = sorted(int(name.rsplit("-", 1)[1]) for name in worlds)
+    found = {f"{c:g}": list(_counted(records, judged, logit(c)))[1:4:2] for c in CONFIDENCES}
     return {
         "what": "Linear log-ratio of a pose against 'not in this map': a conditional logit",
         "command": command(),
         "data": f"{len(worlds)} simulated worlds of {len(KINDS)} kinds (seeds {seeds[0]} to "
-        f"{seeds[-1]}), {len(records)} queries in maps, {int(records.poses.sum())} poses. No real "
-        "recording",
+        f"{seeds[-1]}), {len(records)} queries in maps, {int(records.right.any(axis=1).sum())} "
+        f"with a right pose, {int(records.poses.sum())} poses. No real recording",
         "ridge": RIDGE,
-        "figures": {
-            "held_out_found": f"{judged.found(threshold)} of {possible}",
-            "held_out_false": f"{int(false.sum())} of {len(records)}",
-            "log_odds": round(threshold, 2),
-        },
+        "held_out_found_and_false_by_confidence": found,
     }
 
 
@@ -310,7 +319,7 @@ def write(path: Path, weights: Float64, card: dict[str, Any]) -> None:
     path.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
-def weights_table(weights: Float64, each: Iterable[Float64] = ()) -> Table:
+def weights_table(weights: Float64) -> Table:
     """List the weights."""
     rows = [(n, round(float(w), 3)) for n, w in zip((*FEATURES, "none"), weights, strict=True)]
     return Table(("feature", "weight"), rows, title="Weights")
@@ -327,19 +336,25 @@ def main() -> None:
     if args.join is not None:
         rows.save(args.join)
     records = records_of(rows)
-    runs = {"worlds": held_out(records, folds(records)), "kinds": held_out(records, records.kind)}
-    threshold = max(run.threshold(0) for run in runs.values()) + MARGIN
+    judged = held_out(records, folds(records))
+    apart = told_apart(records)
+    runs = {
+        "worlds": (records, judged),
+        "kinds": (records, held_out(records, records.kind)),
+        "worlds, without half halls": (records[apart], judged[apart]),
+    }
     weights = fit(records)
     publish(
         args.report,
         "Fit of the posterior",
-        found_table(records, runs),
-        false_table(records, runs["worlds"], threshold),
-        reliability_table(records, runs["worlds"]),
+        found_table(runs),
+        confidence_table(runs),
+        false_table(records, judged, VerificationConfig().min_confidence),
+        reliability_table(records, judged),
         weights_table(weights),
     )
     if args.out is not None:
-        write(args.out, weights, card(records, runs["worlds"], threshold, rows))
+        write(args.out, weights, card(records, judged, rows))
 
 
 if __name__ == "__main__":

@@ -146,6 +146,10 @@ class World:
         other = SegmentMap.load(self._other / "own.segmap")
         return found | {"same kind": same, "other kind": other}
 
+    def searched(self, query: int) -> list[str]:
+        """List the maps in which a query, by its number, is searched."""
+        return [name for name in self.maps if name not in ALTERNATE[1 - query % 2]]
+
 
 def worlds_of(folder: Path) -> list[World]:
     """List the complete worlds of a folder, by seed, each with two others to be lost in."""
@@ -169,9 +173,8 @@ def collect(world: World, config: Config) -> Rows:
     records: list[tuple[int, str, str, str, str]] = []
     for n, made in enumerate(world.queries()):
         query = places["own"].describe(made.scans)
-        for name, localizer in places.items():
-            if name in ALTERNATE[1 - n % 2]:
-                continue
+        for name in world.searched(n):
+            localizer = places[name]
             truth = made.truth if name in HOME else None
             fits.append(measured(localizer, query, truth))
             records.append((n, world.name, name, made.sensor, made.kind))
