@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import replace
 
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
@@ -125,12 +127,19 @@ class Scorer:
             Measure more of them, and everything.
         """
         self._candidates = candidates
+        ranked = self._map.ranked(candidates, self._query) if candidates else []
         for fit in self.fits:
             fit.inliers = inliers(fit.T_map_local)
-        for start, T in self._promising(candidates, thorough):
-            fit = self._map.refined(T, self._query, start)
-            fit.inliers = inliers(fit.T_map_local)
-            self._take(fit)
+        if ranked and self._margin(candidates) >= self._threshold and not thorough:
+            best = min(ranked, key=by_segments)
+            fit = self._measure(best.T_map_local, inliers)
+            if (most := self._at_least(fit, ranked)) >= self._threshold:
+                fit = self._map.finished(fit, self._query)
+                scored = self._scored(fit, DOUBTFUL)
+                self.fits = [fit]
+                return Posterior.of([replace(scored, log_ratio=most)], self._model.lapse)
+        for start, T in self._promising(ranked, thorough):
+            self._measure(T, inliers, start)
         while (fit_left := self._undecided(thorough)) is not None:
             finished = self._map.finished(fit_left, self._query)
             finished.intruding  # noqa: B018  (measured on first use)
@@ -159,20 +168,34 @@ class Scorer:
         matters = best - most < self._threshold + 1.0 and max(best, most) >= self._threshold
         return fit if matters or thorough else None
 
+    def _measure(self, T: Pose, inliers: Inliers, start: Pose | None = None) -> Observation:
+        fit = self._map.refined(T, self._query, start)
+        fit.inliers = inliers(fit.T_map_local)
+        self._take(fit)
+        return fit
+
+    def _at_least(self, fit: Observation, ranked: Sequence[RankedCandidate]) -> float:
+        """The log-ratio of a pose at least, if any other place fitted as well as it roughly may."""
+        apart, T = self._apart, fit.T_map_local
+        others = [c for c in ranked if apart(c.T_map_local, T)]
+        rival = copy(fit)
+        rival.overlap = max((c.overlap for c in others), default=fit.overlap)
+        features = self._model.features(fit, [rival], self._most_elsewhere(self._candidates, T))
+        return self._model.weighed(features) - self._floor
+
     def _promising(
-        self, candidates: Sequence[Candidate], thorough: bool
+        self, ranked: Sequence[RankedCandidate], thorough: bool
     ) -> list[tuple[Pose | None, Pose]]:
         """Poses to be measured, each with a better start, if there is one."""
-        if not candidates:
+        if not ranked:
             return []
-        ranked = self._map.ranked(candidates, self._query)
         most = self._config.max_refined * (3 if thorough or self._map.storeyed else 1)
         chosen: list[RankedCandidate] = []
         for key in (by_segments, by_clouds, by_overlap):
             best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
             chosen += [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
         found: list[tuple[Pose | None, Pose]] = [(None, c.T_map_local) for c in chosen]
-        if self._margin(candidates) >= self._threshold and not thorough:
+        if self._margin(self._candidates) >= self._threshold and not thorough:
             return found
         around = self._map.around(chosen[0].T_map_local, self._query)
         found[0] = around.start, chosen[0].T_map_local

@@ -76,5 +76,5 @@ class LandmarkConfig(Section):
     height_tolerance: float = Field(2.0, gt=0, le=100, description="the same along z, metres")
     max_refined: int = Field(4, ge=2, le=100, description="candidates that are refined")
     min_confidence: float = Field(
-        0.8, ge=0, le=1, description="probability above which a pose is believed"
+        0.99, ge=0, le=1, description="probability above which a pose is believed"
     )

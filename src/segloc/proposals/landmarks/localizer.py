@@ -25,7 +25,7 @@ _NEARBY = Separation(metres=1.0, degrees=5.0)
 """Rivals of a pose are at least so far from it: rows of trees may stand 2 m apart."""
 _CHANCE_SUPPORT = 3.0
 """What some wrong place of a map has almost always; a rival is not taken to have less."""
-_WEIGHTS = (2.42, 8.48, 14.81, 0.0)
+_WEIGHTS = (0.96, 6.21, 11.83, 0.13)
 """Log-ratio of a pose: a constant, and weights of the logarithms of its share, of its ratio to the
 rival, and of its support. Fitted by ``segloc_lab.calibration.landmarks``."""
 _LEAST = 1e-3
