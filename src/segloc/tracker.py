@@ -15,7 +15,7 @@ from . import geometry
 from .errors import InvalidScan
 from .frontend.local_cloud import Scans
 from .frontend.rolling_cloud import RollingCloud
-from .likelihood import Place
+from .likelihood import Posterior, ScoredPose
 from .localizer import Localizer
 from .pipeline import Search
 from .prior import Prior
@@ -28,6 +28,7 @@ from .types import Float64, LocalCloud, Pose, Scan
 QueryCallback = Callable[[Query, Search, Mapping[str, float]], None]
 """Receives a query, what its search found, and the milliseconds of each stage."""
 
+_TINY = 1e-300
 _CHECKED, _LEAST_CHECKED = 3, 0.01
 """The hypotheses that a scan is compared at, at most, and how probable they are at least."""
 
@@ -241,21 +242,21 @@ class Tracker:
             found = localizer.search(query, times, deadline_ms, near)
             if heard is not None:
                 heard(query, found, times.with_total())
-            prior = localizer.log_prior(query.scene)
-            places = [_reading(p, query.cloud, view, prior) for p in found.posterior.places]
-            view = replace(view, places=places)
+            view = replace(view, places=_places(found.posterior, query.cloud, view))
         if request.newest is None or not request.hypotheses:
             return view
         cloud = request.newest
         if isinstance(cloud, Scan):
             cloud = localizer.accumulator.gather(cloud)
-        scene = localizer.segmenter.segment(cloud)
-        prior = localizer.log_prior(scene)
+        likelihood, scene = localizer.likelihood, localizer.segmenter.segment(cloud)
+        if not len(scene.structure):
+            return view
+        scan = likelihood.query(scene)
         T_odom_local = view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
-        checks = {
-            key: _reading(localizer.score_at(scene, T @ T_odom_local), cloud, view, prior)
-            for key, T in request.hypotheses.items()
-        }
+        checks = {}
+        for key, T_map_odom in request.hypotheses.items():
+            pose = likelihood.at(scan, T_map_odom @ T_odom_local)
+            checks[key] = _reading(pose, pose.log_ratio, cloud, view, likelihood.blank)
         return replace(view, checks=checks)
 
     def take(self, request: QueryRequest, view: View) -> None:
@@ -309,11 +310,19 @@ class Tracker:
         return float(geometry.travelled(np.array(known))[-1]) if known else 0.0
 
 
-def _reading(place: Place, cloud: LocalCloud, view: View, log_prior: float) -> Reading:
-    covariance = geometry.rotated_covariance(place.fit.covariance, cloud.T_local_sensor)
-    T_map_sensor = place.T_map_local @ cloud.T_local_sensor
+def _places(posterior: Posterior, cloud: LocalCloud, view: View) -> list[Reading]:
+    none = math.log(max(posterior.not_in_map, _TINY))
+    known = zip(posterior.places, posterior.probabilities, strict=True)
+    return [_reading(pose, math.log(max(p, _TINY)) - none, cloud, view) for pose, p in known]
+
+
+def _reading(
+    pose: ScoredPose, log_ratio: float, cloud: LocalCloud, view: View, log_prior: float = 0.0
+) -> Reading:
+    covariance = geometry.rotated_covariance(pose.covariance, cloud.T_local_sensor)
+    T_map_sensor = pose.T_map_local @ cloud.T_local_sensor
     T_map_odom = T_map_sensor @ geometry.inverse(view.T_odom_sensor)
-    return Reading(T_map_odom, place.log_ratio, log_prior, covariance)
+    return Reading(T_map_odom, log_ratio, log_prior, covariance)
 
 
 def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:

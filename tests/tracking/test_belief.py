@@ -105,7 +105,7 @@ def test_what_was_seen_before_is_no_evidence() -> None:
     robot = Robot().searches((HERE, 0.5))
     before = robot.belief.hypotheses[0].probability
     for _ in range(20):
-        robot.searches((HERE, FITS), new=0.0)
+        robot.searches((HERE, 0.5), new=0.0)
     assert robot.belief.hypotheses[0].probability == pytest.approx(before)
     assert robot.searches((HERE, FITS)).status is Status.LOCALIZED
 

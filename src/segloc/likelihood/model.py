@@ -115,6 +115,12 @@ class Model(Section):
             _odds("ground", fit.ground) - max(_odds("ground", ground) for ground in grounds),
         )
 
+    @property
+    def blank(self) -> float:
+        """The score of a pose that has nothing of the map in view."""
+        seen, flush = _odds("seen", _CHANCE_SEEN), _odds("flush", _CHANCE_FLUSH)
+        return self.weighed((math.log(50.0), 0, 0, 0, 0, 0, -seen, -flush, free_space(Count(0, 0))))
+
     def margin(self, inliers: int, elsewhere: int) -> float:
         """How much likelier a pose is than one that fits as well but for its segments."""
         return 2.0 * self.weights["inliers_over_rival"] * inlier_ratio(inliers, elsewhere)

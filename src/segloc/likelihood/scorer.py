@@ -69,12 +69,17 @@ class Likelihood:
         """What measures one query; places that are not ``allowed`` are none."""
         return Scorer(self, query, allowed)
 
-    def at(self, query: QueryCloud, T_map_local: Pose, inliers: int = 0) -> ScoredPose:
-        """Align a query at a pose and measure it there: no search, and no rivals."""
-        fit = self.cloud.refined(T_map_local, query)
-        fit.inliers = inliers
+    def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
+        """Align a query at a pose and measure it there: no search, no segments, no rivals."""
+        fit = self.cloud.finished(self.cloud.refined(T_map_local, query), query)
+        fit.intruding  # noqa: B018  (measured on first use)
         features = self.model.features(fit, [], 0)
         return _scored(fit, features, self.model.weighed(features) - self.model.floor(self.alias))
+
+    @property
+    def blank(self) -> float:
+        """The log-ratio at a pose that has nothing of the map in view."""
+        return self.model.blank - self.model.floor(self.alias)
 
 
 class Scorer:

@@ -109,8 +109,9 @@ class View:
 class Hypothesis:
     """One place that the robot may be at; its pose was measured ``at`` and from ``T_odom_sensor``.
 
-    ``views`` counts the views that support it, overlapping ones by their new share. It is
-    ``believed`` from ``min_confidence`` on, for as long as it is more probable than not.
+    ``counted`` is the log-ratio of searches that ``probability`` has in it. ``views`` counts the
+    views that support it, overlapping ones by their new share. It is ``believed`` from
+    ``min_confidence`` on, for as long as it is more probable than not.
     """
 
     key: int
@@ -119,6 +120,7 @@ class Hypothesis:
     covariance: Float64 | None
     at: float
     probability: float
+    counted: float = 0.0
     views: float = 1.0
     believed: bool = False
 
@@ -178,39 +180,26 @@ class Belief:
         self.move(self.config.jump_m)
 
     def update(self, view: View) -> bool:
-        """Weigh the hypotheses by the newest scan, and by the places that a search found.
+        """Weigh the hypotheses by the places that a search found, and by the newest scan.
 
-        From "lost" alone, one view gives the posterior of a single query. Otherwise the ratios
-        count as much as is new. A place that has no hypothesis becomes one, of the probability of
-        "lost".
+        A new place has the probability of "lost" times its ratio: from "lost" alone, one view gives
+        the posterior of a single query. What earlier searches have seen counts once.
 
         Returns
         -------
         bool
             Whether the newest scan contradicts the track. Then the earlier scans may be of another
-            place: what was found with them does not count.
+            place, and what was found with them does not count.
         """
-        before, T = self.track, view.T_odom_sensor
-        known = [self._checked(h, view) for h in self.hypotheses]
-        change = 1.0 if before is None else known[0].probability / before.probability
-        contradicted = change < 0.5
-        if change != 1.0:
-            self.doubt = (
-                "the map contradicts the track" if contradicted else self.doubt * (change < 1)
-            )
-        share = max(view.new_search, self.lost)
-        for p in () if contradicted else view.places:
-            ratio = math.exp(min(share * p.log_ratio, _MOST))
-            known = [
-                replace(h, probability=h.probability * max(1.0, ratio), views=h.views + share)
-                if self._same(h.T_map_odom, p.T_map_odom, T)
-                else h
-                for h in known
-            ]
-            self._count += 1
-            new = self._count, p.T_map_odom, T, p.covariance, view.at, self.lost * ratio
-            known.append(Hypothesis(*new))
-        self._settle(self._merged(known, T), self.lost)
+        before, hypotheses = self.track, list(self.hypotheses)
+        evidence = 0.0 if before is None else self._evidence(before, view)
+        contradicted = evidence < -math.log(2.0)
+        if evidence:
+            self.doubt = "the map contradicts the track" if contradicted else ""
+        if not contradicted:
+            for place in view.places:
+                self._add(place, view, hypotheses)
+        self._settle(self._merged([self._checked(h, view) for h in hypotheses], view), self.lost)
         if self.track is not None and (before is None or self.track.key != before.key):
             self.doubt = ""
         return contradicted
@@ -237,30 +226,57 @@ class Belief:
         grown = np.diag(np.repeat([turn**2, shift**2], 3))
         return geometry.carried_covariance(track.covariance, T_now_then) + grown
 
+    def _add(self, place: Reading, view: View, hypotheses: list[Hypothesis]) -> None:
+        """Let a place support the hypotheses that are there, and take its share of "lost"."""
+        T, known = view.T_odom_sensor, False
+        for k, h in enumerate(hypotheses):
+            if self._same(h.T_map_odom, place.T_map_odom, T):
+                known, counted = True, (1.0 - view.new_search) * h.counted
+                gain = math.exp(min(max(0.0, place.log_ratio - counted), _MOST))
+                views = h.views + view.new_search
+                h = replace(h, probability=h.probability * gain, views=views)
+                h = replace(h, counted=max(place.log_ratio, counted))
+                hypotheses[k] = self._placed(h, place, view)
+        self._count += 1
+        tempered = max(view.new_search, self.lost) * place.log_ratio
+        ratio = min(tempered, place.log_ratio, _MOST)
+        weight = (view.new_search if known else 1.0) * self.lost * math.exp(ratio)
+        where = self._count, place.T_map_odom, T, place.covariance, view.at
+        hypotheses.append(Hypothesis(*where, weight, ratio))
+
+    def _evidence(self, h: Hypothesis, view: View) -> float:
+        """The log-ratio that the newest scan adds to a hypothesis."""
+        seen, most = view.checks.get(h.key), self.config.max_log_ratio
+        return 0.0 if seen is None else view.new_check * min(max(seen.evidence, -most), most)
+
     def _checked(self, h: Hypothesis, view: View) -> Hypothesis:
-        """Apply a check; the pose is taken from one that would be believed by itself."""
         if (seen := view.checks.get(h.key)) is None:
             return h
-        most, p = self.config.max_log_ratio, self.min_confidence
-        evidence = view.new_check * min(max(seen.evidence, -most), most)
+        evidence = self._evidence(h, view)
         views = h.views + view.new_check * (evidence > 0)
         h = replace(h, probability=h.probability * math.exp(evidence), views=views)
-        if seen.covariance is None or seen.log_ratio < math.log(p / (1 - p)):
+        return self._placed(h, seen, view)
+
+    def _placed(self, h: Hypothesis, seen: Reading, view: View) -> Hypothesis:
+        """The pose as it was measured, where that would be believed by itself."""
+        p = self.min_confidence
+        if seen.covariance is None or seen.log_ratio < math.log(p / (1.0 - p)):
             return h
         h = replace(h, T_map_odom=seen.T_map_odom, covariance=seen.covariance)
         return replace(h, T_odom_sensor=view.T_odom_sensor, at=view.at)
 
-    def _merged(self, hypotheses: Sequence[Hypothesis], T_odom_sensor: Pose) -> list[Hypothesis]:
+    def _merged(self, hypotheses: Sequence[Hypothesis], view: View) -> list[Hypothesis]:
         """Make hypotheses of one place one, at the pose of the most probable."""
         merged: list[Hypothesis] = []
         for h in sorted(hypotheses, key=lambda h: -h.probability):
             for k, m in enumerate(merged):
-                if self._same(m.T_map_odom, h.T_map_odom, T_odom_sensor):
+                if self._same(m.T_map_odom, h.T_map_odom, view.T_odom_sensor):
                     merged[k] = replace(
                         m,
                         key=min(m.key, h.key),
                         probability=m.probability + h.probability,
                         views=max(m.views, h.views),
+                        counted=max(m.counted, h.counted),
                         believed=m.believed or h.believed,
                     )
                     break
