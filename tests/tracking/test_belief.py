@@ -12,13 +12,12 @@ from segloc.types import Pose
 HERE = geometry.yaw_transform(0.4, (10.0, 5.0, 0.0))
 THERE = geometry.yaw_transform(-2.0, (80.0, -40.0, 0.0))
 COVARIANCE = np.diag([1e-4] * 3 + [1e-2] * 3)
-FITS, CONTRADICTS, UNMAPPED = 12.0, -20.0, -9.0
-PRIOR = -9.0
+FITS, CONTRADICTS, UNMAPPED = 12.0, -20.0, 0.0
 STEP_M = 2.0
 
 
 def reading(T: Pose, log_ratio: float) -> Reading:
-    return Reading(T, log_ratio, PRIOR, COVARIANCE)
+    return Reading(T, log_ratio, COVARIANCE, log_ratio)
 
 
 class Robot:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
@@ -70,16 +73,16 @@ class Likelihood:
         return Scorer(self, query, allowed)
 
     def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
-        """Align a query at a pose and measure it there: no search, no segments, no rivals."""
+        """Align a query at a known pose and measure it there: no search, no segments, no rivals."""
         fit = self.cloud.finished(self.cloud.refined(T_map_local, query), query)
         fit.intruding  # noqa: B018  (measured on first use)
         features = self.model.features(fit, [], 0)
-        return _scored(fit, features, self.model.weighed(features) - self.model.floor(self.alias))
-
-    @property
-    def blank(self) -> float:
-        """The log-ratio at a pose that has nothing of the map in view."""
-        return self.model.blank - self.model.floor(self.alias)
+        log_ratio = self.model.weighed(features) - self.model.floor(self.alias)
+        # What lies off the map does not speak against a pose that is known.
+        mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
+        off_map = math.log1p(-mapped) + self.model.denied(fit)
+        known_ratio = float(np.logaddexp(math.log(mapped) + log_ratio, off_map))
+        return replace(_scored(fit, features, log_ratio), known_ratio=known_ratio)
 
 
 class Scorer:
