@@ -1,4 +1,4 @@
-"""The tracker on a simulated walk: kept hypotheses, agreement, contradiction, places unknown."""
+"""The tracker on a simulated walk: agreement, places alike, places unknown, the map's end."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza
 
-from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
+from segloc import InvalidScan, Localizer, Scan, SegmentMap, geometry
 from segloc.tracker import Tracker, TrackerConfig
+from segloc.tracking.belief import Status
 from segloc.types import Descriptors, Float64
 
 T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
@@ -16,12 +17,6 @@ T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
 @pytest.fixture(scope="module")
 def prior_map(plaza_map: SegmentMap) -> SegmentMap:
     return plaza_map
-
-
-def gated(prior_map: SegmentMap, **gates: float) -> Localizer:
-    config = Config.preset("geo")
-    verification = config.verification.model_copy(update=gates)
-    return Localizer(prior_map, config.model_copy(update={"verification": verification}))
 
 
 def odometry(T_map_sensor: Float64) -> Float64:
@@ -40,23 +35,24 @@ def offset(T: Float64) -> float:
     return float(np.linalg.norm((geometry.inverse(T_MAP_ODOM) @ T)[:3, 3]))
 
 
-def test_a_view_that_passes_all_gates_is_believed_at_once(
+def test_the_first_view_gives_the_posterior_of_its_query_and_later_ones_add_to_it(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
-    tracks = walk(Tracker(Localizer(prior_map)), plaza)
+    localizer = Localizer(prior_map)
+    tracks = walk(Tracker(localizer), plaza)
     for k, track in enumerate(tracks):
-        assert track.localized and track.views == k + 1 and offset(track.T_map_odom) < 0.3
-    assert tracks[-1].confidence >= tracks[0].confidence
+        assert track.localized and track.views >= k + 1 and offset(track.T_map_odom) < 0.3
+    T = geometry.yaw_transform(0.0, (-12.0, 1.0, 1.8))
+    alone = localizer.localize(plaza.scan(T, posed=False, seed=0))
+    assert tracks[0].confidence == pytest.approx(alone.confidence)
 
 
-def test_views_below_the_gates_are_believed_once_they_agree(
+def test_views_that_are_not_believed_alone_are_once_they_agree(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
-    tracker = Tracker(gated(prior_map, min_confidence=1.0))
-    first, second, *later = walk(tracker, plaza)
-    assert not first.localized and first.reason == "no agreement yet"
-    for track in (second, *later):
-        assert track.localized and offset(track.T_map_odom) < 0.3
+    tracks = walk(Tracker(Localizer(prior_map), TrackerConfig(min_confidence=0.99999)), plaza)
+    assert not tracks[0].localized and tracks[0].reason == "no agreement yet"
+    assert tracks[-1].localized and offset(tracks[-1].T_map_odom) < 0.3
 
 
 def test_scans_are_accumulated_and_every_few_metres_localized(
@@ -74,7 +70,7 @@ def test_scans_are_accumulated_and_every_few_metres_localized(
     assert [cloud.stamp for cloud in queries] == [0.0, 3.0, 6.0]
     assert all(cloud.voxel_size == 0.2 for cloud in queries[1:])
     assert all(track.localized and offset(track.T_map_odom) < 0.3 for track in tracks)
-    assert tracks[-1].views == 3
+    assert tracks[-1].views >= 3
     assert tracker.rolling is not None and len(tracker.rolling) == 9
     with pytest.raises(InvalidScan, match="one scan at a time"):
         tracker.update([plaza.scan(np.eye(4))], np.eye(4))
@@ -93,15 +89,16 @@ def test_views_of_two_places_that_look_alike_are_not_believed(
         stamp=0.0,
         cloud=prior_map.cloud + prior_map.origin + move,
     )
+    both.add_trajectory(geometry.rigid(np.eye(3), move) @ prior_map.trajectory)
     tracks = walk(Tracker(Localizer(both)), plaza)
     assert not any(track.localized for track in tracks)
-    assert tracks[-1].reason == "nothing found"
+    assert tracks[-1].status is Status.CANDIDATE and tracks[-1].reason == "several places fit"
 
 
 def test_a_track_survives_what_shows_nothing_but_not_for_ever(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
-    tracker = Tracker(Localizer(prior_map), TrackerConfig(memory_m=50.0))
+    tracker = Tracker(Localizer(prior_map), TrackerConfig(leak=0.01))
     walk(tracker, plaza, count=2)
     nothing = np.zeros((100, 3), np.float32)
     empty = Localizer(prior_map).accumulator

@@ -15,7 +15,7 @@ from . import geometry
 from .errors import InvalidScan
 from .frontend.local_cloud import Scans
 from .frontend.rolling_cloud import RollingCloud
-from .likelihood import Place
+from .likelihood import ScoredPose
 from .localizer import Localizer
 from .pipeline import Search
 from .prior import Prior
@@ -28,6 +28,7 @@ from .types import Float64, LocalCloud, Pose, Scan
 QueryCallback = Callable[[Query, Search, Mapping[str, float]], None]
 """Receives a query, what its search found, and the milliseconds of each stage."""
 
+_TINY = 1e-300
 _CHECKED, _LEAST_CHECKED = 3, 0.01
 """The hypotheses that a scan is compared at, at most, and how probable they are at least."""
 
@@ -35,13 +36,11 @@ _CHECKED, _LEAST_CHECKED = 3, 0.01
 class TrackerConfig(BeliefConfig):
     """When views are taken, of what, and what is concluded from them."""
 
-    accumulate: bool = Field(False, description="query with the scans of the last stretch of path")
+    accumulate: bool = Field(False, description="search with the scans of the last stretch of path")
     every_m: float = Field(0.0, ge=0, description="travel between searches while localized [m]")
     searching_m: float = Field(4.0, ge=0, description="travel between searches otherwise [m]")
     check_m: float = Field(
-        2.0,
-        gt=0,
-        description="travel between checks by the newest scan, which makes them independent [m]",
+        2.0, gt=0, description="travel between comparisons of the newest scan with the map [m]"
     )
 
 
@@ -59,7 +58,7 @@ class Track:
     views : int
         Independent views that agree with it.
     reason : str
-        Why it is no better; "" when localized.
+        Why it is not known better; "" when localized.
     covariance : (6, 6) float64 or None
         Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
     """
@@ -81,18 +80,8 @@ class Track:
 class QueryRequest:
     """A view that is due, with all that it takes to compute it elsewhere and later.
 
-    Attributes
-    ----------
-    scans : Scans, LocalCloud or None
-        What is searched for; None if hypotheses are only checked.
-    newest : Scan, LocalCloud or None
-        What hypotheses are checked by.
-    hypotheses : dict of int to (4, 4) float64
-        T_map_odom of those to be checked.
-    view : View
-        Without what is to be measured.
-    epoch : int
-        Views of an earlier one are ignored.
+    The map is searched for ``scans``, unless None; ``newest`` is compared with it at the
+    ``hypotheses`` (T_map_odom by key). Views of an earlier ``epoch`` are ignored.
     """
 
     scans: Scans | LocalCloud | None
@@ -117,9 +106,8 @@ class Tracker:
     Attributes
     ----------
     rolling : RollingCloud or None
-        The scans that queries accumulate.
+        The scans that searches accumulate.
     belief : Belief
-        The hypotheses with their probabilities.
     travelled : float
         Distance travelled [m].
     """
@@ -129,9 +117,8 @@ class Tracker:
         settings = localizer.config
         least, separation = settings.verification.min_confidence, settings.pose.separation
         self.belief = Belief(self.config, least, separation)
-        self.travelled = 0.0
+        self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
-        self._epoch = 0
         self._searched = self._checked = -math.inf  # distances travelled
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
@@ -164,25 +151,20 @@ class Tracker:
         status, reason = self.belief.status()
         if not self.belief.hypotheses:
             return Track(status, None, 0.0, 0, reason)
-        best, covariance = self.belief.hypotheses[0], None
-        if best.believed and self._last is not None:
-            covariance = self.belief.covariance(self._last)
-        T_map_odom = best.T_map_odom if best.believed else None
-        return Track(status, T_map_odom, best.probability, int(best.views), reason, covariance)
+        best = self.belief.hypotheses[0]
+        known = best.probability, int(best.views), reason
+        if not best.believed or self._last is None:
+            return Track(status, None, *known)
+        return Track(status, best.T_map_odom, *known, self.belief.covariance(self._last))
 
     def add(
         self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike, *, due: bool = False
     ) -> QueryRequest | None:
         """Add scans, the first third of :meth:`update`; return a request if a view is due.
 
-        Parameters
-        ----------
-        scans, T_odom_sensor
-            As for :meth:`update`.
-        due : bool
-            Request a search however short the travel since the last one.
+        With ``due``, a search is, however short the travel since the last one.
         """
-        T = checked_pose(T_odom_sensor, "T_odom_sensor")
+        T, config = checked_pose(T_odom_sensor, "T_odom_sensor"), self.config
         if self.rolling is not None:
             if not isinstance(scans, (Scan, np.ndarray)):
                 raise InvalidScan("a tracker that accumulates takes one scan at a time")
@@ -192,9 +174,8 @@ class Tracker:
             self.travelled += metres
             self.belief.move(metres)
         self._last = T
-        every, config = self.config.every_m, self.config
-        if self.belief.status()[0] is not Status.LOCALIZED:
-            every = min(every, config.searching_m)
+        localized = self.belief.status()[0] is Status.LOCALIZED
+        every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
         likely = [h for h in self.belief.hypotheses[:_CHECKED] if h.probability > _LEAST_CHECKED]
         if search or (likely and self.travelled - self._checked >= config.check_m):
@@ -204,12 +185,13 @@ class Tracker:
     def _request(
         self, scans: Scans | LocalCloud, T: Pose, search: bool, hypotheses: Mapping[int, Pose]
     ) -> QueryRequest:
-        check_m = self.config.check_m
-        new_check = min(1.0, (self.travelled - self._checked) / check_m)
-        new_search = min(1.0, (self.travelled - self._searched) / max(check_m, self._window(scans)))
+        new_check = min(1.0, (self.travelled - self._checked) / self.config.check_m)
+        new_search = new_check
+        if self.rolling is not None or (isinstance(scans, Sequence) and len(scans) > 1):
+            window_m = self.localizer.config.local_cloud.window_m
+            new_search = min(1.0, (self.travelled - self._searched) / window_m)
         view = View(self.belief.travelled, T, new_check, new_search)
-        self._checked = self.travelled
-        cloud = None
+        self._checked, cloud = self.travelled, None
         if search:
             self._searched = self.travelled
             cloud = scans if self.rolling is None else self.rolling.cloud()
@@ -225,14 +207,8 @@ class Tracker:
     ) -> View:
         """Compute a view, the second third of :meth:`update`; any thread may.
 
-        Parameters
-        ----------
-        request : QueryRequest
-        deadline_ms : float, optional
-        near : Prior, optional
-            Where the search is confined to, as for :meth:`Localizer.localize`.
-        heard : callable, optional
-            Called after each search.
+        ``deadline_ms`` and ``near`` bound the search as in :meth:`Localizer.localize`; ``heard``
+        receives what it found.
         """
         view, localizer = request.view, self.localizer
         if request.scans is not None:
@@ -241,28 +217,38 @@ class Tracker:
             found = localizer.search(query, times, deadline_ms, near)
             if heard is not None:
                 heard(query, found, times.with_total())
-            prior = localizer.log_prior(query.scene)
-            places = [_reading(p, query.cloud, view, prior) for p in found.posterior.places]
-            view = replace(view, places=places)
+            posterior = found.posterior
+            view = replace(
+                view,
+                places=[
+                    _reading(
+                        pose,
+                        math.log(max(p, _TINY) / max(posterior.not_in_map, _TINY)),
+                        query.cloud,
+                        view,
+                    )
+                    for pose, p in zip(posterior.places, posterior.probabilities, strict=True)
+                ],
+            )
         if request.newest is None or not request.hypotheses:
             return view
         cloud = request.newest
         if isinstance(cloud, Scan):
             cloud = localizer.accumulator.gather(cloud)
         scene = localizer.segmenter.segment(cloud)
-        prior = localizer.log_prior(scene)
+        if not len(scene.structure):
+            return view
+        scan = localizer.likelihood.query(scene)
         T_odom_local = view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
-        checks = {
-            key: _reading(localizer.score_at(scene, T @ T_odom_local), cloud, view, prior)
-            for key, T in request.hypotheses.items()
-        }
+        checks = {}
+        for key, T_map_odom in request.hypotheses.items():
+            pose = localizer.likelihood.at(scan, T_map_odom @ T_odom_local)
+            checks[key] = _reading(pose, pose.log_ratio, cloud, view)
         return replace(view, checks=checks)
 
     def take(self, request: QueryRequest, view: View) -> None:
         """Weigh the hypotheses by a view, the last third of :meth:`update`."""
-        if request.epoch != self._epoch:
-            return
-        if self.belief.update(view):
+        if request.epoch == self._epoch and self.belief.update(view):
             self._begin_anew()
 
     def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
@@ -279,7 +265,6 @@ class Tracker:
         self.belief.carry(T, doubt)
         if self._last is not None:
             self._last = T @ self._last
-        self._searched = -math.inf
         self._begin_anew()
 
     def forget(self) -> None:
@@ -289,31 +274,22 @@ class Tracker:
 
     def clear(self) -> None:
         """Forget all hypotheses and all scans."""
-        self.belief.clear()
-        self._last, self._searched = None, -math.inf
+        self.forget()
+        self._last = None
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Make queries of the scans from now on."""
-        self._epoch += 1
+        """Search with the scans from now on, and at once."""
+        self._searched, self._epoch = -math.inf, self._epoch + 1
         if self.rolling is not None:
             self.rolling.clear()
 
-    def _window(self, scans: Scans | LocalCloud) -> float:
-        """Travel from the oldest scan of a query to the newest [m]."""
-        if self.rolling is not None:
-            return float(geometry.travelled(self.rolling.poses)[-1])
-        several = scans if isinstance(scans, Sequence) else ()
-        poses = [s.T_odom_sensor for s in several if isinstance(s, Scan)]
-        known = [T for T in poses if T is not None]
-        return float(geometry.travelled(np.array(known))[-1]) if known else 0.0
 
-
-def _reading(place: Place, cloud: LocalCloud, view: View, log_prior: float) -> Reading:
-    covariance = geometry.rotated_covariance(place.fit.covariance, cloud.T_local_sensor)
-    T_map_sensor = place.T_map_local @ cloud.T_local_sensor
+def _reading(pose: ScoredPose, log_ratio: float, cloud: LocalCloud, view: View) -> Reading:
+    covariance = geometry.rotated_covariance(pose.covariance, cloud.T_local_sensor)
+    T_map_sensor = pose.T_map_local @ cloud.T_local_sensor
     T_map_odom = T_map_sensor @ geometry.inverse(view.T_odom_sensor)
-    return Reading(T_map_odom, place.log_ratio, log_prior, covariance)
+    return Reading(T_map_odom, log_ratio, covariance, pose.known_ratio)
 
 
 def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
@@ -324,7 +300,5 @@ def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud
         scans = copy.copy(scans)
         scans.T_odom_sensor = T_odom_sensor
         return scans
-    if isinstance(scans, LocalCloud):
-        return scans
-    last = scans[-1] if scans else None
-    return last if isinstance(last, Scan) else None
+    last = scans[-1] if isinstance(scans, Sequence) and scans else scans
+    return last if isinstance(last, (Scan, LocalCloud)) else None

@@ -12,13 +12,12 @@ from segloc.types import Pose
 HERE = geometry.yaw_transform(0.4, (10.0, 5.0, 0.0))
 THERE = geometry.yaw_transform(-2.0, (80.0, -40.0, 0.0))
 COVARIANCE = np.diag([1e-4] * 3 + [1e-2] * 3)
-FITS, CONTRADICTS, UNMAPPED = 12.0, -20.0, -9.0
-PRIOR = -9.0
+FITS, CONTRADICTS, UNMAPPED = 12.0, -20.0, 0.0
 STEP_M = 2.0
 
 
 def reading(T: Pose, log_ratio: float) -> Reading:
-    return Reading(T, log_ratio, PRIOR, COVARIANCE)
+    return Reading(T, log_ratio, COVARIANCE, log_ratio)
 
 
 class Robot:
@@ -105,7 +104,7 @@ def test_what_was_seen_before_is_no_evidence() -> None:
     robot = Robot().searches((HERE, 0.5))
     before = robot.belief.hypotheses[0].probability
     for _ in range(20):
-        robot.searches((HERE, FITS), new=0.0)
+        robot.searches((HERE, 0.5), new=0.0)
     assert robot.belief.hypotheses[0].probability == pytest.approx(before)
     assert robot.searches((HERE, FITS)).status is Status.LOCALIZED
 

@@ -38,6 +38,10 @@ _MAX_IN_VIEW = 3000
 DOUBTFUL, FREE = Count(40, 2000), Count(0, 2000)
 """What may stand in free space where it is not measured, and at best."""
 
+_SEEN, _INTRUDING = 0.75, 0.02
+"""Shares of the map in view that are seen, and of a query that stand in free space, at right poses
+where things have changed."""
+
 
 class Model(Section):
     """The log-ratio of a pose: its features, weighed.
@@ -113,6 +117,21 @@ class Model(Section):
             share_odds(fit.overlap) - share_odds(overlap),
             _odds("seen", fit.seen) - _odds("seen", seen),
             _odds("ground", fit.ground) - max(_odds("ground", ground) for ground in grounds),
+        )
+
+    def denied(self, fit: Observation) -> float:
+        """The part of a pose's score, at most 0, that the query and the map deny of each other.
+
+        What is not in the map lowers the score, too. That does not speak against a pose that is
+        known before: it may be new, or beyond the map.
+        """
+        seen, intruding = fit.seen, fit.intruding
+        missing = _odds("seen", seen) - _odds("seen", Count(round(_SEEN * seen.of), seen.of))
+        usual = Count(round(_INTRUDING * intruding.of), intruding.of)
+        occupied = free_space(intruding) - free_space(usual)
+        weights = self.weights
+        return weights["seen_over_rival"] * min(0.0, missing) + weights["free_space"] * min(
+            0.0, occupied
         )
 
     def margin(self, inliers: int, elsewhere: int) -> float:

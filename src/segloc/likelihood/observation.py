@@ -322,6 +322,13 @@ class MapCloud:
         finished.inliers = fit.inliers
         return finished
 
+    def mapped(self, fit: Observation, query: QueryCloud) -> float:
+        """Share of what stands in a query that has anything of the map around it, in [0, 1]."""
+        T, radius = self._relative(fit.T_map_local)[None], self._config.overlap_radius
+        none, _ = self._target.index.overlap(query.sample, T, radius, 0.0)
+        most, _ = self._target.index.overlap(query.sample, T, radius, 1.0)
+        return 1.0 - float(most[0] - none[0])
+
     def _observed(self, T: Pose, found: Registered | None, query: QueryCloud) -> Observation:
         """What is measured at T, or where it was aligned to."""
         config = self._config

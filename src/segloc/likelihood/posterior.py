@@ -33,6 +33,9 @@ class ScoredPose:
         Of rotation (rad) then translation (m), in the local frame.
     features : tuple of float
         What the log-ratio was weighed of.
+    known_ratio : float
+        The log-ratio of a pose that is known before: what lies off the map does not speak against
+        it. 0 where it is not asked for.
     """
 
     T_map_local: Pose
@@ -43,6 +46,7 @@ class ScoredPose:
     rmse: float | None = None
     covariance: Float64 | None = None
     features: tuple[float, ...] = ()
+    known_ratio: float = 0.0
 
     def __str__(self) -> str:
         return f"overlap {self.overlap:.2f} and {self.inliers} inliers"

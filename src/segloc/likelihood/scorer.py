@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 
+import numpy as np
+
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..types import Candidate, Float32, Float64, Pose
@@ -14,6 +16,9 @@ from .config import VerificationConfig
 from .model import DOUBTFUL, FREE, shipped_model
 from .observation import Count, MapCloud, Observation, QueryCloud, RankedCandidate
 from .posterior import Posterior, ScoredPose, log_odds
+
+_SLACK = 6.0
+"""Log-ratio that aligning with all points may add."""
 
 Inliers = Callable[[Pose], int]
 """How many distinct query segments agree with a pose T_map_local."""
@@ -71,12 +76,17 @@ class Likelihood:
         """What measures one query; places that are not ``allowed`` are none."""
         return Scorer(self, query, allowed)
 
-    def at(self, query: QueryCloud, T_map_local: Pose, inliers: int = 0) -> ScoredPose:
-        """Align a query at a pose and measure it there: no search, and no rivals."""
-        fit = self.cloud.refined(T_map_local, query)
-        fit.inliers = inliers
+    def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
+        """Align a query at a known pose and measure it there: no search, no segments, no rivals."""
+        fit = self.cloud.finished(self.cloud.refined(T_map_local, query), query)
+        fit.intruding  # noqa: B018  (measured on first use)
         features = self.model.features(fit, [], 0)
-        return _scored(fit, features, self.model.weighed(features) - self.model.floor(self.alias))
+        log_ratio = self.model.weighed(features) - self.model.floor(self.alias)
+        # What lies off the map does not speak against a pose that is known.
+        mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
+        off_map = math.log1p(-mapped) + self.model.denied(fit)
+        known_ratio = float(np.logaddexp(math.log(mapped) + log_ratio, off_map))
+        return replace(_scored(fit, features, log_ratio), known_ratio=known_ratio)
 
 
 class Scorer:
@@ -165,7 +175,7 @@ class Scorer:
             return None
         fit = max(left, key=lambda fit: self._score(fit, FREE))
         most = self._score(fit, FREE)
-        matters = best - most < self._threshold + 1.0 and max(best, most) >= self._threshold
+        matters = best - most < self._threshold + _SLACK and max(best, most) >= self._threshold
         return fit if matters or thorough else None
 
     def _measure(self, T: Pose, inliers: Inliers, start: Pose | None = None) -> Observation:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -63,24 +63,16 @@ class Reading:
     T_map_odom : (4, 4) float64
     log_ratio : float
         Log of how much likelier the view is from there than from none of the map.
-    log_prior : float
-        The same of a pose that has nothing of the map in view.
     covariance : (6, 6) float64 or None
         Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
+    known_ratio : float
+        The log-ratio of a pose that is known before: it may be at the end of the map.
     """
 
     T_map_odom: Pose
     log_ratio: float
-    log_prior: float = 0.0
     covariance: Float64 | None = None
-
-    @property
-    def evidence(self) -> float:
-        """Log-ratio for (> 0) or against (< 0) a hypothesis, which has a prior of its own.
-
-        Between the prior of a search and 0, too little of the map is in view for either.
-        """
-        return max(0.0, self.log_ratio) + min(0.0, self.log_ratio - self.log_prior)
+    known_ratio: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,12 +97,13 @@ class View:
     places: Sequence[Reading] = ()
 
 
-@dataclass(frozen=True)
+@dataclass
 class Hypothesis:
     """One place that the robot may be at; its pose was measured ``at`` and from ``T_odom_sensor``.
 
-    ``views`` counts the views that support it, overlapping ones by their new share. It is
-    ``believed`` from ``min_confidence`` on, for as long as it is more probable than not.
+    ``counted`` is the log-ratio of searches that ``probability`` has in it. ``views`` counts the
+    views that support it, overlapping ones by their new share. It is ``believed`` from
+    ``min_confidence`` on, for as long as it is more probable than not.
     """
 
     key: int
@@ -119,6 +112,7 @@ class Hypothesis:
     covariance: Float64 | None
     at: float
     probability: float
+    counted: float
     views: float = 1.0
     believed: bool = False
 
@@ -128,7 +122,7 @@ class Belief:
 
     Attributes
     ----------
-    hypotheses : tuple of Hypothesis
+    hypotheses : list of Hypothesis
         The most probable first.
     lost : float
         Probability that the robot is at none of them.
@@ -148,7 +142,7 @@ class Belief:
 
     def clear(self) -> None:
         """Forget all hypotheses."""
-        self.hypotheses: tuple[Hypothesis, ...] = ()
+        self.hypotheses: list[Hypothesis] = []
         self.lost, self.doubt = 1.0, ""
 
     @property
@@ -156,63 +150,50 @@ class Belief:
         """The hypothesis that is believed."""
         return next((h for h in self.hypotheses if h.believed), None)
 
-    def _same(self, T_a: Pose, T_b: Pose, T_odom_sensor: Pose) -> bool:
-        """Whether two T_map_odom put a sensor at one place."""
-        return not self._separation.apart(T_a @ T_odom_sensor, T_b @ T_odom_sensor)
-
     def move(self, metres: float) -> None:
         """Follow the odometry: every hypothesis leaks to "lost"."""
         self.travelled += metres
         kept = math.exp(-self.config.leak * metres)
-        moved = [replace(h, probability=kept * h.probability) for h in self.hypotheses]
-        self._settle(moved, 1.0 - kept * (1.0 - self.lost))
+        self.lost = 1.0 - kept * (1.0 - self.lost)
+        for h in self.hypotheses:
+            h.probability *= kept
+        self._settle(self.track)
 
     def carry(self, T_new_old: Pose, doubt: str) -> None:
         """Follow a jump of the odometry, as if the robot had stood still."""
-        back = geometry.inverse(T_new_old)
-        self.hypotheses = tuple(
-            replace(h, T_map_odom=h.T_map_odom @ back, T_odom_sensor=T_new_old @ h.T_odom_sensor)
-            for h in self.hypotheses
-        )
+        for h in self.hypotheses:
+            h.T_map_odom = h.T_map_odom @ geometry.inverse(T_new_old)
+            h.T_odom_sensor = T_new_old @ h.T_odom_sensor
         self.doubt = doubt
         self.move(self.config.jump_m)
 
     def update(self, view: View) -> bool:
-        """Weigh the hypotheses by the newest scan, and by the places that a search found.
+        """Weigh the hypotheses by the places that a search found, and by the newest scan.
 
-        From "lost" alone, one view gives the posterior of a single query. Otherwise the ratios
-        count as much as is new. A place that has no hypothesis becomes one, of the probability of
-        "lost".
+        A new place has the probability of "lost" times its ratio: from "lost" alone, one view gives
+        the posterior of a single query. What earlier searches have seen counts once.
 
         Returns
         -------
         bool
             Whether the newest scan contradicts the track. Then the earlier scans may be of another
-            place: what was found with them does not count.
+            place, and what was found with them does not count.
         """
-        before, T = self.track, view.T_odom_sensor
-        known = [self._checked(h, view) for h in self.hypotheses]
-        change = 1.0 if before is None else known[0].probability / before.probability
-        contradicted = change < 0.5
-        if change != 1.0:
-            self.doubt = (
-                "the map contradicts the track" if contradicted else self.doubt * (change < 1)
-            )
-        share = max(view.new_search, self.lost)
-        for p in () if contradicted else view.places:
-            ratio = math.exp(min(share * p.log_ratio, _MOST))
-            known = [
-                replace(h, probability=h.probability * max(1.0, ratio), views=h.views + share)
-                if self._same(h.T_map_odom, p.T_map_odom, T)
-                else h
-                for h in known
-            ]
-            self._count += 1
-            new = self._count, p.T_map_odom, T, p.covariance, view.at, self.lost * ratio
-            known.append(Hypothesis(*new))
-        self._settle(self._merged(known, T), self.lost)
-        if self.track is not None and (before is None or self.track.key != before.key):
-            self.doubt = ""
+        track = self.track
+        evidence = 0.0 if track is None else self._evidence(track, view)
+        contradicted = evidence < -math.log(2.0)
+        if evidence:
+            self.doubt = "the map contradicts the track" if contradicted else ""
+        for place in () if contradicted else view.places:
+            self._add(place, view)
+        for h in self.hypotheses:
+            evidence = self._evidence(h, view)
+            h.probability *= math.exp(evidence)
+            if evidence > 0.0:
+                h.views += view.new_check
+                self._place(h, view.checks[h.key], view)
+        self._merge(view.T_odom_sensor)
+        self._settle(track)
         return contradicted
 
     def status(self) -> tuple[Status, str]:
@@ -237,51 +218,63 @@ class Belief:
         grown = np.diag(np.repeat([turn**2, shift**2], 3))
         return geometry.carried_covariance(track.covariance, T_now_then) + grown
 
-    def _checked(self, h: Hypothesis, view: View) -> Hypothesis:
-        """Apply a check; the pose is taken from one that would be believed by itself."""
-        if (seen := view.checks.get(h.key)) is None:
-            return h
-        most, p = self.config.max_log_ratio, self.min_confidence
-        evidence = view.new_check * min(max(seen.evidence, -most), most)
-        views = h.views + view.new_check * (evidence > 0)
-        h = replace(h, probability=h.probability * math.exp(evidence), views=views)
-        if seen.covariance is None or seen.log_ratio < math.log(p / (1 - p)):
-            return h
-        h = replace(h, T_map_odom=seen.T_map_odom, covariance=seen.covariance)
-        return replace(h, T_odom_sensor=view.T_odom_sensor, at=view.at)
+    def _add(self, place: Reading, view: View) -> None:
+        """Let a place support the hypotheses that are there, and take its share of "lost"."""
+        new, unknown = view.new_search, 1.0
+        for h in self.hypotheses:
+            if self._same(h.T_map_odom, place.T_map_odom, view.T_odom_sensor):
+                counted, unknown = (1.0 - new) * h.counted, new
+                h.probability *= math.exp(min(max(0.0, place.log_ratio - counted), _MOST))
+                h.counted, h.views = max(place.log_ratio, counted), h.views + new
+                self._place(h, place, view)
+        ratio = min(place.log_ratio, max(new, self.lost) * place.log_ratio, _MOST)
+        weight = unknown * self.lost * math.exp(ratio)
+        self._count += 1
+        where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
+        self.hypotheses.append(Hypothesis(*where, weight, ratio))
 
-    def _merged(self, hypotheses: Sequence[Hypothesis], T_odom_sensor: Pose) -> list[Hypothesis]:
+    def _evidence(self, h: Hypothesis, view: View) -> float:
+        """The log-ratio that the newest scan adds to a hypothesis."""
+        seen, most = view.checks.get(h.key), self.config.max_log_ratio
+        return 0.0 if seen is None else view.new_check * min(max(seen.known_ratio, -most), most)
+
+    def _place(self, h: Hypothesis, seen: Reading, view: View) -> None:
+        """Take the pose that was measured, if it would be believed by itself."""
+        p = self.min_confidence
+        if seen.covariance is not None and seen.log_ratio >= math.log(p / (1.0 - p)):
+            h.T_map_odom, h.covariance = seen.T_map_odom, seen.covariance
+            h.T_odom_sensor, h.at = view.T_odom_sensor, view.at
+
+    def _same(self, T_a: Pose, T_b: Pose, T_odom_sensor: Pose) -> bool:
+        """Whether two T_map_odom put a sensor at one place."""
+        return not self._separation.apart(T_a @ T_odom_sensor, T_b @ T_odom_sensor)
+
+    def _merge(self, T_odom_sensor: Pose) -> None:
         """Make hypotheses of one place one, at the pose of the most probable."""
         merged: list[Hypothesis] = []
-        for h in sorted(hypotheses, key=lambda h: -h.probability):
-            for k, m in enumerate(merged):
-                if self._same(m.T_map_odom, h.T_map_odom, T_odom_sensor):
-                    merged[k] = replace(
-                        m,
-                        key=min(m.key, h.key),
-                        probability=m.probability + h.probability,
-                        views=max(m.views, h.views),
-                        believed=m.believed or h.believed,
-                    )
-                    break
-            else:
+        for h in sorted(self.hypotheses, key=lambda h: -h.probability):
+            same = (m for m in merged if self._same(m.T_map_odom, h.T_map_odom, T_odom_sensor))
+            if (m := next(same, None)) is None:
                 merged.append(h)
-        return merged
+            else:
+                m.probability, m.key = m.probability + h.probability, min(m.key, h.key)
+                m.views, m.counted = max(m.views, h.views), max(m.counted, h.counted)
+                m.believed = m.believed or h.believed
+        self.hypotheses = merged
 
-    def _settle(self, hypotheses: Sequence[Hypothesis], lost: float) -> None:
+    def _settle(self, before: Hypothesis | None) -> None:
         """Normalise, drop what is improbable, and believe what is probable."""
-        before, total = self.track, lost + sum(h.probability for h in hypotheses)
-        kept = []
-        for h in sorted(hypotheses, key=lambda h: -h.probability):
-            p = h.probability / total
-            if p >= _LEAST:
-                believed = p >= (0.5 if h.believed else self.min_confidence)
-                kept.append(replace(h, probability=p, believed=believed))
-        dropped = len(kept) < len(hypotheses)
-        self.lost = 1.0 - sum(h.probability for h in kept) if dropped else lost / total
-        self.hypotheses = tuple(kept)
-        if before is not None and self.track is None:
-            self.doubt = self.doubt or self._unsupported(before)
+        total = self.lost + sum(h.probability for h in self.hypotheses)
+        kept = [h for h in self.hypotheses if h.probability >= _LEAST * total]
+        for h in kept:
+            h.probability /= total
+            h.believed = h.probability >= (0.5 if h.believed else self.min_confidence)
+        self.hypotheses = sorted(kept, key=lambda h: -h.probability)
+        self.lost = max(0.0, 1.0 - sum(h.probability for h in kept))
+        if (track := self.track) is None:
+            self.doubt = self.doubt or (self._unsupported(before) if before else "")
+        elif before is None or track.key != before.key:
+            self.doubt = ""
 
     def _unsupported(self, track: Hypothesis) -> str:
         return f"nothing supports the track since {self.travelled - track.at:.0f} m"
