@@ -1,4 +1,4 @@
-"""Keep the pictures that `segloc demo` leaves: those of the README and docs/seeing.md.
+"""Keep the pictures that `segloc demo` leaves: those of the README and docs/tutorials/first-map.md.
 
 python docs/images/demo.py        # writes demo.png and demo_errors.png beside itself
 """

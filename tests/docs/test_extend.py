@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md work as they are written there."""
+"""The recipes of docs/how-to/extend.md work as they are written there."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from segloc.datasets.formats import Format
 from segloc.descriptors import available, base, create
 from segloc.io import Trajectory, write_tum
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "how-to" / "extend.md").read_text("utf-8")
 FENCED = re.compile(r"^```\w+\n# (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BLOCKS = dict(FENCED.findall(PAGE))
 
@@ -28,7 +28,7 @@ BLOCKS = dict(FENCED.findall(PAGE))
 def section(title: str) -> str:
     """The text below a heading, up to the next one."""
     found = re.search(rf"^## {title}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
-    assert found, f"CONTRIBUTING.md has no section {title!r}"
+    assert found, f"extend.md has no section {title!r}"
     return found[1]
 
 
