@@ -1,4 +1,4 @@
-"""docs/reference/formats.md is enough to read what segloc writes, with struct, json and NumPy alone."""
+"""The page of file formats is enough to read what segloc writes, with struct, json and NumPy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 from segloc.map.file import FORMAT_VERSION
 
-DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "formats.md").read_text("utf-8")
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "formats.md"
+DOCUMENT = PAGE.read_text("utf-8")
 DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1", "U8": "|u1"}
 
 
