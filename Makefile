@@ -81,15 +81,19 @@ SECONDS ?= 60
 fuzz: $(VENV)/.fuzz ## Fuzz the readers, SECONDS=60 a target.
 	$(BIN)/python tests/fuzz/run.py $(SECONDS)
 
-# The documentation site, into build/site/html; a link that leads nowhere is an error.
+# The documentation site, into build/site/html; a broken link is an error.
 docs: $(VENV)/.dev ## Build the documentation site.
 	$(BIN)/python docs/site.py
 	$(BIN)/zensical build --strict --clean
 
-lint: $(VENV)/.dev ## Run ruff and mypy.
+# Documents that are checked for spelling and style; the changelog and the reports are history.
+PROSE := README.md CONTRIBUTING.md SECURITY.md docs
+lint: $(VENV)/.dev ## Run ruff, mypy, codespell and the style of the documents.
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell $(PROSE)
+	$(BIN)/python docs/style.py $(PROSE)
 
 # Builds that watch themselves. The kernels' own tests, under AddressSanitizer and UBSan:
 CHECKED := -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1"

@@ -1,8 +1,8 @@
-"""Gather the pages of the documentation site: those that are written, and those read off the code.
+"""Gather the pages of the documentation site: written ones, and those generated from the code.
 
 python docs/site.py    # into build/site/pages; `make docs` then builds them
 
-Links to what is no page, such as source files, become plain text.
+Links to files that are not pages, such as source files, become plain text.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from segloc.config import Config
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "site" / "pages"
 SOURCE = ROOT / "build" / "site" / "source"
-"""The package with the roles of its docstrings resolved, for the page of the API."""
+"""Copy of the package with the roles of its docstrings resolved, for the page of the API."""
 MOVED = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
@@ -35,7 +35,7 @@ LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
 
 def written() -> dict[Path, Path]:
-    """The pages and pictures that are kept, and where each goes."""
+    """Return the goal of every written page and picture."""
     found = {ROOT / name: PAGES / page for name, page in MOVED.items()}
     for path in sorted((ROOT / "docs").rglob("*")):
         if path.suffix in (".md", ".png", ".svg", ".webp"):
@@ -46,7 +46,7 @@ def written() -> dict[Path, Path]:
 
 
 def relinked(text: str, page: Path, places: dict[Path, Path]) -> str:
-    """A page whose links lead to the places of the site."""
+    """Return a page with links to the pages of the site."""
 
     def link(match: re.Match[str]) -> str:
         mark, label, target = match.groups()
@@ -58,7 +58,7 @@ def relinked(text: str, page: Path, places: dict[Path, Path]) -> str:
         if goal not in places:
             return label
         relative = os.path.relpath(places[goal], places[page].parent)
-        if label.endswith(".md"):  # a name of a file, where the site has a page
+        if label.endswith(".md"):  # a file name: the title of its page instead
             label = _heading(goal)
         return f"{mark}[{label}]({relative}{hash_}{anchor})"
 
@@ -71,14 +71,14 @@ def _heading(page: Path) -> str:
 
 
 def commands(command: Any, name: str) -> Iterator[str]:
-    """A section for every verb: what it does, its arguments and options."""
+    """Yield a section per verb: its help, arguments and options."""
     if name != "segloc":
         yield f"\n## {name}\n\n{command.help or ''}\n"
     if hasattr(command, "commands"):
         for verb in command.list_commands(None):
             yield from commands(command.commands[verb], f"{name} {verb}")
         return
-    yield "\n| argument or option | default | what |\n|---|---|---|\n"
+    yield "\n| argument or option | default | meaning |\n|---|---|---|\n"
     for option in command.params:
         if option.name != "help":
             yield f"| {_names(option)} | {_default(option)} | {_cell(option.help or '')} |\n"
@@ -93,7 +93,7 @@ def _names(option: Any) -> str:
 
 def _default(option: Any) -> str:
     if option.required:
-        return "needed"
+        return "required"
     if isinstance(option.show_default, str):
         return _cell(option.show_default)
     default = option.default
@@ -106,28 +106,28 @@ def _cell(text: str) -> str:
 
 
 def configuration() -> str:
-    """Every key, with its default and what it means."""
+    """Return the page of configuration keys, with defaults and meanings."""
     text = Config.load(None, None).explained(True)
-    head = "# Configuration\n\nWhat `segloc config --all` prints: every key with its default.\n"
+    head = "# Configuration\n\nEvery key with its default, as `segloc config --all` prints it.\n"
     return f"{head}\n```yaml\n{text.rstrip()}\n```\n"
 
 
 def api() -> str:
-    """The public names, by their docstrings."""
+    """Return the page of public names."""
     names = sorted(name for name in segloc.__all__ if not name.startswith("_"))
     sections = [f"\n::: segloc.{name}\n" for name in names]
-    return "# Python\n\nWhat `import segloc` brings.\n" + "".join(sections)
+    return "# Python\n\nThe public names of `import segloc`.\n" + "".join(sections)
 
 
 def resolved(text: str) -> str:
-    """A docstring whose Sphinx roles are links to the names of the API, or else code."""
+    """Return a docstring with Sphinx roles turned into links to the API, or into code."""
     public = {name for name in segloc.__all__ if not name.startswith("_")}
 
     def plain(match: re.Match[str]) -> str:
         short, name = match.groups()
         inner = name.removeprefix("segloc.")
         shown = name.rpartition(".")[2] if short else inner
-        # Of members, only those that are written with their class.
+        # Of members, only those with their class.
         known = inner.split(".")[0] in public and inner.count(".") < 2
         return f"[`{shown}`][segloc.{inner}]" if known else f"`{shown}`"
 
@@ -135,7 +135,7 @@ def resolved(text: str) -> str:
 
 
 def write_source() -> None:
-    """A copy of the package to read docstrings from."""
+    """Write a copy of the package to read docstrings from."""
     shutil.rmtree(SOURCE, ignore_errors=True)
     package = ROOT / "src" / "segloc"
     for path in [*package.rglob("*.py"), *package.rglob("*.pyi")]:
@@ -155,10 +155,14 @@ def main() -> None:
         else:
             shutil.copy(source, goal)
     root: Any = typer.main.get_command(app)
-    text = "# Commands\n\nEvery verb has `--help`.\n" + "".join(commands(root, "segloc"))
-    (PAGES / "commands.md").write_text(text, "utf-8")
-    (PAGES / "configuration.md").write_text(configuration(), "utf-8")
-    (PAGES / "api.md").write_text(api(), "utf-8")
+    verbs = "# Commands\n\nEvery verb with its options, as `--help` prints them.\n"
+    generated = {
+        "commands": verbs + "".join(commands(root, "segloc")),
+        "configuration": configuration(),
+        "api": api(),
+    }
+    for name, text in generated.items():
+        (PAGES / "reference" / f"{name}.md").write_text(text, "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""What segloc says of input that is written wrongly: the table of docs/refusals.md.
+"""Write the messages for faulty recordings: the table of docs/reference/messages.md.
 
-python docs/wrong_inputs.py            # writes the table between its markers
-python docs/wrong_inputs.py --check    # exit status 1 where it is stale
+python docs/wrong_inputs.py            # write the table between its markers
+python docs/wrong_inputs.py --check    # exit status 1 if it is stale
 
-Each row is a recording of a simulated square with one thing wrong, given to a verb as it is.
+Each row is a recording of a simulated square with one fault, given to a verb as it is.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from samples.plaza import Plaza, PlazaSequence  # noqa: E402
 from samples.walk import Walk, run  # noqa: E402
 
-PAGE = ROOT / "docs" / "refusals.md"
+PAGE = ROOT / "docs" / "reference" / "messages.md"
 BEGIN, END = "<!-- begin wrong inputs -->", "<!-- end wrong inputs -->"
 T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 TILT_DEG = 15.0
@@ -170,7 +170,7 @@ def table() -> str:
             f"{row.sentence.replace('|', '&#124;')} | {row.also} |"
             for row in rows(Path(folder))
         ]
-    head = "| what is wrong | verb | exit status | what it says | also said by (exit status) |\n"
+    head = "| fault | verb | exit status | message | also reported by (exit status) |\n"
     return head + "|---|---|---|---|---|\n" + "\n".join(lines) + "\n"
 
 
@@ -188,7 +188,7 @@ def main() -> None:
     options = parser.parse_args()
     page, made = PAGE.read_text("utf-8"), f"{BEGIN}\n{table()}{END}"
     if options.check and kept(page) != made:
-        raise SystemExit("docs/refusals.md is stale: run python docs/wrong_inputs.py")
+        raise SystemExit("docs/reference/messages.md is stale: run python docs/wrong_inputs.py")
     if not options.check:
         PAGE.write_text(page.replace(kept(page), made), "utf-8")
 

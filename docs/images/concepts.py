@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/concepts.md from a simulated town.
+"""Draw the pictures of docs/explanation/method.md from a simulated town.
 
 python docs/images/concepts.py            # writes beside itself; needs the extras sim and report
 """

@@ -1,4 +1,4 @@
-"""Keep the pictures that `segloc demo` leaves: those of the README and docs/seeing.md.
+"""Keep the pictures of `segloc demo` for docs/tutorials/first-map.md and docs/how-to/debug.md.
 
 python docs/images/demo.py        # writes demo.png and demo_errors.png beside itself
 """
@@ -20,7 +20,7 @@ COLOURS = 128
 
 
 def keep(results: Path, out: Path) -> None:
-    """The pictures of a folder of results in few colours, with what they say of themselves."""
+    """Write the pictures of a results folder in few colours, with their description."""
     for drawn, name in KEPT.items():
         with Image.open(results / drawn) as image:
             said = PngInfo()

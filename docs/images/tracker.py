@@ -1,4 +1,4 @@
-"""Draw the moving picture of docs/live.md: a robot that does not know where it is, and finds out.
+"""Draw the moving picture of docs/how-to/live.md: a lost robot that finds itself.
 
 python docs/images/tracker.py     # writes tracker.webp beside itself; needs segloc-lab
 """

@@ -1,4 +1,4 @@
-"""Draw the picture of docs/seeing.md: `segloc view` with a query of the sample.
+"""Draw the picture of docs/how-to/debug.md: `segloc view` with a query of the sample.
 
 PYTHONPATH=tests python docs/images/view.py   # writes view.png beside itself; needs the extra view
                                               # and a Chromium

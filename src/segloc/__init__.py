@@ -40,7 +40,7 @@ Settings and errors
                         MapFormatError, MapMismatch, MissingDependency, WeightsError
 
 On the command line: ``segloc --help``. Further rooms, such as ``segloc.tiles`` and
-``segloc.doctor``, are described in docs/architecture.md.
+``segloc.doctor``, are described in docs/explanation/architecture.md.
 """
 
 from __future__ import annotations

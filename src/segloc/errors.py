@@ -58,4 +58,4 @@ class MissingDependency(SeglocError, ImportError):
 
 
 class LiveError(SeglocError):
-    """A live localizer has stopped; what made it stop is its cause."""
+    """A live localizer has stopped; the exception that stopped it is its cause."""

@@ -18,17 +18,17 @@ MOST_RADIUS_M = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The sensor is known to be about here, such as by GNSS or by the last pose.
+    """Rough position of the sensor, from GNSS or the last pose.
 
     Attributes
     ----------
     position : (2,) or (3,) float64
-        x, y and perhaps z in the map's frame, metres.
+        x, y and optionally z in the map's frame [m].
     radius_m : float
-        It is no farther from there: seen from above, or where there is a z, in space.
+        Largest distance from there [m]: horizontal, or in space if the position has a z.
     anywhere : bool
-        Whether to search all of the map where it is not found near the prior. Then a place far
-        from the prior may be answered.
+        True to search the whole map if nothing is found near the prior; the answer may then be
+        far from it.
 
     Raises
     ------
@@ -62,7 +62,7 @@ class Prior:
 
     @classmethod
     def of(cls, near: Near | None) -> Prior | None:
-        """A prior, from what a caller may give as one.
+        """Return the prior that the argument stands for.
 
         Raises
         ------
@@ -79,17 +79,17 @@ class Prior:
         return cls(position, radius_m)
 
     def distances(self, positions: Float64) -> Float64:
-        """How far each of (N, 3) positions is from the prior's."""
+        """Return the distance of each of (N, 3) positions from the prior [m]."""
         centre: Float64 = np.asarray(self.position)
         found: Float64 = np.linalg.norm(positions[:, : len(centre)] - centre, axis=1)
         return found
 
     def holds(self, T_map_sensor: Pose) -> bool:
-        """Whether a (4, 4) pose is near enough."""
+        """Return whether a (4, 4) pose is within the radius."""
         return bool(self.distances(T_map_sensor[None, :3, 3])[0] <= self.radius_m)
 
     def rows(self, positions: Float64, reach_m: float) -> Int64:
-        """Which of (N, 3) positions a sensor may see from there that sees so far."""
+        """Return the rows of (N, 3) positions within ``reach_m`` of a sensor near the prior."""
         flat = np.linalg.norm(positions[:, :2] - np.asarray(self.position)[:2], axis=1)
         return np.flatnonzero(flat <= self.radius_m + reach_m)
 
@@ -99,10 +99,10 @@ Near: TypeAlias = Prior | tuple[ArrayLike, float]
 
 
 def allowed(near: Prior | None) -> Callable[[Pose], bool]:
-    """Whether a pose is near enough: any is, without a prior."""
+    """Return the test of poses; without a prior it accepts all."""
     return near.holds if near else lambda _: True
 
 
 def within(near: Prior | None, candidates: list[Candidate]) -> list[Candidate]:
-    """The candidates that are near enough."""
+    """Return the candidates within the radius."""
     return [c for c in candidates if near is None or near.holds(c.T_map_local)]

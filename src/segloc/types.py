@@ -36,24 +36,24 @@ class Scan:
     T_odom_sensor : (4, 4) array, optional
         Pose of the sensor in an odometry frame whose z axis points up.
     gravity : (3,) array, optional
-        Down, in the sensor frame, of any length; what an accelerometer at rest measures is up.
+        Direction down in the sensor frame, of any length. (An accelerometer at rest measures up.)
     gravity_error_deg : float
-        How far off that may be, degrees: what the scan shows within this of it counts first.
+        Error of that direction [degrees], within which an estimate from the scan is preferred.
     T_base_sensor : (4, 4) array, optional
-        How the sensor is mounted on a base that mostly stands level: where neither pose nor
-        gravity is known, roll and pitch are looked for around there.
+        Mount of the sensor on a base that is mostly level: roll and pitch are estimated around it
+        if neither pose nor gravity is known.
 
     Attributes
     ----------
     points : (M, 3) float32, C-contiguous
-        The usable points. The others are left out with their times.
+        The usable points. The others are dropped with their times.
     dropped : int
-        Points left out because a coordinate is NaN, infinite, or beyond ``MOST_METRES``.
+        Number of points with a coordinate that is NaN, infinite, or beyond ``MOST_METRES``.
     missing_returns : int
-        Points left out because they stand for firings without a return: many on one spot, or many
-        at one range.
+        Number of points that stand for firings without a return: many on one spot, or many at one
+        range.
     kept : (N,) bool or None
-        Which of the given points these are; None: all.
+        Mask of the given points that are kept; None: all.
 
     Raises
     ------
@@ -109,17 +109,17 @@ class Scan:
 
 
 class Recording(Protocol):
-    """Scans in the order in which they were taken: all that mapping and localizing need.
+    """Scans in the order of their time: the protocol of everything that can be mapped or localized.
 
     Attributes
     ----------
     name : str
     indices : (N,) int64
-        The numbers of the scans: what poses are keyed by and what a selection names.
+        Numbers of the scans, used by pose files and selections.
     stamps : (N,) float64 or None
-        Times of the scans, seconds, where known.
+        Times of the scans [s], if known.
     poses : (N, 4, 4) float64 or None
-        T_odom_sensor of each scan, where known.
+        T_odom_sensor of each scan, if known.
     """
 
     @property
@@ -134,7 +134,7 @@ class Recording(Protocol):
     def __len__(self) -> int: ...
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i (0 to N - 1), with its stamp and its pose where they are known."""
+        """Return the scan at position i (0 to N - 1), with its stamp and pose if known."""
         ...
 
 
@@ -145,7 +145,7 @@ def stamp_at(recording: Recording, i: int) -> float | None:
 
 
 class MemoryRecording:
-    """A recording of scans that are in memory.
+    """Recording of scans in memory.
 
     Parameters
     ----------

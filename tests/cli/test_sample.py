@@ -17,7 +17,7 @@ def test_the_commands_that_it_prints_are_those_of_the_quick_start(
     monkeypatch.chdir(tmp_path)
     assert run("sample", "--out", "sample") == 0
     commands = [line for line in capsys.readouterr().out.splitlines() if line.startswith("segloc ")]
-    page = (PROJECT / "docs" / "quickstart.md").read_text("utf-8").replace("\\\n", " ")
+    page = (PROJECT / "docs" / "tutorials" / "first-map.md").read_text("utf-8").replace("\\\n", " ")
     documented = {" ".join(line.split("  #")[0].split()) for line in page.splitlines()}
     assert len(commands) > 4 and set(commands) <= documented
     names = {path.name for path in Path("sample").iterdir()}

@@ -55,9 +55,9 @@ NOT_RUN = {
 """Commands that are not run, by how they begin, and why."""
 
 PAGES = {
-    "docs/training.md": "its commands train for hours; smallest in lab/tests/cli/test_train.py",
-    "docs/robot.md": "needs a robot",
-    "docs/fleet.md": "needs a cluster",
+    "docs/how-to/train.md": "its commands train for hours; smallest in lab/tests/cli/test_train.py",
+    "docs/how-to/robot.md": "needs a robot",
+    "docs/how-to/fleet.md": "needs a cluster",
 }
 """Pages of which nothing is run."""
 

@@ -1,4 +1,4 @@
-"""The pages are complete: reasons of refusals, navigation, pictures, and the reports they quote."""
+"""Pages are complete: reasons, navigation, the tests and the reports that they name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *PROJECT.glob("docs
 
 
 def test_every_reason_of_a_refusal_is_explained() -> None:
-    page = (PROJECT / "docs" / "refusals.md").read_text("utf-8")
+    page = (PROJECT / "docs" / "reference" / "messages.md").read_text("utf-8")
     rows = re.findall(r"^\| ([a-z ]+) \| .+ \| .+ \|$", page, re.MULTILINE)
     assert {reason.value for reason in Reason} <= set(rows)
 
@@ -24,7 +24,16 @@ def test_every_reason_of_a_refusal_is_explained() -> None:
 def test_every_page_is_in_the_navigation_of_the_site() -> None:
     text = (PROJECT / "mkdocs.yml").read_text("utf-8")
     listed = set(re.findall(r": ([\w./-]+\.md)$", text, re.MULTILINE))
-    assert {path.name for path in (PROJECT / "docs").glob("*.md")} <= listed
+    docs = PROJECT / "docs"
+    pages = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")}
+    assert {page for page in pages if not page.startswith("decisions/0")} <= listed
+
+
+def test_the_tests_behind_each_guarantee_exist() -> None:
+    page = (PROJECT / "docs" / "reference" / "guarantees.md").read_text("utf-8")
+    for path, _, name in re.findall(r"`((?:\w+/)*tests/[\w/.]+)(::(\w+))?`", page):
+        assert (PROJECT / path).exists(), path
+        assert not name or f"def {name}(" in (PROJECT / path).read_text("utf-8"), name
 
 
 @pytest.mark.parametrize("folder", REPORTS, ids=lambda path: path.name)

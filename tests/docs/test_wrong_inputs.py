@@ -1,4 +1,4 @@
-"""The table of docs/refusals.md is what the software says."""
+"""The table of docs/reference/messages.md has the messages of the software."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def test_an_octree_gives_back_the_voxels(cells: set[Any], levels: int, bits: int
 
 
 def _octree(cells: np.ndarray, levels: int) -> np.ndarray:
-    """Level by level, as docs/formats.md has it."""
+    """Level by level, as docs/reference/formats.md has it."""
     rows = []
     for level in range(levels):
         nodes: dict[tuple[int, ...], int] = {}

@@ -1,4 +1,4 @@
-"""docs/formats.md is enough to read what segloc writes, with struct, json and NumPy alone."""
+"""The page of file formats is enough to read what segloc writes, with struct, json and NumPy."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 from segloc.map.file import FORMAT_VERSION
 
-DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text("utf-8")
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "formats.md"
+DOCUMENT = PAGE.read_text("utf-8")
 DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1", "U8": "|u1"}
 
 
 def table(name: str) -> list[list[str]]:
     """The rows between two markers of the document, without the backquotes of their first cell."""
     text = re.search(rf"<!-- begin {name} -->\n(.*?)<!-- end {name} -->", DOCUMENT, re.DOTALL)
-    assert text, f"docs/formats.md has no table {name!r}"
+    assert text, f"docs/reference/formats.md has no table {name!r}"
     rows = [line.strip("|").split("|") for line in text[1].splitlines()[2:]]
     return [[row[0].strip().strip("`"), *(cell.strip() for cell in row[1:])] for row in rows]
 

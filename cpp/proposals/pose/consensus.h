@@ -30,10 +30,11 @@ struct PoseHypothesis {
 // query: (q, 3) and map: (p, 3) centroids; match k pairs query[mq[k]] with map[mm[k]].
 //
 // The first max_votes matches vote for cells of yaw and translation (pose_votes.h, and
-// docs/vote-accumulator.md). The cells with the most votes are divided and voted for again, and the
-// best parts of them are refined on all their inliers, at each height that several objects agree
-// on: storeys of a building are different places. Nothing is drawn at random, and the cost grows
-// with the number of matches, not with its square. Returns distinct hypotheses, best score first.
+// docs/explanation/votes.md). The cells with the most votes are divided and voted for again, and
+// the best parts of them are refined on all their inliers, at each height that several objects
+// agree on: storeys of a building are different places. Nothing is drawn at random, and the cost
+// grows with the number of matches, not with its square. Returns distinct hypotheses, best score
+// first.
 std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const double* map,
                                       const std::int64_t* mq, const std::int64_t* mm,
                                       std::size_t matches, const ConsensusOptions& options,

@@ -62,7 +62,8 @@ def build(
     compact: Annotated[
         bool,
         typer.Option(
-            "--compact", help="Write the smallest map; docs/formats.md has what it loses."
+            "--compact",
+            help="Write the smallest map; docs/reference/formats.md lists what it loses.",
         ),
     ] = False,
     config: ConfigFile = None,

@@ -31,29 +31,27 @@ def open_sequence(
     deskew: bool = True,
     T_base_sensor: Pose | None = None,
 ) -> Sequence:
-    """Open a recording as the command line names it; its format is recognised.
+    """Open a recording of any known format.
 
-    Scans are read when they are asked for; up to three are read where the unit of their points'
-    times has to be recognised. Scans without a pose are left out, and noted.
+    Scans are read on access, except up to three to recognise the unit of point times. Scans
+    without a pose are left out and noted.
 
     Parameters
     ----------
     path : path
         A dataset's sequence, a bag, or a folder of scans.
     poses : path, optional
-        A TUM or KITTI file, or one in the dataset's own format. Where it does not exist as given,
-        it is looked for inside the sequence's folder, then beside that folder. By default the
-        poses that the recording comes with, if any; "none" for none at all.
+        File in TUM, KITTI or the dataset's own format: as given, else inside the sequence's
+        folder, else beside it. By default the recording's own poses; "none" ignores them.
     select : str or Selection, optional
-        Which indices to keep, as :func:`parse_select` reads them.
+        Indices to keep, as :func:`parse_select` reads them.
     topic : str, optional
-        Which of several sensors, topics or scenes.
+        Sensor, topic or scene, if there are several.
     deskew : bool
-        Whether points with times of their own are moved, along the poses, to where they would be
-        at the scan's stamp.
+        True to de-skew points with times to the stamp of their scan.
     T_base_sensor : (4, 4) float64, optional
-        Where the sensor is on the body that ``poses`` are of, or a bag's odometry of a body that
-        its tf does not have the sensor on. Other poses that come with a recording are the sensor's.
+        Mount of the sensor on the body of ``poses``, or of a bag's odometry that tf does not
+        connect with the sensor. Other poses of a recording are the sensor's.
 
     Raises
     ------

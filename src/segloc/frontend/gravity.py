@@ -27,36 +27,33 @@ _TOGETHER = 13.0
 
 
 class AttitudeConfig(Section):
-    """How the roll and pitch of a single scan are found where neither odometry nor gravity is
-    given."""
+    """Estimation of roll and pitch of single scans without odometry and gravity."""
 
     estimate: bool = Field(
-        True, description="estimate them from the scan; otherwise it is taken as level"
+        True,
+        description="estimate roll and pitch from the scan; otherwise the scan counts as level",
     )
     max_tilt_deg: float = Field(
         40.0,
         ge=0,
         le=80,
-        description="the vertical is at most so far from the sensor's z axis, or from where its "
-        "mounting has it",
+        description="largest angle of the vertical to the sensor's z axis, or to that of its mount",
     )
     radius_m: float = Field(
         30.0,
         ge=1,
         le=1000,
-        description="points this near the sensor are used, or farther ones where most are far",
+        description="range of the points used; more if most points are farther",
     )
     voxel_size: float = Field(
-        0.25, ge=0.01, le=10, description="edge of the voxel grid that they are thinned to, metres"
+        0.25, ge=0.01, le=10, description="voxel size of these points, metres"
     )
     support_m: float = Field(
-        1.0, ge=0.01, le=100, description="points this near one decide on its normal, metres"
+        1.0, ge=0.01, le=100, description="radius of the neighbourhood of a normal, metres"
     )
-    min_normals: int = Field(
-        60, ge=3, le=10**6, description="fewer normals of flat places say nothing"
-    )
+    min_normals: int = Field(60, ge=3, le=10**6, description="normals of flat surfaces needed")
     max_sigma_deg: float = Field(
-        3.0, gt=0, le=90, description="an attitude that is less certain is not used, degrees"
+        3.0, gt=0, le=90, description="largest standard deviation of a used estimate, degrees"
     )
 
 

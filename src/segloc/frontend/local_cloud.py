@@ -20,16 +20,14 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 
 class LocalCloudConfig(Section):
-    """How scans are gathered."""
+    """Accumulation of scans."""
 
-    radius_m: float = Field(
-        50.0, ge=1, le=1000, description="points farther away (horizontally) are left out"
-    )
+    radius_m: float = Field(50.0, ge=1, le=1000, description="horizontal range of the points used")
     window_m: float = Field(
-        40.0, ge=0, le=10_000, description="travelled distance that a query's cloud spans"
+        40.0, ge=0, le=10_000, description="distance travelled within a query's cloud"
     )
     max_gap_m: float = Field(
-        10.0, gt=0, le=10_000, description="a longer step between scans ends the window"
+        10.0, gt=0, le=10_000, description="longest step between scans of one window"
     )
     attitude: AttitudeConfig = AttitudeConfig()
     mount: MountConfig = MountConfig()

@@ -32,9 +32,7 @@ class MountConfig(Section):
     matrix: tuple[Row, Row, Row, Row] | None = Field(
         None, description="T_base_sensor, 4 x 4, in place of both"
     )
-    poses_of_base: bool = Field(
-        False, description="poses in files are those of the base, not of the sensor"
-    )
+    poses_of_base: bool = Field(False, description="pose files hold the base, not the sensor")
 
     @model_validator(mode="after")
     def _check(self) -> MountConfig:

@@ -25,21 +25,21 @@ MOST_SCANS = 4096
 
 
 class RollingCloud:
-    """The local cloud of a robot that drives on: scans in, one by one, and a cloud when asked for.
+    """Local cloud of a robot that keeps driving; each scan is added and dropped once.
 
-    It holds the scans of the path behind the newest one, as far back as ``config.window_m``. Its
-    cloud is the same, bit for bit, as that of a new one to which these scans alone are added.
+    It holds the scans of the last ``config.window_m`` metres of travel. Its cloud is the same, bit
+    for bit, as that of a new one with only these scans.
 
     Parameters
     ----------
     config : LocalCloudConfig, optional
-        That of the localizer: ``localizer.config.local_cloud``.
+        Use the localizer's: ``localizer.config.local_cloud``.
     voxel_size : float
-        Edge of the lattice that points are thinned to, metres. Where it is that of
-        ``segmentation.accumulated``, clouds are not thinned again when they are segmented.
+        Edge of the voxels [m]. If it is that of ``segmentation.accumulated``, clouds are not
+        thinned again for segmentation.
     min_step_m : float
-        Scans nearer to the one before are dropped when the next one comes, so that a robot that
-        creeps or stands holds no more than its path is long. 0 holds every scan.
+        Scans nearer than this to the one before [m] are dropped when the next one comes, so that
+        a robot at rest holds one scan. 0 keeps every scan.
 
     Raises
     ------
@@ -48,7 +48,7 @@ class RollingCloud:
 
     Notes
     -----
-    Threads that share one take turns.
+    Threads may share one; they take turns.
     """
 
     def __init__(
@@ -73,12 +73,12 @@ class RollingCloud:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of the scans that are held, first to last; counted from 0 as they were added."""
+        """Numbers of the scans held, in order, counted from 0 as added."""
         return self._window.numbers
 
     @property
     def poses(self) -> Float64:
-        """T_odom_sensor of the scans that are held, (N, 4, 4) float64."""
+        """T_odom_sensor of the scans held, (N, 4, 4) float64."""
         return self._window.poses
 
     @property
@@ -126,15 +126,14 @@ class RollingCloud:
             return self._added - 1
 
     def correct(self, poses: Mapping[int, ArrayLike]) -> None:
-        """Put scans to better poses, once the drift of the odometry is known.
+        """Move scans to corrected poses.
 
         The cloud is then the same, bit for bit, as if they had been added there.
 
         Parameters
         ----------
         poses : mapping of int to (4, 4) array
-            T_odom_sensor by the numbers that :meth:`add` gave. Those of scans that have left the
-            window are ignored.
+            T_odom_sensor by the numbers of :meth:`add`; numbers of dropped scans are ignored.
 
         Raises
         ------
@@ -147,12 +146,12 @@ class RollingCloud:
             self._trim()
 
     def cloud(self, reference: int = -1) -> LocalCloud:
-        """The local cloud around the newest scan, or around another of the window.
+        """Return the local cloud around the newest scan, or around another of the window.
 
         Parameters
         ----------
         reference : int
-            Position among the scans that are held, 0 for the first, -1 for the last.
+            Position among the scans held: 0 for the first, -1 for the last.
 
         Raises
         ------
@@ -163,7 +162,7 @@ class RollingCloud:
             return self._window.cloud(reference)
 
     def clear(self) -> None:
-        """Forget all scans; the next is added to nothing."""
+        """Drop all scans."""
         with self._turn:
             self._window.clear()
 

@@ -33,7 +33,7 @@ class ClusterConfig(Section):
 
     voxel_size: float = Field(ge=0.01, le=10, description="edge of the voxel grid, metres")
     tolerance: float = Field(
-        ge=0.01, le=50, description="points closer than this belong together, metres"
+        ge=0.01, le=50, description="largest gap between points of a segment, metres"
     )
     min_points: int = Field(ge=1, le=10**9, description="points of the smallest segment")
     max_points: int = Field(15_000, ge=1, le=10**9, description="points of the largest segment")
@@ -74,16 +74,16 @@ class SegmentationConfig(Section):
     )
     ground_slope: float = Field(0.2, gt=0, le=10, description="steepest ground, rise over run")
     ground_step: float = Field(
-        0.3, gt=0, le=100, description="neighbouring cells of ground differ by less, metres"
+        0.3, gt=0, le=100, description="largest step between neighbouring cells of ground, metres"
     )
     structure_height: float = Field(
         0.4,
         ge=-100,
         le=100,
-        description="points higher above ground than this serve verification, metres",
+        description="height above ground of points that verification uses, metres",
     )
     ground_voxel: float = Field(
-        1.0, ge=0.01, le=100, description="the others are thinned to this, metres"
+        1.0, ge=0.01, le=100, description="voxel size of the other points, metres"
     )
 
 

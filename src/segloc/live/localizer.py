@@ -47,10 +47,10 @@ class _Answered:
 
 
 class LiveLocalizer:
-    """Follows a robot: scans and odometry in, each at its own rate, and states out.
+    """Localize a robot from streams of scans and odometry, each at its own rate.
 
-    One thread takes in what comes, in a few milliseconds a scan; another makes the queries.
-    Neither keeps the caller waiting: where they fall behind, old scans are dropped.
+    One thread takes scans in, a few milliseconds each; another runs the queries. Calls return at
+    once; if the threads fall behind, old scans are dropped.
 
     Parameters
     ----------
@@ -59,16 +59,16 @@ class LiveLocalizer:
     T_base_sensor : (4, 4) array, optional
         As for :class:`LiveCore`.
     on_state : callable, optional
-        Called with every :class:`State`, one after another, in a thread of this object.
+        Called with every :class:`State` in order, in a thread of this object.
 
     Raises
     ------
     LiveError
-        By every method, once a thread has failed; the cause is with it.
+        By every method after a thread has failed, with the cause.
 
     Notes
     -----
-    Any thread may use one. It is a context manager; leaving it ends its threads.
+    Safe to call from any thread. As a context manager it ends its threads on exit.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class LiveLocalizer:
     # --- for callers ---------------------------------------------------------------------------
 
     def add_scan(self, scan: Scan | NDArray[np.floating[Any]], stamp: float | None = None) -> None:
-        """Hand over a scan, and do not wait.
+        """Add a scan without waiting.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class LiveLocalizer:
         self._put(_Taken(known_stamp(scan.stamp if stamp is None else stamp), scan))
 
     def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> None:
-        """Hand over a pose of the odometry, and do not wait.
+        """Add a pose of the odometry without waiting.
 
         Parameters
         ----------
@@ -137,22 +137,22 @@ class LiveLocalizer:
 
     @property
     def state(self) -> State:
-        """The newest one."""
+        """The newest state."""
         self._check()
         return self._state
 
     @property
     def scans(self) -> int:
-        """Scans taken in."""
+        """Number of scans used."""
         return self._core.scans
 
     @property
     def dropped(self) -> int:
-        """Scans that were not: late, without odometry, or more than could be taken in."""
+        """Number of scans dropped: late, without odometry, or too many."""
         return self._core.dropped + self._overrun
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was handed over is dealt with; False where it takes longer."""
+        """Wait until all input is processed; return False after the timeout."""
         with self._changed:
             done = self._changed.wait_for(
                 lambda: self._closed or not (self._inbox or self._asked or self._busy), timeout
@@ -161,7 +161,7 @@ class LiveLocalizer:
         return done
 
     def close(self) -> None:
-        """End the threads, once what they are at is done. What waits is not dealt with.
+        """End the threads after their current work; drop waiting input.
 
         Raises
         ------

@@ -73,24 +73,23 @@ def align_sessions(
 ) -> Alignment:
     """Bring sessions of one place into one frame.
 
-    What comes of it depends neither on the executor nor on the number of its workers.
+    The result does not depend on the executor or the number of its workers.
 
     Parameters
     ----------
     recordings : sequence of Recording, or of lists of Scan
         With odometry: poses that may drift, each in its own frame with z up.
     config : Config, optional
-        How segments are cut, described and localized.
+        Configuration of segments, descriptors and localization.
     settings : AlignConfig, optional
     stage : callable, optional
-        Called with the name of each stage; gives a context with a callable (done, total).
+        Called with the name of each stage; returns a context with a callable (done, total).
     executor : Executor, optional
-        Describes sessions, finds loops and ties neighbours, in tasks of one thread each; by default
-        this process does. For processes and clusters recordings can be pickled, and their files
-        are read where the tasks are done.
+        Runs tasks of one thread each; by default this process does. For processes and clusters,
+        recordings must be picklable; workers read their files.
     folder : path, optional
-        That all workers of the executor see: submaps, some 200 MB a kilometre, lie in a folder in
-        it until the end. By default the system's folder for temporary files.
+        Folder for submaps (200 MB per kilometre), under the same path for all workers; emptied at
+        the end. By default the system's folder for temporary files.
 
     Raises
     ------

@@ -82,21 +82,21 @@ class _Part:
 
 
 class LoopDetector:
-    """Finds the places that a robot comes back to, scan by scan.
+    """Detect loops of a robot, scan by scan, for a SLAM back-end.
 
-    Every few metres what was seen over the last stretch is localized in the map of each earlier
-    part of the path that may be near. What is found is registered with the nearest keyframe there,
-    and told once another loop agrees with it through odometry.
+    Every few metres the cloud of the last stretch is localized in the maps of earlier parts of the
+    trajectory that may be near. A loop is registered with the nearest keyframe there, and returned
+    once another loop agrees with it through odometry.
 
     Parameters
     ----------
     config : Config, optional
-        How segments are cut, described and localized.
+        Configuration of segments, descriptors and localization.
     settings : LoopConfig, optional
 
     Notes
     -----
-    Memory is bounded by ``max_parts``; odometry may drift, but not jump.
+    Memory is bounded by ``max_parts``. Odometry may drift, but not jump.
     """
 
     def __init__(self, config: Config | None = None, settings: LoopConfig | None = None) -> None:
@@ -126,19 +126,19 @@ class LoopDetector:
     def add(
         self, scan: Scan | np.ndarray, T_odom_sensor: ArrayLike | None = None
     ) -> list[LoopClosure]:
-        """Take the next scan, and say what loops are believed by now that were not before.
+        """Add the next scan; return loops that are newly accepted.
 
         Parameters
         ----------
         scan : Scan or (N, 3) array
-            Points in the sensor's frame, metres, its motion undone.
+            De-skewed points in the sensor's frame [m].
         T_odom_sensor : (4, 4) array, optional
             In the odometry's frame, whose z axis points up; by default the scan's own.
 
         Raises
         ------
         InvalidScan
-            If it is no scan, or the pose is no rigid transform; nothing is changed then.
+            If the scan or its pose is invalid; nothing is changed.
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
         own = odometry_pose(scan) if T_odom_sensor is None else T_odom_sensor

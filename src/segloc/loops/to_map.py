@@ -77,16 +77,16 @@ def align_to_map(
     recordings : sequence of Recording, or of lists of Scan
         With odometry: poses that may drift, each in its own frame with z up.
     config : Config, optional
-        How the sessions are described and localized; by default as the map was built.
+        Configuration of descriptors and localization; by default the map's.
     settings : AlignConfig, optional
     stage : callable, optional
-        Called with the name of each stage; gives a context with a callable (done, total).
+        Called with the name of each stage; returns a context with a callable (done, total).
 
     Raises
     ------
     MapMismatch
-        If a session does not meet the map: too few of its submaps are found there, or they do not
-        agree with one another. Also if the map was described by something else.
+        If too few submaps of a session are found in the map, or they disagree, or the map has
+        another descriptor.
     ConfigError
         If there is no recording.
     DatasetError

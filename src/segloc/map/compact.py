@@ -27,21 +27,24 @@ POSITION_EXPONENT, ROTATION_EXPONENT = -7, -12
 class CompactConfig(Section):
     """What is kept of a map's numbers."""
 
-    enabled: bool = Field(True, description="off: every number as it was measured")
+    enabled: bool = Field(True, description="false: keep every number as measured")
     bits: int = Field(
-        5, ge=2, le=12, description="of a number of a descriptor, across its usual spread"
+        5, ge=2, le=12, description="bits per number of a descriptor, across its usual spread"
     )
     max_views: int = Field(
-        2, ge=0, le=1000, description="views of an object kept of each session; 0: all"
+        2, ge=0, le=1000, description="views of an object kept per session; 0: all"
     )
     same_m: float = Field(
-        0.5, gt=0, le=10, description="centroids of one object lie this close, metres"
+        0.5, gt=0, le=10, description="largest distance between centroids of one object, metres"
     )
     cloud_bits: Literal[0, 1, 2, 4] = Field(
-        1, description="of where in its voxel a point lies, along each axis"
+        1, description="bits of a point's position in its voxel, per axis"
     )
     cloud_range_m: float = Field(
-        0.0, ge=0, le=10_000, description="cloud kept this near the path, metres; 0: all of it"
+        0.0,
+        ge=0,
+        le=10_000,
+        description="range of the cloud kept around the trajectory, metres; 0: all of it",
     )
 
 

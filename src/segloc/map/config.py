@@ -65,10 +65,12 @@ class BuildConfig(Section):
     Frozen: derive a changed one with ``model_copy(update=...)``.
     """
 
-    method: str = Field(DEFAULT_METHOD, description="how segments are described")
-    weights: Path | None = Field(None, description="trained weights in place of the shipped ones")
-    threads: int = Field(0, ge=0, le=1024, description="0: all cores; results do not depend on it")
-    seed: int = Field(0, ge=0, le=2**63 - 1, description="of the estimators that draw samples")
+    method: str = Field(DEFAULT_METHOD, description="name of the descriptor")
+    weights: Path | None = Field(
+        None, description="file of trained weights instead of the shipped ones"
+    )
+    threads: int = Field(0, ge=0, le=1024, description="number of threads; 0: all cores")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="random seed of prosac and ransac")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
     segmentation: SegmentationConfig = SegmentationConfig()
     mapping: MappingConfig = MappingConfig()

@@ -25,7 +25,7 @@ MEET_M, MEET_HEIGHT_M = 5.0, 2.0
 
 MIN_AGREEMENT = 0.5
 MOST_GAIN = 0.1
-"""Measured: docs/alignment.md has the figures."""
+"""Measured: docs/how-to/align.md has the figures."""
 
 _AROUND_M = 15.0  # what both saw well
 _NEAR_M = 1.0  # positions of two passes agree to about a metre

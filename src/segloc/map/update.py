@@ -82,12 +82,11 @@ def update_map(
     *,
     elsewhere: bool = False,
 ) -> tuple[SegmentMap, UpdateCounts]:
-    """Add what a session saw to a map, and let go what it passed through.
+    """Add a session to a map, and remove objects that are gone.
 
-    An object that rays of the session passed through, and that nothing was seen of, is missed once
-    more; missed by ``max_missed`` sessions in a row it is removed. What is seen again is missed no
-    longer, and what was not in view stays as it is. Points of the verification cloud that are gone
-    are removed with their object; those that belong to none, at once.
+    An object is missed if rays of the session pass through it and none ends on it; missed by
+    ``max_missed`` sessions in a row, it is removed with its points. An object that is visible
+    again is not missed; one that is hidden stays as it is. Points of no object are removed at once.
 
     Parameters
     ----------
@@ -95,13 +94,13 @@ def update_map(
     scans : Recording, or list of Scan
         The session; its poses are T_map_sensor.
     config : BuildConfig, optional
-        How the session is described; by default as the map was built.
+        Configuration of the session; by default the map's.
     update : UpdateConfig, optional
     progress : callable, optional
-        Called with (scans done, scans in all) while visibility is judged.
+        Called with (scans done, scans in all) while visibility is computed.
     elsewhere : bool
-        Whether the session may be of another place in the map's frame, which meets the map's path
-        nowhere; see :func:`~segloc.map.same_place.check_same_place`.
+        True to allow a session of another place in the map's frame; see
+        :func:`~segloc.map.same_place.check_same_place`.
 
     Returns
     -------
@@ -112,11 +111,10 @@ def update_map(
     DatasetError
         If the recording has no poses, or nothing that could be segmented.
     MapMismatch
-        If the map was described by something else, the session meets the map nowhere, or their
-        clouds disagree where they meet.
+        If the map has another descriptor, the session does not meet the map, or their clouds
+        disagree.
     SeglocError
-        If far more of what should be in view is gone than changes in a place: then the poses are
-        not in the map's frame.
+        If too much of the visible map is gone: the poses are not in its frame.
     """
     update, recording = update or UpdateConfig(), as_recording(scans)
     judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)

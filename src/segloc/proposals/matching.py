@@ -18,40 +18,38 @@ Nearest = tuple[Int64, Float32]
 
 
 class MatchingConfig(Section):
-    """How many candidates a segment gets."""
+    """Number of matches per query segment."""
 
     neighbours: int = Field(
-        25, ge=1, le=10000, description="map segments proposed for each query segment"
+        25, ge=1, le=10000, description="map segments matched to each query segment"
     )
     growth: float = Field(
-        0.6, ge=0, le=4, description="they grow with this power of the map's size; 0: they do not"
+        0.6, ge=0, le=4, description="exponent of the map's size by which neighbours grow; 0: never"
     )
     grows_from: int = Field(
-        50_000, ge=1, le=1000000000000, description="segments of a map from which they grow"
+        50_000, ge=1, le=1000000000000, description="segments of a map from which neighbours grow"
     )
-    max_neighbours: int = Field(200, ge=1, le=10000, description="up to so many")
+    max_neighbours: int = Field(200, ge=1, le=10000, description="most neighbours after growth")
     escalation: int = Field(
         4,
         ge=1,
         le=1000,
-        description="times as many, once, where too few segments agree on a pose; 1: never",
+        description="neighbour multiplier of the single retry; 1: no retry",
     )
-    max_escalated: int = Field(400, ge=1, le=10000, description="up to so many")
+    max_escalated: int = Field(400, ge=1, le=10000, description="most neighbours of the retry")
     indexed_from: int = Field(
         100_000,
         ge=1,
         le=1000000000000,
-        description="larger maps are searched through an index, not exactly",
+        description="segments of a map from which an approximate index is used",
     )
-    list_size: int = Field(1000, ge=1, le=1000000000, description="segments in a list of the index")
-    probes: int = Field(
-        48, ge=1, le=1000000, description="lists that are read for each query segment"
-    )
+    list_size: int = Field(1000, ge=1, le=1000000000, description="segments per list of the index")
+    probes: int = Field(48, ge=1, le=1000000, description="lists read per query segment")
     min_probability: float = Field(
         0.5,
         ge=0,
         le=1,
-        description="matches that the method's forest or FC4 finds less likely are dropped",
+        description="least probability of a match by the method's forest or FC4",
     )
 
     def schedule(self, segments: int) -> tuple[int, ...]:

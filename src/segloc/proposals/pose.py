@@ -14,49 +14,49 @@ from ..types import Candidate, Float64, Int64, Matches, Pose
 
 
 class ConsistencyConfig(Section):
-    """When matches are consistent, and how many of them make a place."""
+    """Consistency of matches, and the size of a set."""
 
     resolution: float = Field(
         0.4,
         ge=0.001,
         le=100,
-        description="edges between two matches differ in length by less, metres",
+        description="tolerance of the length of an edge between two matches, metres",
     )
-    min_cluster: int = Field(
-        4, ge=3, le=1000, description="distinct objects of a set that counts as a place"
-    )
+    min_cluster: int = Field(4, ge=3, le=1000, description="least distinct objects of a set")
     max_sets: int = Field(
-        64, ge=1, le=100_000, description="largest sets of which those at different places are kept"
+        64, ge=1, le=100_000, description="most sets, from which those at different places are kept"
     )
 
 
 class PoseConfig(Section):
-    """How candidate poses are found."""
+    """Estimation of poses from matches."""
 
     estimator: Literal["consensus", "prosac", "ransac", "geometric_consistency"] = Field(
         "consensus", description="consensus: yaw and translation, by votes; the others: SE(3)"
     )
     consistency: ConsistencyConfig = ConsistencyConfig()
     edge_tolerance: float = Field(
-        0.5, gt=0, le=100, description="edges of a sample differ by less, metres (prosac, ransac)"
+        0.5, gt=0, le=100, description="tolerance of the edges of a sample, metres (prosac, ransac)"
     )
     inlier_tolerance: float = Field(
-        0.6, gt=0, le=100, description="a match fits a pose below this, metres"
+        0.6, gt=0, le=100, description="largest horizontal residual of an inlier, metres"
     )
-    height_tolerance: float = Field(1.0, gt=0, le=1000, description="the same along z, metres")
+    height_tolerance: float = Field(
+        1.0, gt=0, le=1000, description="largest vertical residual of an inlier, metres"
+    )
     min_edge: float = Field(
         3.0,
         gt=0,
         le=1000,
-        description="samples closer than this are not used, metres (prosac, ransac)",
+        description="shortest edge of a sample, metres (prosac, ransac)",
     )
     distinct_radius: float = Field(
-        1.0, ge=0, le=1000, description="segments closer than this count as one inlier, metres"
+        1.0, ge=0, le=1000, description="radius within which segments count as one inlier, metres"
     )
     separation: Separation = Separation()
     max_refined: int = Field(128, ge=1, le=100_000, description="candidates refined by consensus")
     max_draws: int = Field(
-        2_000_000, ge=1, le=10**9, description="samples of prosac and ransac at most"
+        2_000_000, ge=1, le=10**9, description="most samples of prosac and ransac"
     )
     chance: float = Field(
         0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"

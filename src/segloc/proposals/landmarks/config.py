@@ -9,25 +9,31 @@ from ..pose import PoseConfig
 
 
 class StemConfig(Section):
-    """How stems are found in clouds, and used."""
+    """Detection and use of stems in clouds."""
 
     enabled: bool = Field(
-        True, description="where segments decide nothing, search by stems and other upright things"
+        True, description="search by stems, poles and columns if segments are inconclusive"
     )
-    fewest: int = Field(6, ge=3, le=1000, description="stems of a query that may tell a pose")
-    most: int = Field(20_000, ge=3, le=10**6, description="of a map: those that most points show")
-    lowest_m: float = Field(0.5, ge=-10, le=100, description="looked at above this over ground")
-    highest_m: float = Field(5.0, gt=0, le=100, description="and below this, metres")
-    slice_m: float = Field(0.6, ge=0.05, le=10, description="in slices of this height")
+    fewest: int = Field(6, ge=3, le=1000, description="stems that a query needs")
+    most: int = Field(
+        20_000, ge=3, le=10**6, description="most stems of a map, those with most points first"
+    )
+    lowest_m: float = Field(
+        0.5, ge=-10, le=100, description="lower bound of the height above ground"
+    )
+    highest_m: float = Field(
+        5.0, gt=0, le=100, description="upper bound of the height above ground, metres"
+    )
+    slice_m: float = Field(0.6, ge=0.05, le=10, description="height of a slice")
     tolerance: float = Field(
-        0.3, ge=0.02, le=5, description="points of a slice closer than this belong together, metres"
+        0.3, ge=0.02, le=5, description="largest gap between points of a cluster in a slice, metres"
     )
-    widest_m: float = Field(1.2, gt=0, le=20, description="what is wider is no stem")
+    widest_m: float = Field(1.2, gt=0, le=20, description="largest width of a stem")
     link_m: float = Field(
-        0.3, gt=0, le=5, description="a stem moves less than this from slice to slice"
+        0.3, gt=0, le=5, description="largest offset of a stem from slice to slice"
     )
-    fewest_points: int = Field(4, ge=3, le=10_000, description="points of a stem")
-    least_length_m: float = Field(0.9, gt=0, le=50, description="of what is seen of a stem")
+    fewest_points: int = Field(4, ge=3, le=10_000, description="least points of a stem")
+    least_length_m: float = Field(0.9, gt=0, le=50, description="least visible length of a stem")
 
 
 class Effort(Section):
