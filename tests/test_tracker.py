@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza
 
-from segloc import InvalidScan, Localizer, Scan, SegmentMap, geometry
+from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
+from segloc.likelihood import VerificationConfig
 from segloc.tracker import Tracker, TrackerConfig
 from segloc.tracking.belief import Status
 from segloc.types import Descriptors, Float64
@@ -50,7 +51,9 @@ def test_the_first_view_gives_the_posterior_of_its_query_and_later_ones_add_to_i
 def test_views_that_are_not_believed_alone_are_once_they_agree(
     prior_map: SegmentMap, plaza: Plaza
 ) -> None:
-    tracks = walk(Tracker(Localizer(prior_map), TrackerConfig(min_confidence=0.99999)), plaza)
+    sure = VerificationConfig(min_confidence=0.99995)  # no single query is
+    localizer = Localizer(prior_map, Config.preset("geo").model_copy(update={"verification": sure}))
+    tracks = walk(Tracker(localizer), plaza)
     assert not tracks[0].localized and tracks[0].reason == "no agreement yet"
     assert tracks[-1].localized and offset(tracks[-1].T_map_odom) < 0.3
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -38,8 +38,8 @@ class Status(str, Enum):
 class BeliefConfig(Section):
     """How odometry errs, and how much a view counts."""
 
-    min_confidence: float | None = Field(
-        None, gt=0.5, lt=1, description="probability to believe a pose; none: as for single queries"
+    localized_from: float = Field(
+        0.95, gt=0.5, lt=1, description="probability from which a track is not degraded"
     )
     drift: float = Field(0.02, ge=0, description="position error of odometry per distance [m/m]")
     drift_deg: float = Field(0.05, ge=0, description="heading error of odometry [deg/m]")
@@ -51,6 +51,9 @@ class BeliefConfig(Section):
     )
     max_log_ratio: float = Field(
         4.0, gt=0, description="bound of a view's log-ratio: a wrong view must not be final"
+    )
+    alike: float = Field(
+        6.5, ge=0, description="log-ratio by which a view may differ between equal places"
     )
 
 
@@ -136,7 +139,7 @@ class Belief:
         self, config: BeliefConfig, min_confidence: float, separation: geometry.Separation
     ) -> None:
         self.config, self._separation = config, separation
-        self.min_confidence = config.min_confidence or min_confidence
+        self.min_confidence = min_confidence
         self.travelled, self._count = 0.0, 0
         self.clear()
 
@@ -184,7 +187,7 @@ class Belief:
         contradicted = evidence < -math.log(2.0)
         if evidence:
             self.doubt = "the map contradicts the track" if contradicted else ""
-        for place in () if contradicted else view.places:
+        for place in () if contradicted else self._evened(view.places):
             self._add(place, view)
         for h in self.hypotheses:
             evidence = self._evidence(h, view)
@@ -199,7 +202,7 @@ class Belief:
     def status(self) -> tuple[Status, str]:
         """How well the pose is known, and why it is not known better."""
         if (track := self.track) is not None:
-            if track.probability >= self.min_confidence:
+            if track.probability >= self.config.localized_from:
                 return Status.LOCALIZED, ""
             return Status.DEGRADED, self.doubt or self._unsupported(track)
         if self.lost < 0.5:
@@ -217,6 +220,16 @@ class Belief:
         turn, shift = math.radians(self.config.drift_deg) * path, self.config.drift * path
         grown = np.diag(np.repeat([turn**2, shift**2], 3))
         return geometry.carried_covariance(track.covariance, T_now_then) + grown
+
+    def _evened(self, places: Sequence[Reading]) -> list[Reading]:
+        """Let places that one view hardly tells apart be equal: its noise is that of later ones."""
+        best = max((place.log_ratio for place in places), default=0.0)
+        return [
+            replace(place, log_ratio=min(best, place.log_ratio + self.config.alike))
+            if place.log_ratio > 0.0
+            else place
+            for place in places
+        ]
 
     def _add(self, place: Reading, view: View) -> None:
         """Let a place support the hypotheses that are there, and take its share of "lost"."""

@@ -5,7 +5,7 @@ For each query in each map (:mod:`.rows`) the classes are the distinct poses tha
 convex. All tables show worlds judged by a fit to other worlds. False answers come in clumps, a
 world at a time, so worlds are counted beside queries. Real recordings take no part.
 
-    python -m segloc_lab.calibration.posterior ROWS... --out src/segloc/weights/posterior.json
+    python -m segloc_lab.calibration.posterior ROWS --out src/segloc/weights/posterior.json
 """
 
 from __future__ import annotations
@@ -327,11 +327,12 @@ def weights_table(weights: Float64) -> Table:
 
 def main() -> None:
     options = reporting(__doc__)
-    options.add_argument("rows", type=Path, nargs="+", help="files of rows")
+    options.add_argument("rows", type=Path, help="file of rows, or a folder of them")
     options.add_argument("--join", type=Path, help="file to keep all rows in")
     options.add_argument("--out", type=Path, help="file of the model whose weights are replaced")
     args = options.parse_args()
-    paths = sorted(args.rows, key=lambda path: path.stem.rsplit("-", 1)[-1])
+    files = args.rows.glob("*.npz") if args.rows.is_dir() else [args.rows]
+    paths = sorted(files, key=lambda path: path.stem.rsplit("-", 1)[-1])
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
