@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from segloc.batch.picture import draw
 from segloc.batch.run import query_positions
 from segloc.batch.score import Evaluation, Tolerance, distances_to_path, pose_errors
-from segloc.localization import Localization, Localized, NotLocalized, Reason, RunnerUp
+from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
 from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
 
@@ -74,7 +74,8 @@ def test_distance_to_the_path_is_horizontal() -> None:
 def result(T: np.ndarray | None, reason: str = "ambiguous", ms: float = 10.0) -> Localization:
     common: dict[str, Any] = {
         "inliers": 7,
-        "runner_up": RunnerUp(pose(5), 3, 0.25),
+        "places": (Place(pose(5), 0.75, 3, 0.25),),
+        "not_in_map": 0.25,
         "times_ms": {"total": ms},
     }
     if T is None:
@@ -126,11 +127,9 @@ def test_records_hold_no_nan_and_keep_times_apart(evaluation: Evaluation) -> Non
     assert records[3]["T_map_sensor"] is None and records[3]["translation_error_m"] is None
     assert records[3]["rmse"] is None and records[3]["ms"] == {"total": None}
     assert records[4]["distance_to_map_m"] == pytest.approx(9.0)
-    assert records[0]["runner_up"] == {
-        "T_map_sensor": pose(5).tolist(),
-        "inliers": 3,
-        "overlap": 0.25,
-    }
+    where = {"T_map_sensor": pose(5).tolist(), "probability": 0.75}
+    assert records[0]["places"] == [{**where, "inliers": 3, "overlap": 0.25}]
+    assert records[0]["not_in_map"] == 0.25
 
 
 def test_without_truth_nothing_is_judged(evaluation: Evaluation) -> None:

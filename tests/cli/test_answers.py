@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.walk import POINTS_ASIDE, Site, run
-from segloc.likelihood.confidence import FEATURES, shipped_confidence
 
 from segloc import Localizer, SegmentMap
 from segloc.inspect import steps, trace, verdict
-from segloc.inspect.trace import BEYOND
 from segloc.io import read_trajectory
+from segloc.likelihood import FEATURES, shipped_model
 from segloc.types import Scan
 
 
@@ -122,13 +121,10 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
             plain.confidence,
         )
         if found.parts:
-            score = found.constant + sum(part.log_odds for part in found.parts)
-            assert 1 / (1 + np.exp(-score)) == pytest.approx(plain.confidence)
-            names = [part.name for part in found.parts]
-            capped = plain.confidence == pytest.approx(
-                1 / (1 + np.exp(-shipped_confidence().max_log_odds))
-            )
-            assert names == [*FEATURES, *([BEYOND] if capped else [])]
+            log_ratio = found.constant + sum(part.log_odds for part in found.parts)
+            ratio = plain.places[0].probability / (plain.not_in_map - shipped_model().lapse)
+            assert log_ratio == pytest.approx(np.log(ratio), abs=1e-3)
+            assert [part.name for part in found.parts] == [*FEATURES]
             assert all(" " in part.words for part in found.parts)  # no bare name of a feature
         if plain.localized:
             assert found.T_map_local is not None

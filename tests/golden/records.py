@@ -62,7 +62,6 @@ def of_pose(name: str, T: np.ndarray | None, covariance: np.ndarray | None) -> R
 
 def of_answer(found: Any) -> Record:
     """A localization; times are left out."""
-    other = found.runner_up
     return {
         "localized": found.localized,
         "reason": None if found.reason is None else found.reason.name,
@@ -71,9 +70,8 @@ def of_answer(found: Any) -> Record:
         "inliers": found.inliers,
         "overlap": found.overlap,
         "seen": found.seen,
-        "inlier_ratio": found.inlier_ratio,
         "rmse": found.rmse,
-        "runner_up": other and [exact(other.T_map_sensor), other.inliers, other.overlap],
+        "places": [[exact(place.T_map_sensor), place.probability] for place in found.places],
         "counts": list(found.counts.values()),
         "attitude": found.attitude,
     }

@@ -66,14 +66,17 @@ class Robot:
 
 
 def test_the_first_view_gives_the_posterior_of_a_single_query() -> None:
-    ratios = np.array([2.0, 1.2, -0.5, 0.0])
-    belief = Robot().searches((HERE, 2.0), (THERE, 1.2), (HERE @ THERE, -0.5)).belief
+    ratios = np.array([2.0, -0.1, -0.5, 0.0])
+    belief = Robot().searches((HERE, 2.0), (THERE, -0.1), (HERE @ THERE, -0.5)).belief
     expected = np.exp(ratios) / np.exp(ratios).sum()
     found = [*(h.probability for h in belief.hypotheses), belief.lost]
     assert found == pytest.approx(expected)
     assert belief.status()[0] is Status.CANDIDATE and belief.track is None
     assert Robot().searches((HERE, 8.0)).status is Status.LOCALIZED
     assert Robot().searches((HERE, -8.0)).status is Status.LOST
+    alike = Robot().searches((HERE, 9.0), (THERE, 4.0)).belief  # nor do they become sure together
+    one, other = alike.hypotheses
+    assert one.probability == pytest.approx(other.probability) and alike.track is None
 
 
 def test_a_kidnapped_robot_is_noticed_and_found_however_long_its_track_was_supported() -> None:

@@ -93,7 +93,7 @@ def test_the_verb_writes_the_funnel_and_pictures(
         np.save(run / f"{i:06d}.npy", walk.scan(i).points)
     write_tum(folder / "truth.tum", Trajectory(np.arange(3.0), walk.poses[:3]))
     prior_map.save(folder / "site.segmap")
-    (folder / "c.yaml").write_text("verification: {min_inliers: 1000}\n")
+    (folder / "c.yaml").write_text("verification: {min_confidence: 1.0}\n")
     arguments = ["evaluate", "failures", str(run), "--map", str(folder / "site.segmap"), "--truth"]
     arguments += [str(folder / "truth.tum"), "--out", str(out), "--pictures", "1"]
     result = CliRunner().invoke(app, [*arguments, "--config", str(folder / "c.yaml")])

@@ -56,7 +56,7 @@ def test_a_pose_is_found_in_any_order_of_the_landmarks(localizer: LandmarkLocali
 
 @pytest.mark.parametrize(
     ("count", "reason"),
-    [(0, Reason.NO_SEGMENTS), (2, Reason.NO_MATCHES), (4, Reason.TOO_FEW_INLIERS)],
+    [(0, Reason.NO_SEGMENTS), (2, Reason.NO_MATCHES), (4, Reason.TOO_UNCERTAIN)],
 )
 def test_too_few_landmarks_are_refused(
     localizer: LandmarkLocalizer, count: int, reason: Reason
