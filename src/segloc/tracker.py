@@ -119,7 +119,7 @@ class Tracker:
         self.belief = Belief(self.config, least, separation)
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
-        self._searched = self._checked = -math.inf  # distances travelled
+        self._searched = self._checked = self._begun = -math.inf  # distances travelled
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = settings.segmentation.accumulated.voxel_size
@@ -188,7 +188,9 @@ class Tracker:
         new_check = min(1.0, (self.travelled - self._checked) / self.config.check_m)
         new_search = new_check
         if self.rolling is not None or (isinstance(scans, Sequence) and len(scans) > 1):
-            window_m = self.localizer.config.local_cloud.window_m
+            begun_m = self.travelled - self._begun
+            window_m = min(self.localizer.config.local_cloud.window_m, begun_m)
+            window_m = max(window_m, self.config.check_m)
             new_search = min(1.0, (self.travelled - self._searched) / window_m)
         view = View(self.belief.travelled, T, new_check, new_search)
         self._checked, cloud = self.travelled, None
@@ -265,6 +267,7 @@ class Tracker:
         self.belief.carry(T, doubt)
         if self._last is not None:
             self._last = T @ self._last
+        self._searched = -math.inf
         self._begin_anew()
 
     def forget(self) -> None:
@@ -279,8 +282,8 @@ class Tracker:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Search with the scans from now on, and at once."""
-        self._searched, self._epoch = -math.inf, self._epoch + 1
+        """Search with the scans from now on."""
+        self._begun, self._epoch = self.travelled, self._epoch + 1
         if self.rolling is not None:
             self.rolling.clear()
 
