@@ -80,11 +80,12 @@ class Track:
 class QueryRequest:
     """A view that is due, with all that it takes to compute it elsewhere and later.
 
-    The map is searched for ``scans``, unless None; ``newest`` is compared with it at the
+    With ``search``, the map is searched for ``scans``. The ``newest`` is compared with it at the
     ``hypotheses`` (T_map_odom by key). Views of an earlier ``epoch`` are ignored.
     """
 
-    scans: Scans | LocalCloud | None
+    search: bool
+    scans: Scans | LocalCloud
     newest: Scan | LocalCloud | None
     hypotheses: Mapping[int, Pose]
     view: View
@@ -193,11 +194,12 @@ class Tracker:
             window_m = max(window_m, self.config.check_m)
             new_search = min(1.0, (self.travelled - self._searched) / window_m)
         view = View(self.belief.travelled, T, new_check, new_search)
-        self._checked, cloud = self.travelled, None
+        self._checked = self.travelled
+        newest = _newest(scans, T)
         if search:
             self._searched = self.travelled
-            cloud = scans if self.rolling is None else self.rolling.cloud()
-        return QueryRequest(cloud, _newest(scans, T), hypotheses, view, self._epoch)
+            scans = scans if self.rolling is None else self.rolling.cloud()
+        return QueryRequest(search, scans, newest, hypotheses, view, self._epoch)
 
     def ask(
         self,
@@ -213,7 +215,7 @@ class Tracker:
         receives what it found.
         """
         view, localizer = request.view, self.localizer
-        if request.scans is not None:
+        if request.search:
             times = StageTimes(localizer.clock)
             query = localizer.describe(request.scans, times)
             found = localizer.search(query, times, deadline_ms, near)
