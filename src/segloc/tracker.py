@@ -80,11 +80,12 @@ class Track:
 class QueryRequest:
     """A view that is due, with all that it takes to compute it elsewhere and later.
 
-    The map is searched for ``scans``, unless None; ``newest`` is compared with it at the
+    With ``search``, the map is searched for ``scans``. The ``newest`` is compared with it at the
     ``hypotheses`` (T_map_odom by key). Views of an earlier ``epoch`` are ignored.
     """
 
-    scans: Scans | LocalCloud | None
+    search: bool
+    scans: Scans | LocalCloud
     newest: Scan | LocalCloud | None
     hypotheses: Mapping[int, Pose]
     view: View
@@ -119,7 +120,7 @@ class Tracker:
         self.belief = Belief(self.config, least, separation)
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
-        self._searched = self._checked = -math.inf  # distances travelled
+        self._searched = self._checked = self._begun = -math.inf  # distances travelled
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = settings.segmentation.accumulated.voxel_size
@@ -188,14 +189,17 @@ class Tracker:
         new_check = min(1.0, (self.travelled - self._checked) / self.config.check_m)
         new_search = new_check
         if self.rolling is not None or (isinstance(scans, Sequence) and len(scans) > 1):
-            window_m = self.localizer.config.local_cloud.window_m
+            begun_m = self.travelled - self._begun
+            window_m = min(self.localizer.config.local_cloud.window_m, begun_m)
+            window_m = max(window_m, self.config.check_m)
             new_search = min(1.0, (self.travelled - self._searched) / window_m)
         view = View(self.belief.travelled, T, new_check, new_search)
-        self._checked, cloud = self.travelled, None
+        self._checked = self.travelled
+        newest = _newest(scans, T)
         if search:
             self._searched = self.travelled
-            cloud = scans if self.rolling is None else self.rolling.cloud()
-        return QueryRequest(cloud, _newest(scans, T), hypotheses, view, self._epoch)
+            scans = scans if self.rolling is None else self.rolling.cloud()
+        return QueryRequest(search, scans, newest, hypotheses, view, self._epoch)
 
     def ask(
         self,
@@ -211,7 +215,7 @@ class Tracker:
         receives what it found.
         """
         view, localizer = request.view, self.localizer
-        if request.scans is not None:
+        if request.search:
             times = StageTimes(localizer.clock)
             query = localizer.describe(request.scans, times)
             found = localizer.search(query, times, deadline_ms, near)
@@ -265,6 +269,7 @@ class Tracker:
         self.belief.carry(T, doubt)
         if self._last is not None:
             self._last = T @ self._last
+        self._searched = -math.inf
         self._begin_anew()
 
     def forget(self) -> None:
@@ -279,8 +284,8 @@ class Tracker:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Search with the scans from now on, and at once."""
-        self._searched, self._epoch = -math.inf, self._epoch + 1
+        """Search with the scans from now on."""
+        self._begun, self._epoch = self.travelled, self._epoch + 1
         if self.rolling is not None:
             self.rolling.clear()
 

@@ -119,20 +119,18 @@ class Model(Section):
             _odds("ground", fit.ground) - max(_odds("ground", ground) for ground in grounds),
         )
 
-    def denied(self, fit: Observation) -> float:
-        """The part of a pose's score, at most 0, that the query and the map deny of each other.
+    def consistency(self, fit: Observation) -> float:
+        """The part of a pose's score that does not ask for more than the map has.
 
-        What is not in the map lowers the score, too. That does not speak against a pose that is
-        known before: it may be new, or beyond the map.
+        What is not in the map lowers the rest. Here what is in view of both is compared with right
+        poses where things have changed.
         """
         seen, intruding = fit.seen, fit.intruding
-        missing = _odds("seen", seen) - _odds("seen", Count(round(_SEEN * seen.of), seen.of))
-        usual = Count(round(_INTRUDING * intruding.of), intruding.of)
-        occupied = free_space(intruding) - free_space(usual)
-        weights = self.weights
-        return weights["seen_over_rival"] * min(0.0, missing) + weights["free_space"] * min(
-            0.0, occupied
-        )
+        usual = Count(round(_SEEN * seen.of), seen.of)
+        clear = Count(round(_INTRUDING * intruding.of), intruding.of)
+        return self.weights["seen_over_rival"] * (
+            _odds("seen", seen) - _odds("seen", usual)
+        ) + self.weights["free_space"] * (free_space(intruding) - free_space(clear))
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """How much likelier a pose is than one that fits as well but for its segments."""

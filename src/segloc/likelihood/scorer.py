@@ -84,7 +84,7 @@ class Likelihood:
         log_ratio = self.model.weighed(features) - self.model.floor(self.alias)
         # What lies off the map does not speak against a pose that is known.
         mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
-        off_map = math.log1p(-mapped) + self.model.denied(fit)
+        off_map = min(0.0, math.log1p(-mapped) + self.model.consistency(fit))
         known_ratio = float(np.logaddexp(math.log(mapped) + log_ratio, off_map))
         return replace(_scored(fit, features, log_ratio), known_ratio=known_ratio)
 

@@ -317,7 +317,7 @@ class State:
         Of ``T_map_base``: of a small rotation (rad) and then a translation (m), both in the base's
         frame. :func:`segloc.ros_covariance` gives ROS's. Read-only.
     confidence : float
-        In [0, 1]: of the views that agree, taken as independent; not calibrated.
+        Probability of the likeliest place, in [0, 1].
     views : int
         Independent views that agree.
     reason : str

@@ -106,7 +106,8 @@ class Hypothesis:
 
     ``counted`` is the log-ratio of searches that ``probability`` has in it. ``views`` counts the
     views that support it, overlapping ones by their new share. It is ``believed`` from
-    ``min_confidence`` on, for as long as it is more probable than not.
+    ``min_confidence`` on, for as long as it is more probable than not. ``leaked`` is the
+    probability that it lost since a scan has fitted it.
     """
 
     key: int
@@ -118,6 +119,7 @@ class Hypothesis:
     counted: float
     views: float = 1.0
     believed: bool = False
+    leaked: float = 0.0
 
 
 class Belief:
@@ -159,6 +161,7 @@ class Belief:
         kept = math.exp(-self.config.leak * metres)
         self.lost = 1.0 - kept * (1.0 - self.lost)
         for h in self.hypotheses:
+            h.leaked += (1.0 - kept) * h.probability
             h.probability *= kept
         self._settle(self.track)
 
@@ -190,11 +193,8 @@ class Belief:
         for place in () if contradicted else self._evened(view.places):
             self._add(place, view)
         for h in self.hypotheses:
-            evidence = self._evidence(h, view)
-            h.probability *= math.exp(evidence)
-            if evidence > 0.0:
-                h.views += view.new_check
-                self._place(h, view.checks[h.key], view)
+            if h.key in view.checks:
+                self._check(h, view.checks[h.key], view)
         self._merge(view.T_odom_sensor)
         self._settle(track)
         return contradicted
@@ -233,14 +233,15 @@ class Belief:
 
     def _add(self, place: Reading, view: View) -> None:
         """Let a place support the hypotheses that are there, and take its share of "lost"."""
-        new, unknown = view.new_search, 1.0
+        new, unknown, most = view.new_search, 1.0, self.config.max_log_ratio
         for h in self.hypotheses:
             if self._same(h.T_map_odom, place.T_map_odom, view.T_odom_sensor):
                 counted, unknown = (1.0 - new) * h.counted, new
-                h.probability *= math.exp(min(max(0.0, place.log_ratio - counted), _MOST))
+                h.probability *= math.exp(min(max(0.0, place.log_ratio - counted), most))
                 h.counted, h.views = max(place.log_ratio, counted), h.views + new
                 self._place(h, place, view)
-        ratio = min(place.log_ratio, max(new, self.lost) * place.log_ratio, _MOST)
+        ratio = min(place.log_ratio, max(new, self.lost) * place.log_ratio)
+        ratio = min(ratio, _MOST if self.lost >= 0.5 else most)
         weight = unknown * self.lost * math.exp(ratio)
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
@@ -250,6 +251,19 @@ class Belief:
         """The log-ratio that the newest scan adds to a hypothesis."""
         seen, most = view.checks.get(h.key), self.config.max_log_ratio
         return 0.0 if seen is None else view.new_check * min(max(seen.known_ratio, -most), most)
+
+    def _check(self, h: Hypothesis, seen: Reading, view: View) -> None:
+        """Apply the newest scan. It was compared at few poses: where it fits, it holds what was
+        found, and makes nothing of it that a search over the map does not."""
+        evidence = self._evidence(h, view)
+        if evidence > 0.0:
+            h.views += view.new_check
+            self._place(h, seen, view)
+        if evidence > 0.0 and not h.believed:
+            h.probability, self.lost = h.probability + h.leaked, max(0.0, self.lost - h.leaked)
+        else:
+            h.probability *= math.exp(evidence)
+        h.leaked = 0.0
 
     def _place(self, h: Hypothesis, seen: Reading, view: View) -> None:
         """Take the pose that was measured, if it would be believed by itself."""

@@ -136,6 +136,14 @@ def error(state: State, truth: Float64) -> tuple[float, float]:
     return float(metres[0]), float(degrees[0])
 
 
+def within_three_sigma(state: State, truth: Float64) -> bool:
+    """Whether the position is off by at most three of its own standard deviations."""
+    if state.covariance is None or state.T_map_base is None:
+        return False
+    sigma = float(np.sqrt(np.linalg.eigvalsh(state.covariance[3:, 3:])[-1]))
+    return error(state, truth)[0] <= 3.0 * sigma
+
+
 def right(metres: float, degrees: float, off_m: float) -> bool:
     """Whether a pose is where it is said to be."""
     return metres <= off_m and degrees <= OFF_DEG
@@ -154,6 +162,11 @@ def stream_record(stream: Stream) -> dict[str, Any]:
         ]
     )
     metres = np.diff(geometry.travelled(stream.truths), prepend=0.0)
+    degraded = [
+        within_three_sigma(step.state, T)
+        for step, T in zip(steps, stream.truths, strict=True)
+        if step.state.status is Status.DEGRADED
+    ]
     return {
         "stream": stream.name,
         "seed": stream.seed,
@@ -162,6 +175,8 @@ def stream_record(stream: Stream) -> dict[str, Any]:
         "localized": int((sure & covered & ~off).sum()),
         "false_m": round(float(metres[sure & off].sum()), 2),
         "degraded_false_m": round(float(metres[~sure & off].sum()), 2),
+        "degraded": len(degraded),
+        "degraded_within": sum(degraded),
         "errors": np.round(np.array(errors)[sure & ~off, 0], 3).tolist(),
         "scan_ms": [round(step.scan_ms, 2) for step in steps],
         "query_ms": [round(ms, 2) for step in steps for ms in step.query_ms],
@@ -244,6 +259,7 @@ COLUMNS = (
     "first fix, median / 95 % (m)",
     "false (m)",
     "degraded and false (m)",
+    "degraded within three sigma",
     "error, median / 95 % (m)",
     "a scan, median / 99 % (ms)",
     "a query, median / 99 % (ms)",
@@ -279,6 +295,7 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
                 _spread(fixes, 95, 0),
                 round(total["false_m"], 1),
                 round(total["degraded_false_m"], 1),
+                f"{total['degraded_within']} of {total['degraded']}",
                 _spread(_joined(here, "errors"), 95, 2),
                 _spread(scan, 99, 1),
                 _spread(query, 99, 0),
@@ -288,7 +305,15 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
     return rows
 
 
-_SUMS = ("scans", "covered", "localized", "false_m", "degraded_false_m")
+_SUMS = (
+    "scans",
+    "covered",
+    "localized",
+    "false_m",
+    "degraded_false_m",
+    "degraded",
+    "degraded_within",
+)
 
 
 def _joined(records: list[dict[str, Any]], key: str) -> Float64:

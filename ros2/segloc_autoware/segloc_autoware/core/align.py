@@ -27,7 +27,7 @@ class Aligned:
     success : bool
         Whether the robot was found near the pose of the request.
     reliable : bool
-        Whether a query passed every gate of verification there, and nothing contradicts it since.
+        Whether the tracker is localized there.
     pose : PoseReply or None
         Where it is now; None where it was not found: the request's own is given back.
     """
