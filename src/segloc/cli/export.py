@@ -20,7 +20,7 @@ def export(
         str,
         typer.Option(
             metavar="FORMAT",
-            help="Format. Maps: pcd, ply, laz, autoware, nav2; `align`: g2o, loops; any: tum, geojson.",
+            help="Maps: pcd, ply, laz, autoware, nav2; `align`: g2o, loops; any: tum, geojson.",
         ),
     ],
     out: Annotated[

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from ..errors import ConfigError, SeglocError
+from ..frontend.segmentation import SegmentationConfig
 from ..map.segment_map import SegmentMap
 from ..proposals.occupancy import Ground, storeys
 from ..system.files import replacing, write_text
@@ -25,6 +26,7 @@ FREE, UNKNOWN, OCCUPIED = 254, 205, 0
 _MAX_CELLS = 200_000_000
 _GROUND_REACH_M = 0.5  # the map keeps a point of ground a metre
 _HIGHEST_GROUND_M = 0.1  # above the ground itself
+_MAX_STEP_M, _PASSAGE_M = 5.0, 0.25  # between positions; beside their line
 Grid = NDArray[np.uint8]
 
 
@@ -62,7 +64,8 @@ def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[s
     out.mkdir(parents=True, exist_ok=True)
     for k, (cloud, stations) in enumerate(parts):
         name = "map" if len(parts) == 1 else f"map_{k}"
-        grid, corner = occupancy_grid(cloud, stations, prior_map.cloud_voxel, options)
+        driven = stations if len(prior_map.sensor_positions) else stations[:0]
+        grid, corner = occupancy_grid(cloud, stations, prior_map.cloud_voxel, options, driven)
         _write(out, name, grid, corner + prior_map.origin[:2], options)
         if len(parts) > 1 and len(stations):
             z = float(np.median(stations[:, 2]) + prior_map.origin[2])
@@ -71,7 +74,7 @@ def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[s
 
 
 def occupancy_grid(
-    cloud: Float32, path: Float64, voxel: float, options: GridOptions
+    cloud: Float32, path: Float64, voxel: float, options: GridOptions, driven: Float64
 ) -> tuple[Grid, Float64]:
     """A grid of a cloud, rows rising with y, and the lower left corner.
 
@@ -85,9 +88,9 @@ def occupancy_grid(
     voxel : float
         Distance of the cloud's points [m].
     options : GridOptions
+    driven : (W, 3) float64
+        Positions of the sensor, between which it moved on free ground.
     """
-    from ..frontend.segmentation import SegmentationConfig
-
     edge = options.resolution_m
     heights = cloud[:, 2] - Ground(cloud, path, SegmentationConfig()).below_cloud
     corner = np.floor(cloud[:, :2].min(axis=0) / edge).astype(np.float64) * edge
@@ -104,7 +107,21 @@ def occupancy_grid(
     grid = np.full(shape, UNKNOWN, np.uint8)
     grid[free] = FREE
     grid[occupied] = OCCUPIED
+    grid[_passed(driven[:, :2] - corner, shape, edge)] = FREE
     return grid, corner
+
+
+def _passed(positions: Float64, shape: tuple[int, int], edge: float) -> NDArray[np.bool_]:
+    """Cells that the sensor passed over, on the lines between positions near each other."""
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    lines = [
+        np.linspace(a, b, 1 + int(np.ceil(step / edge)))
+        for a, b, step in zip(positions, positions[1:], steps, strict=False)
+        if step < _MAX_STEP_M
+    ]
+    cells = np.floor(np.concatenate([positions, *lines]) / edge).astype(np.int64)
+    inside = ((cells >= 0) & (cells < [shape[1], shape[0]])).all(axis=1)
+    return _marked(cells[inside], shape, _PASSAGE_M / edge)
 
 
 def _marked(cells: NDArray[np.int64], shape: tuple[int, int], reach: float) -> NDArray[np.bool_]:
