@@ -10,15 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DatasetError, MissingDependency
+from ..errors import DatasetError, InvalidScan, MissingDependency
+from ..geometry import transform
+from ..system.checks import checked_pose
 from ..types import Float64
 from . import pcd, ply
 from .fields import column, faults_of, one_line
 from .las import import_laspy
-from .scans import read_scan, scan_suffix
+from .scans import read_file, read_scan, scan_suffix
 
 PART = 1_000_000
 """Points that are read at a time."""
+SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
+"""Of files that hold nothing but clouds; these are read of a folder."""
+GLIM = "points_compact.bin"
+"""The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
 _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
 E57 = ".e57"
 
@@ -26,8 +32,8 @@ Progress = Callable[[int, int], None]
 
 
 def is_cloud(path: Path) -> bool:
-    """Whether a file's name is that of a point cloud."""
-    return scan_suffix(path) is not None or path.suffix.lower() == E57
+    """Whether a name is that of a point cloud and of nothing else."""
+    return path.suffix.lower() in SUFFIXES
 
 
 def cloud_files(path: str | Path) -> list[Path]:
@@ -42,11 +48,12 @@ def cloud_files(path: str | Path) -> list[Path]:
     if not where.is_dir():
         if not where.is_file():
             raise DatasetError(f"{where}: no such file")
-        if not is_cloud(where):
-            raise DatasetError(f"{where}: not a point cloud by its name")
+        if not is_cloud(where) and scan_suffix(where) is None:
+            raise DatasetError(f"{where}: not a point cloud by its name: {', '.join(SUFFIXES)}")
         return [where]
     # A folder may be called map.pcd, as Autoware's is.
-    found = sorted(file for file in where.rglob("*") if file.is_file() and is_cloud(file))
+    found = sorted(where.rglob(GLIM))
+    found = found or sorted(file for file in where.rglob("*") if file.is_file() and is_cloud(file))
     if not found:
         raise DatasetError(f"{where}: no point cloud in this folder")
     return found
@@ -55,6 +62,7 @@ def cloud_files(path: str | Path) -> list[Path]:
 def read_cloud(path: str | Path, progress: Progress | None = None) -> Iterator[Float64]:
     """Read a cloud, or a folder of its tiles, in parts of about a million points.
 
+    Tiles share a frame, except submaps of GLIM, whose poses lie beside them.
     PCD, PLY, LAS and XYZ files are read part by part, E57 and compressed PCD files whole.
 
     Parameters
@@ -78,13 +86,29 @@ def read_cloud(path: str | Path, progress: Progress | None = None) -> Iterator[F
     files = cloud_files(path)
     for done, file in enumerate(files):
         with faults_of(file):
-            yield from _parts(file)
+            T = _placed(file)
+            for part in _parts(file):
+                yield part if T is None else transform(T, part)
         if progress:
             progress(done + 1, len(files))
 
 
+def _placed(path: Path) -> Float64 | None:
+    """The pose of a submap in the frame of all; None if it lies in that frame."""
+    if path.name != GLIM:
+        return None
+    words = read_file(path.parent / "data.txt").decode("utf-8", "replace").split()
+    try:
+        first = words.index("T_world_origin:") + 1
+        return checked_pose(np.array(words[first : first + 16], float).reshape(4, 4), "pose")
+    except (ValueError, InvalidScan) as error:
+        raise DatasetError(f"no T_world_origin in data.txt beside it: {error}") from error
+
+
 def _parts(path: Path) -> Iterator[Float64]:
     suffix = path.suffix.lower()
+    if path.name == GLIM:
+        return iter([np.fromfile(path, "<f4").reshape(-1, 3).astype(np.float64)])
     if suffix == E57:
         return _e57(path)
     if suffix in (".las", ".laz"):
