@@ -48,6 +48,7 @@ PACKAGES = {
     "yaml": "config map system",
     "laspy": "io",
     "lazrs": "io",
+    "e57": "io",
     "rosbags": "datasets.ros",
     "lz4": "datasets.ros",
     "velodyne_decoder": "datasets.packets",

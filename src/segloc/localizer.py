@@ -342,15 +342,15 @@ def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
 
 def _likelihood(prior_map: SegmentMap, config: Config) -> Likelihood:
     """Compares a query with the map's own cloud."""
-    path = prior_map.trajectory[:, :3, 3]
+    viewpoints = prior_map.trajectory[:, :3, 3]
     return Likelihood(
         prior_map.cloud,
         prior_map.origin,
         config.verification,
         separation=config.pose.separation,
         threads=config.threads,
-        storeyed=is_storeyed(path - prior_map.origin),
-        path=path,
+        storeyed=is_storeyed(viewpoints - prior_map.origin),
+        path=prior_map.sensor_positions,
     )
 
 

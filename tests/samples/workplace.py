@@ -65,6 +65,7 @@ def furnish(root: Path) -> Path:
         write_tum(root / f"{name}.tum", timed)
     write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), first.poses))
     write_scan(root / "scan.pcd", points_of(first, 4))
+    write_scan(root / "cloud.pcd", Plaza(1, objects=90).points)
     build_map(_few(first), Config.preset("profile")).save(root / "site.segmap")
     return root
 

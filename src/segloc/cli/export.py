@@ -20,15 +20,23 @@ def export(
         str,
         typer.Option(
             metavar="FORMAT",
-            help="Format. Maps: pcd, ply, laz, autoware; `align`: g2o, loops; any: tum, geojson.",
+            help="Maps: pcd, ply, laz, autoware, nav2; `align`: g2o, loops; any: tum, geojson.",
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FILE_OR_DIR", help="Output file; for autoware a folder.")
+        Path,
+        typer.Option(metavar="FILE_OR_DIR", help="Output file; for autoware and nav2 a folder."),
     ],
     tile: Annotated[
         float, typer.Option(min=1, metavar="METRES", help="Edge of the Autoware tiles.")
     ] = 20.0,
+    resolution: Annotated[
+        float, typer.Option(metavar="METRES", help="Edge of a cell of the nav2 grid.")
+    ] = 0.05,
+    heights: Annotated[
+        str,
+        typer.Option(metavar="LOW,HIGH", help="Heights of obstacles over ground [m], for nav2."),
+    ] = "0.4,1.8",
     epsg: Annotated[
         int | None,
         typer.Option(
@@ -50,17 +58,30 @@ def export(
     """Export a map or results to another format.
 
     pcd, ply, laz: the map's cloud. autoware: the same in tiles, with pointcloud_map_metadata.yaml.
+    nav2: occupancy grid, map.pgm and map.yaml; of a building with storeys one pair each.
     g2o: the scans of aligned sessions, with odometry and loops. loops: these loops as JSON lines.
     tum: poses, by time where the recording has times. geojson: paths.
     """
     from ..export import export as written
     from ..export.formats import Options
+    from ..export.nav2 import GridOptions
     from ..export.tracks import Place
     from .console import busy, note
 
+    grid = GridOptions(resolution, *_slice(heights))
     place = None if at is None else Place.parse(at)
     with busy("Writing"):
-        notes = list(written(source, to, out, Options(tile, epsg, place)))
+        notes = list(written(source, to, out, Options(tile, epsg, place, grid)))
     for line in notes:
         note(line)
     print(out)
+
+
+def _slice(text: str) -> tuple[float, float]:
+    from ..errors import ConfigError
+
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"--heights expects LOW,HIGH in metres, not {text[:40]!r}") from error
+    return low, high

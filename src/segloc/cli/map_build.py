@@ -157,8 +157,13 @@ def _opened(
 ) -> Sequence:
     """A recording that a map can be built of."""
     from ..errors import DatasetError
+    from ..io.clouds import is_cloud
     from .recording import open_recording
 
+    if path.is_file() and is_cloud(path):
+        raise DatasetError(
+            f"{path}: is one point cloud, not a recording with poses: use `segloc map from-cloud`"
+        )
     mount = settings.local_cloud.mount
     recording = open_recording(
         path, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount

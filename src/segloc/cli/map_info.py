@@ -47,6 +47,9 @@ def show(prior_map: SegmentMap, title: str) -> None:
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
     ]
+    if "cloud" in prior_map.metadata.get("source", ""):
+        spacing = prior_map.metadata.get("cloud_spacing_m", "unknown")
+        rows.append(("made from", f"a cloud, points {spacing[:_MOST_TEXT]} m apart"))
     if frame := prior_map.metadata.get("frame"):
         rows.append(("frame", frame[:_MOST_TEXT]))
     if (where := Georeference.of(prior_map.metadata)) is not None:

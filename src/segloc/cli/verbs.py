@@ -34,7 +34,7 @@ ORDER = (
 LABORATORY = ("evaluate", "simulate", "train", "bench")
 """Verbs that ``segloc-lab`` adds."""
 
-MAPS = ("build", "info", "merge", "update", "tile")
+MAPS = ("build", "from-cloud", "info", "merge", "update", "tile")
 VERSION = "--version"
 """Needs no verb."""
 
@@ -117,7 +117,8 @@ def _add(app: typer.Typer, name: str) -> None:
     if name == "map":
         maps = group("Build, inspect, merge and update maps.")
         for inner in MAPS:
-            maps.command(inner)(_member(f"map_{inner}", inner))
+            function = inner.replace("-", "_")
+            maps.command(inner)(_member(f"map_{function}", function))
         app.add_typer(maps, name=name, context_settings=HELP_NAMES)
     else:
         app.command(name)(_member(name, name))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..motion import odometry_covariance
 from ..system.checks import checked_pose
 from ..system.files import checked_target, replacing, write_text
 from ..types import Float32, Float64, Int64
+from .nav2 import GridOptions, write_nav2
 from .sources import AlignedSource, FoundSource, MapSource, opened
 from .tracks import Place, write_geojson, write_tum_files
 
@@ -41,11 +42,14 @@ class Options:
         Frame that GeoJSON names.
     place : Place or None
         Where the map's origin lies on the globe, for GeoJSON.
+    grid : GridOptions
+        For Nav2.
     """
 
     tile_m: float = 20.0
     epsg: int | None = None
     place: Place | None = None
+    grid: GridOptions = field(default_factory=GridOptions)
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,12 @@ FORMATS = {
         (MapSource,),
         "the map's cloud in PCD tiles with their metadata",
         lambda s, out, o: write_autoware(s.prior_map, out, o.tile_m),
+        folder=True,
+    ),
+    "nav2": Format(
+        (MapSource,),
+        "occupancy grids, map.pgm and map.yaml",
+        lambda s, out, o: write_nav2(s.prior_map, out, o.grid),
         folder=True,
     ),
     "g2o": Format(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -104,3 +105,30 @@ def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | No
             nanoseconds = columns[3].dtype.kind in "iu"
         times = np.asarray(columns[3], dtype=np.float64)
         return Scan(points, times=times * 1e-9 if nanoseconds else times)
+
+
+@dataclass(frozen=True)
+class PointLayout:
+    """Where x, y and z stand in a file whose points all have one size.
+
+    Attributes
+    ----------
+    count : int
+        Number of points.
+    start : int
+        First byte of the points.
+    columns : (int, int, int)
+        First bytes of x, y and z in a point; in a text their columns.
+    dtypes : tuple of dtype
+        Of x, y and z.
+    stride : int
+        Bytes of a point.
+    text : bool
+    """
+
+    count: int
+    start: int
+    columns: tuple[int, ...]
+    dtypes: tuple[np.dtype[Any], ...] = ()
+    stride: int = 0
+    text: bool = False

@@ -127,7 +127,7 @@ def parse_las(data: bytes) -> Scan:
     if header.points == 0:
         return Scan(np.empty((0, 3), dtype=np.float32))
     check_points(header.points)
-    laspy = _import_laspy("reading .las and .laz files")
+    laspy = import_laspy("reading .las and .laz files")
     try:
         with (
             np.errstate(all="ignore"),
@@ -150,7 +150,8 @@ def parse_las(data: bytes) -> Scan:
     return Scan(points, times=times)
 
 
-def _import_laspy(purpose: str) -> Any:
+def import_laspy(purpose: str) -> Any:
+    """laspy, if it can read compressed files."""
     try:
         import laspy
         import lazrs  # noqa: F401
@@ -218,7 +219,7 @@ def format_laz(
     Raise DatasetError if a coordinate is beyond what 32 bits of such steps can hold, about 2147 km
     from there.
     """
-    laspy = _import_laspy("writing .laz files")
+    laspy = import_laspy("writing .laz files")
     origin = np.zeros(3) if offset is None else offset
     steps = np.rint((points.astype(np.float64) - origin) / RESOLUTION)
     if np.abs(steps).max(initial=0) > np.iinfo(np.int32).max:

@@ -14,6 +14,7 @@ from ..errors import DatasetError
 from ..system.budget import check_bytes, check_points
 from ..types import Float32, Scan
 from .fields import (
+    PointLayout,
     column,
     header_lines,
     parse_count,
@@ -78,6 +79,7 @@ class _Header:
 def parse_pcd(data: bytes) -> Scan:
     """Read a PCD file; VIEWPOINT is ignored, so points stay in the frame they are stored in."""
     header = _parse_header(data)
+    check_points(header.points)
     if header.encoding == "ascii":
         return _parse_ascii(data, header)
     if header.encoding == "binary":
@@ -87,6 +89,20 @@ def parse_pcd(data: bytes) -> Scan:
     raise DatasetError(f"DATA is {header.encoding[:40]!r}, not ascii, binary or binary_compressed")
 
 
+def point_layout(head: bytes) -> PointLayout | None:
+    """Where the coordinates stand, by the first bytes of a file; None if it is compressed."""
+    header = _parse_header(head)
+    if header.encoding == "ascii":
+        firsts = np.cumsum([0] + [field.count for field in header.fields])
+        columns = tuple(int(firsts[k]) for k in header.wanted[:3])
+        return PointLayout(header.points, header.start, columns, text=True)
+    if header.encoding != "binary":
+        return None
+    columns = tuple(at for _, at in header.offsets[:3])
+    dtypes = tuple(header.fields[k].dtype for k in header.wanted[:3])
+    return PointLayout(header.points, header.start, columns, dtypes, header.stride)
+
+
 def _parse_header(data: bytes) -> _Header:
     entries: dict[str, list[str]] = {}
     for words, start in header_lines(data):
@@ -94,7 +110,6 @@ def _parse_header(data: bytes) -> _Header:
             entries[words[0]] = words[1:]
         if "DATA" in entries:
             fields, points = _parse_fields(entries), _parse_num_points(entries)
-            check_points(points)
             return _Header(fields, points, " ".join(entries["DATA"]).lower(), start)
     raise DatasetError("not a PCD file: its header has no DATA line")
 

@@ -12,6 +12,7 @@ from ..errors import DatasetError
 from ..system.budget import check_points
 from ..types import Float32, Scan
 from .fields import (
+    PointLayout,
     column,
     header_lines,
     parse_count,
@@ -69,6 +70,21 @@ def parse_ply(data: bytes) -> Scan:
     for element in before:
         start = _skip(data, start, element, order)
     return _parse_binary(data, start, vertex, order)
+
+
+def point_layout(head: bytes) -> PointLayout | None:
+    """Where the coordinates stand, by the first bytes of a file; None if that takes reading it."""
+    order, elements, start = _parse_header(head)
+    vertex = elements[0] if elements else None
+    if vertex is None or vertex.name != "vertex" or vertex.has_lists:
+        return None
+    wanted = wanted_columns(_single(vertex))[:3]
+    if not order:
+        return PointLayout(vertex.count, start, tuple(wanted), text=True)
+    dtypes = [np.dtype(order + prop.type) for prop in vertex.properties]
+    places = tuple(sum(dtype.itemsize for dtype in dtypes[:k]) for k in wanted)
+    kinds = tuple(dtypes[k] for k in wanted)
+    return PointLayout(vertex.count, start, places, kinds, vertex.stride)
 
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ..errors import ConfigError, WeightsError
 from ..system.section import Section
-from .observation import Count, Observation
+from .observation import DOUBTFUL, Count, Observation
 
 FEATURES = (
     "in_view",
@@ -35,8 +35,8 @@ _CHANCE_INLIERS = 4
 """Segments that agree on some wrong pose of any map."""
 _MAX_IN_VIEW = 3000
 """Map points in view beyond which more say no more."""
-DOUBTFUL, FREE = Count(40, 2000), Count(0, 2000)
-"""What may stand in free space where it is not measured, and at best."""
+FREE = Count(0, 2000)
+"""What stands in free space at best."""
 
 _SEEN, _INTRUDING = 0.75, 0.02
 """Shares of the map in view that are seen, and of a query that stand in free space, at right poses

@@ -76,6 +76,10 @@ class Count(NamedTuple):
         return math.log((self.hits + prior) / (self.of - self.hits + prior))
 
 
+DOUBTFUL = Count(40, 2000)
+"""What may stand in free space where it is not measured."""
+
+
 @dataclass(frozen=True)
 class RankedCandidate:
     """A candidate with the overlap of the clouds where it stands.
@@ -434,7 +438,12 @@ class Compared:
         return flush_count(self._map.close, source, self._T, offset)
 
     def intruding(self) -> Count:
-        """Count what stands in free space of the map, of what is known to stand or not to."""
+        """Count what stands in free space of the map, of what is known to stand or not to.
+
+        Where the map has no measured free space, as many as in doubt.
+        """
+        if not len(self._map.path):
+            return DOUBTFUL
         index, sample = self._map.target.index, self._query.sample
         return intruding_count(index, sample, self._T, self._map.path, self._config)
 

@@ -13,8 +13,8 @@ from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .model import DOUBTFUL, FREE, shipped_model
-from .observation import Count, MapCloud, Observation, QueryCloud, RankedCandidate
+from .model import FREE, shipped_model
+from .observation import DOUBTFUL, Count, MapCloud, Observation, QueryCloud, RankedCandidate
 from .posterior import Posterior, ScoredPose, log_odds
 
 _SLACK = 6.0

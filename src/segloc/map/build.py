@@ -20,7 +20,7 @@ from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
 from ..frontend.reach import reach_fault
 from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
-from ..frontend.tilt import frame_lean, levelled
+from ..frontend.tilt import Lean, frame_lean, levelled
 from ..system.files import folder_in
 from ..system.processes import all_of
 from ..types import Descriptors, Float64, Pose, Recording, Scanned, as_recording, stamp_at
@@ -130,7 +130,12 @@ def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[s
         return turned, {"frame": said, "T_map_odom": json.dumps(T_map_odom.tolist())}
     if lean is None or not lean.noticed:
         return sequence, {}
-    return sequence, {"frame": f"tilted by {lean.tilt_deg:.1f} degrees: its z axis is not up"}
+    return sequence, {"frame": tilt_text(lean)}
+
+
+def tilt_text(lean: Lean) -> str:
+    """What a map's metadata say of a frame that is not level."""
+    return f"tilted by {lean.tilt_deg:.1f} degrees: its z axis is not up"
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MapFormatError, SeglocError
+from ..io.clouds import is_cloud
 from ..system.files import replacing
 from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
 from .coding import (
@@ -145,6 +146,11 @@ def read(path: str | Path) -> Contents:
         is not finite or absurd; one line, which names file, field and row.
     """
     try:
+        if is_cloud(Path(path)) and Path(path).exists():
+            raise MapFormatError(
+                f"{path}: is a point cloud, not a map: make one of it by "
+                "`segloc map from-cloud CLOUD --out MAP.segmap`"
+            )
         if not Path(path).is_file():
             if Path(path).is_dir():
                 raise MapFormatError(f"{path}: is a folder, not a .segmap file")

@@ -5,7 +5,7 @@ Functions below the class derive maps from maps: on another trajectory, or joine
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +25,15 @@ from .voxel_cloud import VoxelCloud
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+VIEWPOINTS, CHOSEN = "viewpoints", "chosen"
+"""Key of the metadata, and its value where the trajectory holds viewpoints that nothing was
+measured from."""
+
 
 class SegmentMap(SegmentTable):
     """Segments of a place with their descriptors, and the cloud that they were cut from.
 
-    Start from :meth:`from_scans`, :meth:`load` or :meth:`empty`.
+    Start from :meth:`from_scans`, :meth:`from_cloud`, :meth:`load` or :meth:`empty`.
 
     Attributes
     ----------
@@ -102,6 +106,42 @@ class SegmentMap(SegmentTable):
         built: SegmentMap = from_above("map.build", "build_map")(scans, config, poses=poses)
         return built
 
+    @classmethod
+    def from_cloud(
+        cls,
+        points: NDArray[np.floating] | Iterable[NDArray[np.floating]],
+        config: Section | None = None,
+        *,
+        trajectory: ArrayLike | None = None,
+        sensor_height: float | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> SegmentMap:
+        """Build a map from one finished cloud, without scans.
+
+        Parameters
+        ----------
+        points : (N, >=3) array of any float dtype, or iterable of such arrays
+            In the map's frame [m], whose z axis points up; UTM coordinates as float64.
+        config : Config, optional
+            By default that of the default method.
+        trajectory : (V, 4, 4) array, optional
+            Poses that the cloud was measured from; by default viewpoints on its free ground.
+        sensor_height : float, optional
+            Height of these over the ground [m], by default 1.
+        progress : callable, optional
+            Called with (ground covered, ground in all) by viewpoints.
+
+        Raises
+        ------
+        SeglocError
+            If the cloud is none, or has nothing that could be segmented.
+        """
+        more = {} if sensor_height is None else {"sensor_height": sensor_height}
+        built: SegmentMap = from_above("map.from_cloud", "build_from_cloud")(
+            points, config, trajectory=trajectory, progress=progress, **more
+        )
+        return built
+
     # --- what it holds -------------------------------------------------------------------------
 
     def __repr__(self) -> str:
@@ -124,6 +164,13 @@ class SegmentMap(SegmentTable):
     def trajectory(self) -> Float64:
         """Poses T_map_sensor along which the map was recorded, (V, 4, 4) float64."""
         return joined(self._trajectory)
+
+    @property
+    def sensor_positions(self) -> Float64:
+        """Positions that the map was measured from, (M, 3); none if viewpoints were chosen."""
+        chosen = CHOSEN in self.metadata.get(VIEWPOINTS, "")
+        positions: Float64 = self.trajectory[: 0 if chosen else None, :3, 3]
+        return positions
 
     @property
     def memory_bytes(self) -> int:
@@ -185,6 +232,16 @@ class SegmentMap(SegmentTable):
         columns = self._rows_of(descriptors, centroids, sizes, session, stamp)
         self._cloud.add(np.asarray(cloud))
         self._append(columns)
+
+    def add_cloud(self, points: ArrayLike) -> None:
+        """Add (N, 3) float points to verify poses against, map frame.
+
+        Raises
+        ------
+        SeglocError
+            If the shape or type is wrong, or a point is not finite.
+        """
+        self._cloud.add(np.asarray(points))
 
     def add_trajectory(self, poses: ArrayLike) -> None:
         """Add the path of the sensor: (V, 4, 4) poses T_map_sensor.

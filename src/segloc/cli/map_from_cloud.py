@@ -1,0 +1,73 @@
+"""``segloc map from-cloud``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import ConfigFile, Epsg, MapOut, Method, Threads, Weights, load_config
+
+
+def from_cloud(
+    cloud: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CLOUD",
+            help="PCD, PLY, LAS, LAZ, E57 or XYZ file, or a folder of tiles of these.",
+        ),
+    ],
+    out: MapOut,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Poses that the cloud was measured from, TUM or KITTI.",
+            show_default="viewpoints on free ground",
+        ),
+    ] = None,
+    sensor_height: Annotated[
+        float,
+        typer.Option(min=0.1, max=10, metavar="METRES", help="Height of viewpoints over ground."),
+    ] = 1.0,
+    epsg: Epsg = None,
+    method: Method = None,
+    config: ConfigFile = None,
+    weights: Weights = None,
+    threads: Threads = 0,
+) -> None:
+    """Build a map from one finished point cloud, without scans or poses.
+
+    The cloud stays in its own frame, whose z axis must point up; UTM coordinates are kept.
+    """
+    from ..io import read_trajectory
+    from ..io.clouds import read_cloud
+    from ..map.from_cloud import build_from_cloud
+    from ..map.georeference import KEY
+    from ..system.files import checked_target
+    from .console import note, progress
+    from .map_info import show
+    from .options import parsed_georeference
+    from .results import writing
+
+    checked_target(out)
+    where = parsed_georeference(epsg, None)
+    settings = load_config(config, method, threads, weights)
+    poses = None if trajectory is None else read_trajectory(trajectory).poses
+    with progress("Reading and mapping the cloud") as update:
+        prior_map = build_from_cloud(
+            read_cloud(cloud, update),
+            settings,
+            trajectory=poses,
+            sensor_height=sensor_height,
+            progress=update,
+        )
+    prior_map.metadata["sequence"] = cloud.name
+    if where is not None:
+        prior_map.metadata[KEY] = where.to_text()
+    with writing(out):
+        prior_map.save(out)
+    show(prior_map, str(out))
+    if frame := prior_map.metadata.get("frame"):
+        note(f"the cloud's frame is {frame}: turn the cloud level for good results")

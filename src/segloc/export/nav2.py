@@ -1,0 +1,147 @@
+"""Occupancy grids for Nav2: ``map.pgm`` and ``map.yaml`` of a map's cloud, one pair a storey.
+
+The layout is that of nav2_map_server: the first row of the picture is the highest y, the origin
+is the lower left corner, and values from 0 to 255 are occupied, unknown or free by thresholds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from ..errors import ConfigError, SeglocError
+from ..frontend.segmentation import SegmentationConfig
+from ..map.segment_map import SegmentMap
+from ..proposals.occupancy import Ground, storeys
+from ..system.files import replacing, write_text
+from ..types import Float32, Float64
+
+FREE, UNKNOWN, OCCUPIED = 254, 205, 0
+"""Grey values, as nav2_map_saver writes them."""
+_MAX_CELLS = 200_000_000
+_GROUND_REACH_M = 0.5  # the map keeps a point of ground a metre
+_HIGHEST_GROUND_M = 0.1  # above the ground itself
+_MAX_STEP_M, _PASSAGE_M = 5.0, 0.25  # between positions; beside their line
+Grid = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class GridOptions:
+    """How a map becomes a grid.
+
+    Attributes
+    ----------
+    resolution_m : float
+        Edge of a cell.
+    low_m, high_m : float
+        Obstacles lie between these heights over ground.
+    """
+
+    resolution_m: float = 0.05
+    low_m: float = 0.4
+    high_m: float = 1.8
+
+    def __post_init__(self) -> None:
+        if not (0.01 <= self.resolution_m <= 5.0 and 0.0 < self.low_m < self.high_m):
+            raise ConfigError(
+                f"a grid needs cells of 0.01 to 5 m and a slice of rising heights, not "
+                f"{self.resolution_m:g} m and {self.low_m:g} to {self.high_m:g} m"
+            )
+
+
+def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[str]:
+    """Write ``map.pgm`` and ``map.yaml``; of a building with storeys ``map_0``, ``map_1`` ..."""
+    if not len(prior_map.cloud):
+        raise SeglocError("the map has no cloud: there is nothing to write")
+    path = prior_map.trajectory[:, :3, 3] - prior_map.origin
+    parts = list(storeys(prior_map.cloud, path))
+    notes = []
+    out.mkdir(parents=True, exist_ok=True)
+    for k, (cloud, stations) in enumerate(parts):
+        name = "map" if len(parts) == 1 else f"map_{k}"
+        driven = stations if len(prior_map.sensor_positions) else stations[:0]
+        grid, corner = occupancy_grid(cloud, stations, prior_map.cloud_voxel, options, driven)
+        _write(out, name, grid, corner + prior_map.origin[:2], options)
+        if len(parts) > 1 and len(stations):
+            z = float(np.median(stations[:, 2]) + prior_map.origin[2])
+            notes.append(f"{name}: storey with viewpoints at z = {z:.1f} m")
+    return notes
+
+
+def occupancy_grid(
+    cloud: Float32, path: Float64, voxel: float, options: GridOptions, driven: Float64
+) -> tuple[Grid, Float64]:
+    """A grid of a cloud, rows rising with y, and the lower left corner.
+
+    Ground that is seen is free; what stands on it within the slice is occupied.
+
+    Parameters
+    ----------
+    cloud : (N, 3) float32
+    path : (V, 3) float64
+        Viewpoints of the map, in the cloud's frame.
+    voxel : float
+        Distance of the cloud's points [m].
+    options : GridOptions
+    driven : (W, 3) float64
+        Positions of the sensor, between which it moved on free ground.
+    """
+    edge = options.resolution_m
+    heights = cloud[:, 2] - Ground(cloud, path, SegmentationConfig()).below_cloud
+    corner = np.floor(cloud[:, :2].min(axis=0) / edge).astype(np.float64) * edge
+    cells = np.floor((cloud[:, :2] - corner) / edge).astype(np.int64)
+    shape = cells[:, 1].max() + 1, cells[:, 0].max() + 1
+    if shape[0] * shape[1] > _MAX_CELLS:
+        raise ConfigError(
+            f"a grid of {shape[1]} x {shape[0]} cells is too large: use a larger --resolution"
+        )
+    obstacle = (heights >= options.low_m) & (heights <= options.high_m)
+    floor = heights < min(options.low_m, _HIGHEST_GROUND_M + voxel)
+    free = _marked(cells[floor], shape, _GROUND_REACH_M / edge)
+    occupied = _marked(cells[obstacle], shape, 0.5 * voxel / edge)
+    grid = np.full(shape, UNKNOWN, np.uint8)
+    grid[free] = FREE
+    grid[occupied] = OCCUPIED
+    grid[_passed(driven[:, :2] - corner, shape, edge)] = FREE
+    return grid, corner
+
+
+def _passed(positions: Float64, shape: tuple[int, int], edge: float) -> NDArray[np.bool_]:
+    """Cells that the sensor passed over, on the lines between positions near each other."""
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    lines = [
+        np.linspace(a, b, 1 + int(np.ceil(step / edge)))
+        for a, b, step in zip(positions, positions[1:], steps, strict=False)
+        if step < _MAX_STEP_M
+    ]
+    cells = np.floor(np.concatenate([positions, *lines]) / edge).astype(np.int64)
+    inside = ((cells >= 0) & (cells < [shape[1], shape[0]])).all(axis=1)
+    return _marked(cells[inside], shape, _PASSAGE_M / edge)
+
+
+def _marked(cells: NDArray[np.int64], shape: tuple[int, int], reach: float) -> NDArray[np.bool_]:
+    """Cells, and those within a reach of them."""
+    marked = np.zeros(shape, bool)
+    marked[cells[:, 1], cells[:, 0]] = True
+    for _ in range(round(reach)):
+        marked = binary_dilation(marked, np.ones((3, 3), bool))
+    return marked
+
+
+def _write(out: Path, name: str, grid: Grid, corner: Float64, options: GridOptions) -> None:
+    height, width = grid.shape
+    with replacing(out / f"{name}.pgm") as stream:
+        stream.write(f"P5\n{width} {height}\n255\n".encode("ascii"))
+        stream.write(np.ascontiguousarray(grid[::-1]).tobytes())
+    write_text(out / f"{name}.yaml", "".join(_yaml(name, corner, options)))
+
+
+def _yaml(name: str, corner: Float64, options: GridOptions) -> Iterator[str]:
+    yield f"image: {name}.pgm\nmode: trinary\nresolution: {options.resolution_m:g}\n"
+    yield f"origin: [{corner[0]:.4f}, {corner[1]:.4f}, 0.0]\n"
+    yield "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"

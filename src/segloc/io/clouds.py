@@ -1,0 +1,226 @@
+"""Finished clouds of any size, read part by part in float64: files, and folders of tiles."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import DatasetError, InvalidScan, MissingDependency
+from ..geometry import transform
+from ..system.checks import checked_pose
+from ..types import Float64
+from . import pcd, ply
+from .fields import column, faults_of, one_line
+from .las import import_laspy
+from .scans import read_file, read_scan, scan_suffix
+
+PART = 1_000_000
+"""Points that are read at a time."""
+SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
+"""Of files that hold nothing but clouds; these are read of a folder."""
+GLIM = "points_compact.bin"
+"""The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
+_TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
+E57 = ".e57"
+
+Progress = Callable[[int, int], None]
+
+
+def is_cloud(path: Path) -> bool:
+    """Whether a name is that of a point cloud and of nothing else."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def cloud_files(path: str | Path) -> list[Path]:
+    """The files of a cloud: itself, or all that lie in a folder and its folders.
+
+    Raises
+    ------
+    DatasetError
+        If there is none.
+    """
+    where = Path(path)
+    if not where.is_dir():
+        if not where.is_file():
+            raise DatasetError(f"{where}: no such file")
+        if not is_cloud(where) and scan_suffix(where) is None:
+            raise DatasetError(f"{where}: not a point cloud by its name: {', '.join(SUFFIXES)}")
+        return [where]
+    # A folder may be called map.pcd, as Autoware's is.
+    found = sorted(where.rglob(GLIM))
+    found = found or sorted(file for file in where.rglob("*") if file.is_file() and is_cloud(file))
+    if not found:
+        raise DatasetError(f"{where}: no point cloud in this folder")
+    return found
+
+
+def read_cloud(path: str | Path, progress: Progress | None = None) -> Iterator[Float64]:
+    """Read a cloud, or a folder of its tiles, in parts of about a million points.
+
+    Tiles share a frame, except submaps of GLIM, whose poses lie beside them.
+    PCD, PLY, LAS and XYZ files are read part by part, E57 and compressed PCD files whole.
+
+    Parameters
+    ----------
+    path : path
+        A file or a folder.
+    progress : callable, optional
+        Called with (files read, files in all).
+
+    Yields
+    ------
+    (N, 3) float64
+
+    Raises
+    ------
+    DatasetError
+        If a file is missing, cut off or malformed; names it.
+    MissingDependency
+        If the format needs a package that is not installed.
+    """
+    files = cloud_files(path)
+    for done, file in enumerate(files):
+        with faults_of(file):
+            T = _placed(file)
+            for part in _parts(file):
+                yield part if T is None else transform(T, part)
+        if progress:
+            progress(done + 1, len(files))
+
+
+def _placed(path: Path) -> Float64 | None:
+    """The pose of a submap in the frame of all; None if it lies in that frame."""
+    if path.name != GLIM:
+        return None
+    words = read_file(path.parent / "data.txt").decode("utf-8", "replace").split()
+    try:
+        first = words.index("T_world_origin:") + 1
+        return checked_pose(np.array(words[first : first + 16], float).reshape(4, 4), "pose")
+    except (ValueError, InvalidScan) as error:
+        raise DatasetError(f"no T_world_origin in data.txt beside it: {error}") from error
+
+
+def _parts(path: Path) -> Iterator[Float64]:
+    suffix = path.suffix.lower()
+    if path.name == GLIM:
+        return iter([np.fromfile(path, "<f4").reshape(-1, 3).astype(np.float64)])
+    if suffix == E57:
+        return _e57(path)
+    if suffix in (".las", ".laz"):
+        return _las(path)
+    if suffix in _TEXT:
+        return _text(path)
+    if suffix == ".npy":
+        return _npy(path)
+    if suffix in (".pcd", ".ply") and path.stat().st_size:
+        return _mapped(path, suffix)
+    return iter([read_scan(path).points.astype(np.float64)])
+
+
+def _mapped(path: Path, suffix: str) -> Iterator[Float64]:
+    """A PCD or PLY file by its own columns, where its points have all one size."""
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        head = data[: 1 << 20]
+        layout = (pcd.point_layout if suffix == ".pcd" else ply.point_layout)(head)
+        if layout is None:
+            yield from _whole(path)
+            return
+        if layout.text:
+            yield from _rows(stream, layout.start, layout.columns, layout.count)
+            return
+        if layout.start + layout.count * layout.stride > len(data):
+            raise DatasetError(f"{layout.count} points do not fit into the file: it is cut off")
+        for first in range(0, layout.count, PART):
+            count = min(PART, layout.count - first)
+            at = layout.start + first * layout.stride
+            part = data[at : at + count * layout.stride]
+            yield np.column_stack(
+                [
+                    column(part, dtype, count, place, layout.stride).astype(np.float64)
+                    for dtype, place in zip(layout.dtypes, layout.columns, strict=True)
+                ]
+            )
+
+
+def _whole(path: Path) -> Iterator[Float64]:
+    yield read_scan(path).points.astype(np.float64)
+
+
+def _rows(
+    stream: Any, start: int, columns: tuple[int, ...], count: int | None
+) -> Iterator[Float64]:
+    """Rows of numbers between white space, commas or semicolons."""
+    stream.seek(start)
+    lines = (
+        line for line in stream if line.strip() and not line.lstrip().startswith((b"#", b"//"))
+    )
+    wanted = islice(lines, count)
+    while block := list(islice(wanted, PART)):
+        text = [line.replace(b",", b" ").replace(b";", b" ").decode("latin-1") for line in block]
+        try:
+            yield np.loadtxt(text, usecols=columns, ndmin=2, comments=None, dtype=np.float64)
+        except ValueError as error:
+            raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
+
+
+def _text(path: Path) -> Iterator[Float64]:
+    """Named columns x, y, z, or the first three; perhaps the number of points first."""
+    with path.open("rb") as stream:
+        start, columns = 0, (0, 1, 2)
+        while line := stream.readline():
+            if line.strip() and not line.lstrip().startswith((b"#", b"//")):
+                words = line.replace(b",", b" ").replace(b";", b" ").decode("latin-1").split()
+                names = [word.strip("\"'").lower() for word in words]
+                if {"x", "y", "z"} <= set(names):
+                    columns = (names.index("x"), names.index("y"), names.index("z"))
+                    start = stream.tell()
+                elif len(words) == 1 and words[0].isdecimal():
+                    start = stream.tell()
+                break
+        yield from _rows(stream, start, columns, None)
+
+
+def _npy(path: Path) -> Iterator[Float64]:
+    try:
+        rows = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError) as error:
+        raise DatasetError(f"cannot read: {one_line(error)}") from error
+    if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind != "f":
+        raise DatasetError(f"not (N, >=3) floating point numbers: {rows.shape} {rows.dtype}")
+    for first in range(0, len(rows), PART):
+        yield np.asarray(rows[first : first + PART, :3], dtype=np.float64)
+
+
+def _las(path: Path) -> Iterator[Float64]:
+    laspy = import_laspy("reading .las and .laz files")
+    try:
+        with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
+            scales, offsets = reader.header.scales, reader.header.offsets
+            for part in reader.chunk_iterator(PART):
+                steps = np.column_stack([part.array[axis] for axis in "XYZ"])
+                yield steps * scales + offsets
+    except (MemoryError, GeneratorExit, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # many kinds come through where bytes are wrong
+        raise DatasetError(f"cannot decode the points: {one_line(error)}") from error
+
+
+def _e57(path: Path) -> Iterator[Float64]:
+    """All scans of an E57 file, each in the file's own frame."""
+    try:
+        import e57
+    except ImportError as error:
+        raise MissingDependency("e57", "io", "reading .e57 files") from error
+    try:
+        points = np.asarray(e57.read_points(str(path)).points, dtype=np.float64)
+    except BaseException as error:  # of Rust, some no Exception
+        if isinstance(error, (MemoryError, KeyboardInterrupt)):
+            raise
+        raise DatasetError(f"cannot read the E57 file: {one_line(error)}") from error
+    for first in range(0, len(points), PART):
+        yield points[first : first + PART]

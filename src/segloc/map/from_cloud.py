@@ -1,0 +1,290 @@
+"""A finished cloud -> a map: viewpoints on its free ground, and what is visible from each.
+
+The segments of a view are those that a sensor could cut out there. What it looks through is not
+known, so a map of a cloud without a trajectory has no measured free space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _native, geometry
+from ..descriptors import create
+from ..errors import DatasetError, InvalidScan
+from ..frontend.segmentation import Segmenter, heights_above_ground
+from ..frontend.tilt import frame_lean
+from ..system.checks import checked_poses
+from ..types import Float32, Float64, LocalCloud, MemoryRecording
+from .build import View, add_view, empty_map, tilt_text
+from .compact import compacted
+from .config import BuildConfig, checked_build_config
+from .segment_map import CHOSEN, VIEWPOINTS, SegmentMap
+from .viewpoints import Ground, Occluders, Sight, Uncovered, tops
+from .voxel_cloud import thin
+
+SENSOR_HEIGHT_M = 1.0
+"""Default height of the viewpoints over the ground [m]."""
+SOURCE, SPACING = "source", "cloud_spacing_m"
+"""Keys of the metadata of a map: what it was made from, and how far apart the points were [m]."""
+
+VOXEL_M, OCCLUDER_M = 0.1, 0.3
+"""Voxels that the cloud is thinned to, and those of the surfaces that hide others [m]."""
+_COLUMN_M, _MAX_PENDING = 16.0, 4_000_000
+_HEADROOM_M = 0.4  # above a sensor
+_EVERY_M = 8.0  # between viewpoints on a trajectory
+_LATTICE_M, _MIN_LATTICE_POINTS, _LOW_PERCENT = 8.0, 100, 10.0
+_MARGIN_M = 10.0  # around a column whose ground is sought
+_LEAN_VIEWS, _LEAN_RADIUS_M = 12, 20.0
+
+Points = NDArray[np.floating]
+Progress = Callable[[int, int], None]
+
+
+class ThinCloud:
+    """A cloud of any size, of which one point a voxel is kept, in square columns.
+
+    Attributes
+    ----------
+    origin : (3,) float64
+        Points are kept relative to it, as float32.
+    """
+
+    def __init__(self) -> None:
+        self.origin: Float64 = np.zeros(3)
+        self._columns: dict[tuple[int, int], list[Float32]] = {}
+        self._occluders: dict[tuple[int, int], Occluders] = {}
+        self._pending = self._thinned = 0
+
+    def __len__(self) -> int:
+        return self._thinned
+
+    def add(self, points: Points) -> None:
+        """Add (N, >=3) points; those that are not finite are left out.
+
+        Raises
+        ------
+        InvalidScan
+            If they are something else.
+        """
+        if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] < 3:
+            raise InvalidScan("a cloud must be an array of (N, >=3) points, or arrays of them")
+        if points.dtype.kind != "f":
+            raise InvalidScan(f"the points of a cloud must be floating point, not {points.dtype}")
+        points = points[:, :3][np.isfinite(points[:, :3]).all(axis=1)]
+        if not len(points):
+            return
+        if not self._columns:
+            self.origin = np.round(np.median(points, axis=0)).astype(np.float64)
+        local = (points - self.origin).astype(np.float32)
+        cells = np.floor(local[:, :2] / _COLUMN_M).astype(np.int64)
+        order = np.lexsort((cells[:, 0], cells[:, 1]))
+        starts = np.flatnonzero(np.diff(cells[order], axis=0).any(axis=1)) + 1
+        for rows in np.split(order, starts):
+            key = int(cells[rows[0], 0]), int(cells[rows[0], 1])
+            self._columns.setdefault(key, []).append(local[rows])
+        self._pending += len(local)
+        if self._pending > max(_MAX_PENDING, self._thinned // 2):
+            self.thin()
+
+    def thin(self) -> None:
+        """Thin what was added since the last time."""
+        for key, parts in self._columns.items():
+            self._columns[key] = [thin(np.concatenate(parts), self.origin, VOXEL_M)]
+        self._thinned = sum(len(parts[0]) for parts in self._columns.values())
+        self._pending = 0
+
+    def columns(self) -> Iterator[Float32]:
+        """The points of each column."""
+        return (parts[0] for parts in self._columns.values())
+
+    def spacing(self) -> float:
+        """The distance of a point to its neighbours [m], at least about a voxel."""
+        densest = max(self.columns(), key=len)
+        return _native.point_spacing(densest, VOXEL_M, 1000)
+
+    def near(self, at: Float64, radius: float) -> Float32:
+        """The points within a horizontal distance."""
+        parts = [self._columns[key][0] for key in self._keys(at, radius)]
+        points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
+        offsets = points[:, :2] - at[:2].astype(np.float32)
+        return np.asarray(points[(offsets**2).sum(axis=1) < radius**2])
+
+    def occluders(self, at: Float64, radius: float) -> Occluders:
+        """The surfaces of the columns within a horizontal distance."""
+        parts = [self._occluder(key) for key in self._keys(at, radius)]
+        points = [part.points for part in parts] or [np.empty((0, 3), np.float32)]
+        normals = [part.normals for part in parts] or [np.empty((0, 3), np.float32)]
+        return Occluders(np.concatenate(points), np.concatenate(normals), OCCLUDER_M)
+
+    def surfaces(self, segmenter: Segmenter) -> Iterator[Float32]:
+        """What stands in each column, and its thinned ground: what poses are verified against."""
+        config = segmenter.config
+        for i, j in self._columns:
+            middle = (np.array([i, j]) + 0.5) * _COLUMN_M
+            points = self.near(middle, _COLUMN_M + _MARGIN_M)
+            heights = heights_above_ground(points, config)
+            own = (np.floor(points[:, :2] / _COLUMN_M) == [i, j]).all(axis=1)
+            points, above = points[own], heights[own] > config.structure_height
+            yield points[above]
+            yield _native.voxel_grid(np.ascontiguousarray(points[~above]), config.ground_voxel)
+
+    def _keys(self, at: Float64, radius: float) -> Iterator[tuple[int, int]]:
+        low = np.floor((at[:2] - radius) / _COLUMN_M).astype(int)
+        high = np.floor((at[:2] + radius) / _COLUMN_M).astype(int)
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                if (i, j) in self._columns:
+                    yield i, j
+
+    def _occluder(self, key: tuple[int, int]) -> Occluders:
+        if key not in self._occluders:
+            points = _native.voxel_grid(self._columns[key][0], OCCLUDER_M)
+            normals = _native.Surface(points, 1.0, 0.75).normals().astype(np.float32)
+            self._occluders[key] = Occluders(points, normals, OCCLUDER_M)
+        return self._occluders[key]
+
+
+def build_from_cloud(
+    points: Points | Iterable[Points],
+    config: BuildConfig | None = None,
+    *,
+    trajectory: ArrayLike | None = None,
+    sensor_height: float = SENSOR_HEIGHT_M,
+    progress: Progress | None = None,
+) -> SegmentMap:
+    """Build a map from one finished cloud.
+
+    Parameters
+    ----------
+    points : (N, >=3) array of any float dtype, or iterable of such arrays
+        In the map's frame [m], whose z axis points up; UTM coordinates as float64.
+    config : BuildConfig, optional
+        Or a :class:`segloc.Config`, which is one; by default that of the default method.
+    trajectory : (V, 4, 4) array, optional
+        Poses that the cloud was measured from. By default viewpoints are chosen on free ground, or
+        on a lattice if the cloud has no ground.
+    sensor_height : float
+        Height of chosen viewpoints over the ground [m].
+    progress : callable, optional
+        Called with (ground covered, ground in all) by viewpoints.
+
+    Raises
+    ------
+    DatasetError
+        If the cloud has no points, or nothing that could be segmented.
+    InvalidScan
+        If the points or poses are something else.
+    ConfigError
+        If ``config`` is none.
+    """
+    config = checked_build_config(config)
+    cloud = ThinCloud()
+    for part in [points] if isinstance(points, np.ndarray) else points:
+        cloud.add(part)
+    cloud.thin()
+    if not len(cloud):
+        raise DatasetError("the cloud has no points")
+    path = None if trajectory is None else _local_path(trajectory, cloud.origin)
+    descriptor = create(config.method, config.threads, config.weights)
+    prior_map = empty_map(descriptor, config, cloud.origin)
+    poses: list[Float64] = []
+    for view in _views(cloud, config, path, sensor_height, progress):
+        poses.append(view.T_map_local)
+        add_view(prior_map, view, descriptor.describe(view.scene.segments), with_cloud=False)
+    if not len(prior_map):
+        raise DatasetError(
+            f"no segment found in a cloud of {len(cloud)} voxels, from {len(poses)} viewpoints: "
+            "are the coordinates metres, and does the z axis point up?"
+        )
+    for surface in cloud.surfaces(Segmenter(config.segmentation)):
+        prior_map.add_cloud(surface + cloud.origin)
+    prior_map.add_trajectory(np.array(poses) if trajectory is None else np.asarray(trajectory))
+    used = config.model_copy(update={"threads": 0})
+    prior_map.metadata |= {SOURCE: "cloud", SPACING: f"{cloud.spacing():.2f}"}
+    prior_map.metadata |= {"config": used.to_yaml(), **_frame(cloud, poses, config)}
+    if trajectory is None:
+        prior_map.metadata[VIEWPOINTS] = CHOSEN
+    return compacted(prior_map, config.mapping.compact)
+
+
+def _local_path(trajectory: ArrayLike, origin: Float64) -> Float64:
+    """Positions of a trajectory relative to the cloud's origin."""
+    given = np.asarray(trajectory)
+    poses = checked_poses(given, len(given) if given.ndim else 0, "trajectory")
+    if not len(poses):
+        raise DatasetError("the trajectory has no poses")
+    return np.asarray(poses[:, :3, 3] - origin)
+
+
+def _views(
+    cloud: ThinCloud,
+    config: BuildConfig,
+    path: Float64 | None,
+    sensor_height: float,
+    progress: Progress | None,
+) -> Iterator[View]:
+    """What is visible from each viewpoint, segmented."""
+    segmenter, radius = Segmenter(config.segmentation), config.local_cloud.radius_m
+    seen = _from_path(cloud, path, radius, progress) if path is not None else None
+    for k, (eye, points) in enumerate(seen or _chosen(cloud, sensor_height, radius, progress)):
+        local = np.ascontiguousarray(points - eye.astype(np.float32))
+        scene = segmenter.segment(LocalCloud(local, np.eye(4), num_scans=2))
+        yield View(geometry.rigid(np.eye(3), eye + cloud.origin), float(k), scene)
+
+
+def _from_path(
+    cloud: ThinCloud, path: Float64, radius: float, progress: Progress | None
+) -> Iterator[tuple[Float64, Float32]]:
+    """Stations of a trajectory, with what is visible from each."""
+    stations = geometry.stations(geometry.arc_length(path), _EVERY_M)
+    for done, eye in enumerate(path[stations]):
+        sight, points = Sight(eye, cloud.occluders(eye, radius)), cloud.near(eye, radius)
+        yield eye, points[sight.sees(points)]
+        if progress:
+            progress(done + 1, len(stations))
+
+
+def _chosen(
+    cloud: ThinCloud, sensor_height: float, radius: float, progress: Progress | None
+) -> Iterator[tuple[Float64, Float32]]:
+    """Viewpoints on free ground, or else on a lattice, with what is visible from each."""
+    ground = Ground.of(
+        np.concatenate([tops(c, sensor_height + _HEADROOM_M) for c in cloud.columns()])
+    )
+    uncovered, any_found = Uncovered(ground, sensor_height), False
+    total = uncovered.left
+    while (place := uncovered.next()) is not None:
+        eye = uncovered.eye(place)
+        sight = Sight(eye, cloud.occluders(eye, radius))
+        uncovered.cover(place, sight)
+        points = cloud.near(eye, radius)
+        if uncovered.is_floor(place, points):
+            any_found = True
+            yield eye, points[sight.sees(points)]
+        if progress:
+            progress(total - uncovered.left, total)
+    if not any_found:
+        for eye in _lattice(cloud, sensor_height):
+            sight, points = Sight(eye, cloud.occluders(eye, radius)), cloud.near(eye, radius)
+            yield eye, points[sight.sees(points)]
+
+
+def _lattice(cloud: ThinCloud, sensor_height: float) -> Iterator[Float64]:
+    """Viewpoints over the lowest points of each square."""
+    cells = [np.unique(np.floor(c[:, :2] / _LATTICE_M), axis=0) for c in cloud.columns()]
+    for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * _LATTICE_M:
+        near = cloud.near(xy, _LATTICE_M)
+        if len(near) >= _MIN_LATTICE_POINTS:
+            yield np.append(xy, np.percentile(near[:, 2], _LOW_PERCENT) + sensor_height)
+
+
+def _frame(cloud: ThinCloud, poses: list[Float64], config: BuildConfig) -> dict[str, str]:
+    """What there is to say of the map's frame: whether its z axis is certainly not up."""
+    some = [poses[k] for k in geometry.spread(len(poses), _LEAN_VIEWS)]
+    eyes = [T[:3, 3] - cloud.origin for T in some]
+    scans = [cloud.near(eye, _LEAN_RADIUS_M) - eye.astype(np.float32) for eye in eyes]
+    lean = frame_lean(MemoryRecording(scans, np.array(some)), config.local_cloud)
+    return {"frame": tilt_text(lean)} if lean is not None and lean.noticed else {}

@@ -1,0 +1,99 @@
+"""Grids for Nav2, read as its map server reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from segloc import Config, ConfigError, SegmentMap, build_map
+from segloc.export import export
+from segloc.export.formats import Options
+from segloc.export.nav2 import GridOptions
+from segloc.types import Float64, Scan
+
+UTM = np.array([500_000.0, 5_400_000.0, 100.0])
+
+
+def hall() -> Float64:
+    """20 x 10 m with its corner at the origin, and a box at (12, 5)."""
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform([0, 0], [20, 10], (60_000, 2)), np.zeros(60_000)])
+    along, up = rng.uniform(0, 1, 20_000), rng.uniform(0, 2.5, 20_000)
+    x, y = 20 * along, 10 * along
+    walls = [np.column_stack([x, np.full_like(x, side), up]) for side in (0.0, 10.0)]
+    walls += [np.column_stack([np.full_like(y, side), y, up]) for side in (0.0, 20.0)]
+    box = rng.uniform([11.5, 4.5, 0.1], [12.5, 5.5, 1.5], (4000, 3))
+    return np.concatenate([floor, *walls, box])
+
+
+class Served:
+    """A grid as nav2_map_server loads it: trinary mode, -1 unknown, 0 free, 100 occupied."""
+
+    def __init__(self, folder: Path, name: str = "map") -> None:
+        self.facts = yaml.safe_load((folder / f"{name}.yaml").read_text())
+        data = (folder / self.facts["image"]).read_bytes()
+        magic, size, most, pixels = data.split(b"\n", 3)
+        width, height = map(int, size.split())
+        assert (magic, most, len(pixels)) == (b"P5", b"255", width * height)
+        shade = np.frombuffer(pixels, np.uint8).reshape(height, width)[::-1] / 255.0
+        occupancy = shade if self.facts["negate"] else 1.0 - shade
+        self.cells = np.full(shade.shape, -1)
+        self.cells[occupancy > self.facts["occupied_thresh"]] = 100
+        self.cells[occupancy < self.facts["free_thresh"]] = 0
+
+    def at(self, x: float, y: float) -> int:
+        """The cell at a position of AMCL's frame."""
+        x0, y0, yaw = self.facts["origin"]
+        assert yaw == 0.0
+        edge = self.facts["resolution"]
+        return int(self.cells[int((y - y0) / edge), int((x - x0) / edge)])
+
+
+def check(served: Served, shift: Float64) -> None:
+    def at(x: float, y: float) -> int:
+        return served.at(x + shift[0], y + shift[1])
+
+    assert at(12.0, 5.0) == 100
+    assert at(0.1, 5.0) == 100
+    assert at(10.0, 9.9) == 100
+    assert at(4.0, 5.0) == 0
+    assert at(17.0, 3.0) == 0
+
+
+@pytest.mark.parametrize("shift", [np.zeros(3), UTM])
+def test_the_grid_of_a_cloud_fits_its_frame(tmp_path: Path, shift: Float64) -> None:
+    SegmentMap.from_cloud(hall() + shift, Config(threads=1)).save(tmp_path / "hall.segmap")
+    export(tmp_path / "hall.segmap", "nav2", tmp_path / "nav")
+    check(Served(tmp_path / "nav"), shift)
+
+
+def test_the_grid_of_scans_is_free_where_the_sensor_was(tmp_path: Path) -> None:
+    poses = np.tile(np.eye(4), (9, 1, 1))
+    poses[:, :3, 3] = [(2.0 + 2.0 * k, 5.0 if k < 4 else 2.5, 1.0) for k in range(9)]
+    cloud = hall()
+    follower = np.random.default_rng(1).uniform([3.9, 4.9, 0.1], [4.1, 5.1, 1.6], (300, 3))
+    seen = [np.concatenate([cloud, follower]) - T[:3, 3] for T in poses]
+    scans = [Scan(points, T_odom_sensor=T) for points, T in zip(seen, poses, strict=True)]
+    build_map(scans, Config(threads=1)).save(tmp_path / "hall.segmap")
+    options = Options(grid=GridOptions(0.1, 0.4, 1.8))
+    export(tmp_path / "hall.segmap", "nav2", tmp_path / "nav", options)
+    served = Served(tmp_path / "nav")
+    check(served, np.zeros(3))
+    assert served.at(4.0, 5.0) == 0
+
+
+def test_a_slice_leaves_out_what_is_above_it(tmp_path: Path) -> None:
+    SegmentMap.from_cloud(hall(), Config(threads=1)).save(tmp_path / "hall.segmap")
+    options = Options(grid=GridOptions(0.1, 1.8, 2.4))
+    export(tmp_path / "hall.segmap", "nav2", tmp_path / "nav", options)
+    served = Served(tmp_path / "nav")
+    assert served.at(0.1, 5.0) == 100
+    assert served.at(12.0, 5.0) != 100
+
+
+def test_absurd_slices_are_refused() -> None:
+    with pytest.raises(ConfigError, match="rising heights"):
+        GridOptions(low_m=2.0, high_m=1.0)

@@ -1,0 +1,131 @@
+"""Finished clouds of every format, and of the layouts that mapping software writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from segloc import DatasetError, geometry
+from segloc.io import clouds, write_scan
+from segloc.io.clouds import read_cloud
+from segloc.io.las import format_laz
+from segloc.types import Float64
+
+UTM = np.array([500_000.0, 5_400_000.0, 300.0])
+
+
+@pytest.fixture
+def points() -> Float64:
+    return np.round(np.random.default_rng(0).uniform(-20, 20, (2500, 3)), 3)
+
+
+def read(path: Path) -> Float64:
+    return np.concatenate(list(read_cloud(path)))
+
+
+def pcd(points: Float64, encoding: str, size: int = 8) -> bytes:
+    head = (
+        f"# .PCD\nVERSION 0.7\nFIELDS intensity x y z\nSIZE 4 {size} {size} {size}\nTYPE F F F F\n"
+        f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA {encoding}\n"
+    )
+    if encoding == "ascii":
+        return (head + "".join(f"0 {x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in points)).encode()
+    rows = np.zeros(len(points), [("i", "<f4"), ("xyz", f"<f{size}", 3)])
+    rows["xyz"] = points
+    return head.encode() + rows.tobytes()
+
+
+def ply(points: Float64, text: bool) -> bytes:
+    kind = "ascii" if text else "binary_big_endian"
+    head = (
+        f"ply\nformat {kind} 1.0\nelement vertex {len(points)}\nproperty double x\n"
+        "property double y\nproperty double z\nproperty uchar red\nend_header\n"
+    )
+    if text:
+        return (head + "".join(f"{x:.3f} {y:.3f} {z:.3f} 7\n" for x, y, z in points)).encode()
+    rows = np.zeros(len(points), [("xyz", ">f8", 3), ("red", "u1")])
+    rows["xyz"] = points
+    return head.encode() + rows.tobytes()
+
+
+@pytest.mark.parametrize("name", ["a.pcd", "b.pcd", "a.ply", "b.ply", "a.laz", "a.xyz", "a.csv"])
+def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
+    tmp_path: Path, points: Float64, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clouds, "PART", 1000)
+    there = points + UTM
+    text = "".join(f"{x:.3f} {y:.3f} {z:.3f} 9\n" for x, y, z in there)
+    data = {
+        "a.pcd": lambda: pcd(there, "binary"),
+        "b.pcd": lambda: pcd(there, "ascii"),
+        "a.ply": lambda: ply(there, text=False),
+        "b.ply": lambda: ply(there, text=True),
+        "a.laz": lambda: format_laz(there, offset=UTM),
+        "a.xyz": lambda: f"2500\n{text}".encode(),
+        "a.csv": lambda: f"X,Y,Z,i\n{text.replace(' ', ',')}".encode(),
+    }[name]()
+    (tmp_path / name).write_bytes(data)
+    parts = list(read_cloud(tmp_path / name))
+    assert len(parts) == 3
+    assert np.abs(np.concatenate(parts) - there).max() < 1.1e-3
+
+
+def test_e57(tmp_path: Path) -> None:
+    pytest.importorskip("e57")
+    (tmp_path / "a.e57").write_bytes(b"ASTM-E57" + bytes(100))
+    with pytest.raises(DatasetError, match=r"a\.e57: cannot read the E57 file"):
+        read(tmp_path / "a.e57")
+
+
+def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:
+    folder = tmp_path / "map" / "pointcloud_map.pcd"
+    folder.mkdir(parents=True)
+    left = points[:, 0] < 0
+    for k, part in enumerate((points[left], points[~left])):
+        (folder / f"{20 * k}_0.pcd").write_bytes(pcd(part, "binary", size=4))
+    (tmp_path / "map" / "pointcloud_map_metadata.yaml").write_text("x_resolution: 20\n")
+    for where in (folder, tmp_path / "map"):
+        assert len(read(where)) == len(points)
+
+
+def test_a_dump_of_glim(tmp_path: Path, points: Float64) -> None:
+    T = geometry.yaw_transform(0.4, (5.0, 2.0, 1.0))
+    folder = tmp_path / "dump" / "000000"
+    folder.mkdir(parents=True)
+    inside = geometry.transform(geometry.inverse(T), points)
+    inside.astype("<f4").tofile(folder / "points_compact.bin")
+    inside.astype("<f4").tofile(folder / "covs_compact.bin")
+    rows = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in T)
+    (folder / "data.txt").write_text(f"id: 0\nT_world_origin: \n{rows}\nnum_frames: 1\n")
+    assert np.abs(read(tmp_path / "dump") - points).max() < 1e-4
+
+
+def test_results_of_kiss_slam(tmp_path: Path, points: Float64) -> None:
+    folder = tmp_path / "latest" / "local_maps" / "plys"
+    folder.mkdir(parents=True)
+    for k, part in enumerate(np.array_split(points, 2)):
+        write_scan(folder / f"{k:06d}.ply", part)
+    (folder.parent / "local_map_graph.g2o").write_text("FIX 0\n")
+    (tmp_path / "latest" / "poses_kitti.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    assert len(read(tmp_path / "latest")) == len(points)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.pcd", b"VERSION 0.7\n", "not a PCD file"),
+        ("b.pcd", pcd(np.ones((50, 3)), "binary")[:-9], "cut off"),
+        ("a.ply", b"ply\n", "header"),
+        ("a.xyz", b"1 2 3\n4 five 6\n", "cannot parse"),
+        ("a.laz", b"LASF" + bytes(300), "cannot decode"),
+        ("a.doc", b"text", "not a point cloud"),
+    ],
+)
+def test_damage_is_one_error(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(DatasetError, match=message) as found:
+        read(tmp_path / name)
+    assert name in str(found.value)
+    assert "\n" not in str(found.value)

@@ -1,0 +1,115 @@
+"""Maps of one finished cloud: scans are found in them, and nothing is made up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza, PlazaSequence
+
+from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap
+from segloc.map.from_cloud import ThinCloud
+from segloc.map.viewpoints import Occluders, Sight
+from segloc.types import Float64
+
+CONFIG = Config(threads=1)
+UTM = np.array([500_000.25, 5_400_000.5, 300.0])
+
+
+@pytest.fixture(scope="module")
+def site(plaza: Plaza) -> SegmentMap:
+    return SegmentMap.from_cloud(plaza.points, CONFIG)
+
+
+def errors_m(site: SegmentMap, plaza: Plaza, shift: Float64) -> list[float]:
+    localizer, walk = Localizer(site), PlazaSequence(plaza, 6, posed=False)
+    found = [localizer.localize(walk.scan(i)) for i in range(len(walk))]
+    return [
+        float(np.linalg.norm(r.T_map_sensor[:3, 3] - T[:3, 3] - shift))
+        for r, T in zip(found, walk.poses, strict=True)
+        if r.T_map_sensor is not None
+    ]
+
+
+def test_single_scans_are_found_in_a_cloud(site: SegmentMap, plaza: Plaza) -> None:
+    errors = errors_m(site, plaza, np.zeros(3))
+    assert len(errors) >= 5
+    assert max(errors) < 0.5
+    assert site.metadata["source"] == "cloud"
+
+
+def test_utm_coordinates_keep_centimetres(plaza: Plaza) -> None:
+    site = SegmentMap.from_cloud(np.array_split(plaza.points + UTM, 7), CONFIG)
+    errors = errors_m(site, plaza, UTM)
+    assert len(errors) >= 5
+    assert max(errors) < 0.5
+
+
+def test_the_order_and_the_parts_of_a_cloud_do_not_matter(site: SegmentMap, plaza: Plaza) -> None:
+    other = SegmentMap.from_cloud(iter([plaza.points[::2], plaza.points[1::2]]), CONFIG)
+    assert len(other) == pytest.approx(len(site), rel=0.1)
+    assert len(other.cloud) == pytest.approx(len(site.cloud), rel=0.01)
+
+
+def test_free_space_is_known_along_a_trajectory_alone(site: SegmentMap, plaza: Plaza) -> None:
+    walk = PlazaSequence(plaza, 6)
+    measured = SegmentMap.from_cloud(plaza.points, CONFIG, trajectory=walk.poses)
+    assert len(site.trajectory) and not len(site.sensor_positions)
+    assert len(measured.sensor_positions) == len(walk)
+    assert not len(site.merge(measured).sensor_positions)
+
+
+def test_viewpoints_stand_on_the_ground_of_every_storey_and_not_on_the_roof() -> None:
+    rng = np.random.default_rng(0)
+    parts = []
+    for low in (0.0, 3.0):  # two halls of 24 x 16 m, one above the other
+        xy = rng.uniform([0, 0], [24, 16], (60_000, 2))
+        for z in (low, low + 2.8):
+            parts.append(np.column_stack([xy, np.full(len(xy), z)]))
+        around = rng.uniform(0, 80, 40_000)
+        x = np.clip(np.where(around < 40, around, 64 - around), 0, 24)
+        y = np.clip(np.where(around < 40, around - 24, 80 - around), 0, 16)
+        parts.append(np.column_stack([x, y, rng.uniform(low, low + 2.8, len(x))]))
+        for x0, y0 in rng.uniform([3, 3], [21, 13], (6, 2)):  # columns and cupboards
+            box = rng.uniform([x0, y0, low], [x0 + 0.8, y0 + 0.5, low + 2.0], (800, 3))
+            parts.append(box)
+    site = SegmentMap.from_cloud(np.concatenate(parts), CONFIG)
+    heights = np.sort(np.unique(np.round(site.trajectory[:, 2, 3], 1)))
+    assert np.isclose(heights, 1.0, atol=0.2).any()
+    assert np.isclose(heights, 4.0, atol=0.2).any()
+    assert (heights < 5.0).all()
+
+
+def test_what_a_wall_hides_is_not_seen_and_the_wall_is_along_all_its_length() -> None:
+    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(-20, 20, 0.25), np.arange(0, 3, 0.25)))
+    wall = np.column_stack([np.full(len(y), 2.0), y, z]).astype(np.float32)
+    normals = np.tile(np.array([1, 0, 0], np.float32), (len(wall), 1))
+    sight = Sight(np.array([0.0, 0.0, 1.5]), Occluders(wall, normals, 0.3))
+    assert sight.sees(wall).all()
+    assert not sight.sees(wall + [1.5, 0, 0])[np.abs(y) < 15].any()
+
+
+def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-20, 20, (30, 2))
+    poles = [np.append(p, 0) + rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 4], (400, 3)) for p in xy]
+    site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG)
+    assert len(site) and len(site.trajectory) > 1
+
+
+def test_what_is_no_cloud_is_refused() -> None:
+    with pytest.raises(DatasetError, match="no points"):
+        SegmentMap.from_cloud(np.full((5, 3), np.nan), CONFIG)
+    with pytest.raises(InvalidScan, match="floating point"):
+        SegmentMap.from_cloud(np.zeros((5, 3), np.int64), CONFIG)
+    with pytest.raises(DatasetError, match="z axis"):
+        SegmentMap.from_cloud(np.zeros((5, 3)), CONFIG)
+
+
+def test_a_thin_cloud_holds_a_point_a_voxel() -> None:
+    cloud = ThinCloud()
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        cloud.add(rng.uniform(0, 2, (50_000, 3)) + UTM)
+    cloud.thin()
+    assert len(cloud) <= 21**3
+    assert np.abs(cloud.near(np.zeros(3), 10.0)).max() < 2.5
