@@ -38,10 +38,6 @@ MEASURED = 2
 HOME = ("own", "half", "padded")
 """Maps in which a query may have a right pose."""
 MEASURES = (
-    "x",
-    "y",
-    "z",
-    "heading",
     "error_m",
     "error_deg",
     "inliers",
@@ -57,8 +53,10 @@ MEASURES = (
     "intruding",
     "standing",
 )
-"""Columns of the fits: the pose [m, rad], its error (NaN in maps of other places), segments that
-agree with it and at most with a pose elsewhere, shares, and counts of points with their totals."""
+"""Columns of the fits: error of the pose (NaN in maps of other places), segments that agree with it
+and at most with a pose elsewhere, overlap, residual [m], and counts of points with their totals."""
+DECIMALS = {"error_m": 2, "error_deg": 1, "overlap": 4, "rmse": 3}
+"""Decimals that are kept of measures that are no counts."""
 
 
 Names = NDArray[np.str_]
@@ -181,7 +179,7 @@ def collect(world: World, config: Config) -> Rows:
     ends = np.cumsum([len(rows) for rows in fits])
     spans = np.column_stack([np.concatenate([[0], ends[:-1]]), ends])
     columns = map(np.array, zip(*records, strict=True))
-    return Rows(np.concatenate(fits).astype(np.float32), spans, *columns)
+    return Rows(rounded(np.concatenate(fits)), spans, *columns)
 
 
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
@@ -202,10 +200,17 @@ def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
         known = fit.has("intruding") or any(T is other for other in likeliest)
         free = fit.intruding if known else (np.nan, np.nan)
         counts = (*fit.seen, *fit.ground, *fit.flush, *free)
-        rows.append(
-            (*T[:3, 3], geometry.heading(T), *error, *agreeing, fit.overlap, fit.rmse, *counts)
-        )
+        rows.append((*error, *agreeing, fit.overlap, fit.rmse, *counts))
     return np.array(rows, np.float64).reshape(-1, len(MEASURES))
+
+
+def rounded(fits: Float64) -> Float32:
+    """Round measures, and order them by column: so they compress well."""
+    found = np.asfortranarray(fits, np.float32)
+    for name, decimals in DECIMALS.items():
+        column = MEASURES.index(name)
+        found[:, column] = np.round(found[:, column], decimals)
+    return found
 
 
 def errors(T_map_sensor: Pose, truth: Pose | None) -> tuple[float, float]:
