@@ -5,7 +5,10 @@ For each query in each map (:mod:`.rows`) the classes are the distinct poses tha
 convex. All tables show worlds judged by a fit to other worlds. False answers come in clumps, a
 world at a time, so worlds are counted beside queries. Real recordings take no part.
 
-    python -m segloc_lab.calibration.posterior ROWS --out src/segloc/weights/posterior.json
+The rows of the shipped weights are kept beside this module; ``--join`` made them of those of single
+worlds.
+
+    python -m segloc_lab.calibration.posterior --out src/segloc/weights/posterior.json
 """
 
 from __future__ import annotations
@@ -37,6 +40,8 @@ RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
 FOLDS = 12
+KEPT = Path(__file__).with_name("posterior-rows.npz")
+"""Rows to which the shipped weights were fitted."""
 FALSE_AT = (0, 1, 3, 10)
 """Numbers of false answers at which answers found are counted."""
 BINS = (0.5, 0.9, 0.99, 0.999, 1.0)
@@ -327,12 +332,11 @@ def weights_table(weights: Float64) -> Table:
 
 def main() -> None:
     options = reporting(__doc__)
-    options.add_argument("rows", type=Path, help="file of rows, or a folder of them")
+    options.add_argument("rows", type=Path, nargs="*", default=[KEPT], help="files of rows")
     options.add_argument("--join", type=Path, help="file to keep all rows in")
     options.add_argument("--out", type=Path, help="file of the model whose weights are replaced")
     args = options.parse_args()
-    files = args.rows.glob("*.npz") if args.rows.is_dir() else [args.rows]
-    paths = sorted(files, key=lambda path: path.stem.rsplit("-", 1)[-1])
+    paths = sorted(args.rows, key=lambda path: path.stem.rsplit("-", 1)[-1])
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
