@@ -33,8 +33,6 @@ PADDED = 60_000
 MAPS = ("own", "half", "mirrored", "padded", "same kind", "other kind")
 ALTERNATE = ({"mirrored"}, {"padded", "other kind"})
 """Maps in which only even and only odd queries are searched."""
-MEASURED = 2
-"""Poses of each query in each map at which everything is measured."""
 HOME = ("own", "half", "padded")
 """Maps in which a query may have a right pose."""
 MEASURES = (
@@ -183,24 +181,17 @@ def collect(world: World, config: Config) -> Rows:
 
 
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
-    """Measure a query in a map at the distinct poses that are compared there, (F, M).
-
-    Free space is measured at the likeliest two at least; it is NaN where it was not.
-    """
-    found = localizer.search(query)
+    """Measure a query in a map at all distinct poses that are compared there, (F, M)."""
+    found = localizer.search(query, thorough=True)
     apart = localizer.likelihood.separation.apart
-    likeliest = [place.T_map_local for place in found.posterior.places[:MEASURED]]
     rows = []
     for fit in found.fits:
         T = fit.T_map_local
         error = errors(T @ query.cloud.T_local_sensor, truth)
         others = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
         others += [o.inliers for o in found.fits if apart(o.T_map_local, T)]
-        agreeing = fit.inliers, max(others, default=0)
-        known = fit.has("intruding") or any(T is other for other in likeliest)
-        free = fit.intruding if known else (np.nan, np.nan)
-        counts = (*fit.seen, *fit.ground, *fit.flush, *free)
-        rows.append((*error, *agreeing, fit.overlap, fit.rmse, *counts))
+        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.intruding)
+        rows.append((*error, fit.inliers, max(others, default=0), fit.overlap, fit.rmse, *counts))
     return np.array(rows, np.float64).reshape(-1, len(MEASURES))
 
 
