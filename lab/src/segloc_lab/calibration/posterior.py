@@ -336,6 +336,8 @@ def card(records: Records, judged: Judged, rows: Rows) -> dict[str, Any]:
     return {
         "what": "Linear log-ratio of a pose against 'not in this map': a conditional logit",
         "command": command(),
+        "rows": "python -m segloc_lab.calibration.worlds --first-seed 21000 --each 21 --out WORLDS"
+        "; python -m segloc_lab.calibration.rows WORLDS --out ROWS",
         "data": f"{len(worlds)} simulated worlds of {len(KINDS)} kinds (seeds {seeds[0]} to "
         f"{seeds[-1]}), {len(records)} queries in maps, {int(records.right.any(axis=1).sum())} "
         f"with a right pose, {int(records.poses.sum())} poses. No real recording",
@@ -348,7 +350,7 @@ def write(path: Path, weights: Float64, card: dict[str, Any]) -> None:
     """Replace the weights and the card in a file of the model."""
     model = json.loads(path.read_text("utf-8"))
     model["weights"] = {n: round(float(w), 3) for n, w in zip(FEATURES, weights, strict=False)}
-    model["none"], model["card"] = round(float(weights[-1]), 3), card
+    model["none"], model["card"] = round(float(weights[-1]), 3), model["card"] | card
     path.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
