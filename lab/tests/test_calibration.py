@@ -5,8 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from segloc_lab.calibration.posterior import FEATURES, Judged, Records, fit
+from segloc_lab.calibration.posterior import FEATURES, KEPT, Judged, Records, fit, records_of
+from segloc_lab.calibration.rows import Rows
 from segloc_lab.calibration.worlds import MAX_THINNED, QuerySet, load_queries, save_queries
+
+from segloc.likelihood import shipped_model
+
+
+def test_the_shipped_weights_are_those_of_the_kept_rows() -> None:
+    found, model = fit(records_of(Rows.load(KEPT))), shipped_model()
+    assert np.allclose(found, [*(model.weights[n] for n in FEATURES), model.none], atol=0.02)
 
 
 def test_queries_are_made_again(tmp_path: Path) -> None:

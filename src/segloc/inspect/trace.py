@@ -196,13 +196,11 @@ def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]
     return {
         "in_view": f"{fit.seen.of} points of the map are in view",
         "flush": flush,
-        "ground": ground,
-        "inliers": counted(fit.inliers, "segments", "agree"),
         "inliers_over_rival": f"{fit.inliers} segments, elsewhere "
         f"{max([0, *(other.inliers for other in others)])}",
         "overlap_over_rival": f"{lies}, {_elsewhere([other.overlap for other in others])}",
         "seen_over_rival": f"{seen}, {_elsewhere([other.seen.share for other in others])}",
-        "flush_over_rival": f"{flush}, {_elsewhere([other.flush.share for other in others])}",
+        "ground_over_rival": f"{ground}, {_elsewhere([other.ground.share for other in others])}",
         "free_space": free,
     }
 

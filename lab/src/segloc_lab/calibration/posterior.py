@@ -1,11 +1,15 @@
-"""Fit the posterior to rows of simulated worlds, and report what it finds and how reliable it is.
+r"""Fit the posterior to rows of simulated worlds, and report what it finds and how reliable it is.
 
 For each query in each map (:mod:`.rows`) the classes are the distinct poses that were measured, and
 "not in this map": a conditional logit of :data:`segloc.likelihood.FEATURES` with a ridge, which is
 convex. All tables show worlds judged by a fit to other worlds. False answers come in clumps, a
 world at a time, so worlds are counted beside queries. Real recordings take no part.
 
-    python -m segloc_lab.calibration.posterior ROWS --out src/segloc/weights/posterior.json
+The rows of the shipped weights are kept beside this module; ``--join`` made them of those of single
+worlds.
+
+    python -m segloc_lab.calibration.posterior --out src/segloc/weights/posterior.json \
+        --figure docs/images/reliability.svg
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
+from segloc.inspect import GREEN, PATH, RED
 from segloc.likelihood import Count, VerificationConfig, shipped_model
 from segloc.likelihood.model import FEATURES, FREE
 from segloc.types import Float32, Float64, Int64
@@ -37,6 +42,8 @@ RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
 FOLDS = 12
+KEPT = Path(__file__).with_name("posterior-rows.npz")
+"""Rows to which the shipped weights were fitted."""
 FALSE_AT = (0, 1, 3, 10)
 """Numbers of false answers at which answers found are counted."""
 BINS = (0.5, 0.9, 0.99, 0.999, 1.0)
@@ -295,6 +302,32 @@ def _bin(p: Float64, judged: Judged, here: Mask) -> Iterator[Cell]:
     yield round(float((1.0 - p[here]).sum()), 2)
 
 
+def draw(judged: Judged, path: Path) -> None:
+    """Draw the reliability diagram, and how many answers each bin holds."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    p, right = expit(judged.log_odds), judged.right
+    figure = Figure(figsize=(5.2, 4.2), facecolor="white")
+    FigureCanvasSVG(figure)
+    axes, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
+    axes.plot([0, 1], [0, 1], color=PATH, lw=1, ls="--")
+    for low, high in pairwise(np.linspace(0.0, 1.0 + 1e-9, 11)):
+        here = (p >= low) & (p < high)
+        if here.any():
+            hits, mean = int(right[here].sum()), float(right[here].mean())
+            bounds = np.abs(np.array(wilson(hits, int(here.sum()))) - mean)[:, None]
+            axes.errorbar(p[here].mean(), mean, bounds, fmt="o", color=GREEN, capsize=3)
+    axes.set_ylabel("share right")
+    axes.set_ylim(-0.05, 1.05)
+    below.hist([p[right], p[~right]], bins=20, color=[GREEN, RED], log=True)
+    below.legend(["right", "wrong"], fontsize=8, frameon=False)
+    below.set_xlabel("probability of the likeliest pose, by a fit to other worlds")
+    below.set_ylabel("answers")
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Date": None})
+
+
 def card(records: Records, judged: Judged, rows: Rows) -> dict[str, Any]:
     """Describe the data, the command and the figures of a fit."""
     worlds = set(rows.world.tolist())
@@ -303,6 +336,8 @@ def card(records: Records, judged: Judged, rows: Rows) -> dict[str, Any]:
     return {
         "what": "Linear log-ratio of a pose against 'not in this map': a conditional logit",
         "command": command(),
+        "rows": "python -m segloc_lab.calibration.worlds --first-seed 21000 --each 21 --out WORLDS"
+        "; python -m segloc_lab.calibration.rows WORLDS --out ROWS",
         "data": f"{len(worlds)} simulated worlds of {len(KINDS)} kinds (seeds {seeds[0]} to "
         f"{seeds[-1]}), {len(records)} queries in maps, {int(records.right.any(axis=1).sum())} "
         f"with a right pose, {int(records.poses.sum())} poses. No real recording",
@@ -315,7 +350,7 @@ def write(path: Path, weights: Float64, card: dict[str, Any]) -> None:
     """Replace the weights and the card in a file of the model."""
     model = json.loads(path.read_text("utf-8"))
     model["weights"] = {n: round(float(w), 3) for n, w in zip(FEATURES, weights, strict=False)}
-    model["none"], model["card"] = round(float(weights[-1]), 3), card
+    model["none"], model["card"] = round(float(weights[-1]), 3), model["card"] | card
     path.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
@@ -327,12 +362,12 @@ def weights_table(weights: Float64) -> Table:
 
 def main() -> None:
     options = reporting(__doc__)
-    options.add_argument("rows", type=Path, help="file of rows, or a folder of them")
+    options.add_argument("rows", type=Path, nargs="*", default=[KEPT], help="files of rows")
     options.add_argument("--join", type=Path, help="file to keep all rows in")
+    options.add_argument("--figure", type=Path, help="SVG of the reliability")
     options.add_argument("--out", type=Path, help="file of the model whose weights are replaced")
     args = options.parse_args()
-    files = args.rows.glob("*.npz") if args.rows.is_dir() else [args.rows]
-    paths = sorted(files, key=lambda path: path.stem.rsplit("-", 1)[-1])
+    paths = sorted(args.rows, key=lambda path: path.stem.rsplit("-", 1)[-1])
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
@@ -354,6 +389,8 @@ def main() -> None:
         reliability_table(records, judged),
         weights_table(weights),
     )
+    if args.figure is not None:
+        draw(judged, args.figure)
     if args.out is not None:
         write(args.out, weights, card(records, judged, rows))
 

@@ -33,15 +33,9 @@ PADDED = 60_000
 MAPS = ("own", "half", "mirrored", "padded", "same kind", "other kind")
 ALTERNATE = ({"mirrored"}, {"padded", "other kind"})
 """Maps in which only even and only odd queries are searched."""
-MEASURED = 2
-"""Poses of each query in each map at which everything is measured."""
 HOME = ("own", "half", "padded")
 """Maps in which a query may have a right pose."""
 MEASURES = (
-    "x",
-    "y",
-    "z",
-    "heading",
     "error_m",
     "error_deg",
     "inliers",
@@ -57,8 +51,10 @@ MEASURES = (
     "intruding",
     "standing",
 )
-"""Columns of the fits: the pose [m, rad], its error (NaN in maps of other places), segments that
-agree with it and at most with a pose elsewhere, shares, and counts of points with their totals."""
+"""Columns of the fits: error of the pose (NaN in maps of other places), segments that agree with it
+and at most with a pose elsewhere, overlap, residual [m], and counts of points with their totals."""
+DECIMALS = {"error_m": 2, "error_deg": 1, "overlap": 4, "rmse": 3}
+"""Decimals that are kept of measures that are no counts."""
 
 
 Names = NDArray[np.str_]
@@ -181,31 +177,31 @@ def collect(world: World, config: Config) -> Rows:
     ends = np.cumsum([len(rows) for rows in fits])
     spans = np.column_stack([np.concatenate([[0], ends[:-1]]), ends])
     columns = map(np.array, zip(*records, strict=True))
-    return Rows(np.concatenate(fits).astype(np.float32), spans, *columns)
+    return Rows(rounded(np.concatenate(fits)), spans, *columns)
 
 
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
-    """Measure a query in a map at the distinct poses that are compared there, (F, M).
-
-    Free space is measured at the likeliest two at least; it is NaN where it was not.
-    """
-    found = localizer.search(query)
+    """Measure a query in a map at all distinct poses that are compared there, (F, M)."""
+    found = localizer.search(query, thorough=True)
     apart = localizer.likelihood.separation.apart
-    likeliest = [place.T_map_local for place in found.posterior.places[:MEASURED]]
     rows = []
     for fit in found.fits:
         T = fit.T_map_local
         error = errors(T @ query.cloud.T_local_sensor, truth)
         others = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
         others += [o.inliers for o in found.fits if apart(o.T_map_local, T)]
-        agreeing = fit.inliers, max(others, default=0)
-        known = fit.has("intruding") or any(T is other for other in likeliest)
-        free = fit.intruding if known else (np.nan, np.nan)
-        counts = (*fit.seen, *fit.ground, *fit.flush, *free)
-        rows.append(
-            (*T[:3, 3], geometry.heading(T), *error, *agreeing, fit.overlap, fit.rmse, *counts)
-        )
+        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.intruding)
+        rows.append((*error, fit.inliers, max(others, default=0), fit.overlap, fit.rmse, *counts))
     return np.array(rows, np.float64).reshape(-1, len(MEASURES))
+
+
+def rounded(fits: Float64) -> Float32:
+    """Round measures, and order them by column: so they compress well."""
+    found = np.asfortranarray(fits, np.float32)
+    for name, decimals in DECIMALS.items():
+        column = MEASURES.index(name)
+        found[:, column] = np.round(found[:, column], decimals)
+    return found
 
 
 def errors(T_map_sensor: Pose, truth: Pose | None) -> tuple[float, float]:
