@@ -16,7 +16,7 @@ class VerificationConfig(Section):
     """
 
     min_confidence: float = Field(
-        0.999, ge=0, le=1, description="probability from which a place is believed"
+        0.99, ge=0, le=1, description="probability from which a place is believed"
     )
     refine: bool = Field(True, description="refine the pose by ICP")
 
