@@ -255,12 +255,13 @@ class Belief:
     def _check(self, h: Hypothesis, seen: Reading, view: View) -> None:
         """Apply the newest scan. It was compared at few poses: where it fits, it holds what was
         found, and makes nothing of it that a search over the map does not."""
-        evidence = self._evidence(h, view)
-        if evidence > 0.0:
+        evidence, fits = self._evidence(h, view), seen.log_ratio > 0.0
+        if fits:
             h.views += view.new_check
             self._place(h, seen, view)
         if evidence > 0.0 and not h.believed:
-            h.probability, self.lost = h.probability + h.leaked, max(0.0, self.lost - h.leaked)
+            back = h.leaked if fits else 0.0
+            h.probability, self.lost = h.probability + back, max(0.0, self.lost - back)
         else:
             h.probability *= math.exp(evidence)
         h.leaked = 0.0
