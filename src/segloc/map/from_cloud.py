@@ -128,7 +128,8 @@ class ThinCloud:
             heights = heights_above_ground(points, config)
             own = (np.floor(points[:, :2] / _COLUMN_M) == [i, j]).all(axis=1)
             points, above = points[own], heights[own] > config.structure_height
-            yield points[above]
+            standing = np.ascontiguousarray(points[above])
+            yield _native.voxel_grid(standing, config.accumulated.voxel_size)
             yield _native.voxel_grid(np.ascontiguousarray(points[~above]), config.ground_voxel)
 
     def _keys(self, at: Float64, radius: float) -> Iterator[tuple[int, int]]:
