@@ -128,8 +128,7 @@ class ThinCloud:
             heights = heights_above_ground(points, config)
             own = (np.floor(points[:, :2] / _COLUMN_M) == [i, j]).all(axis=1)
             points, above = points[own], heights[own] > config.structure_height
-            standing = np.ascontiguousarray(points[above])
-            yield _native.voxel_grid(standing, config.accumulated.voxel_size)
+            yield points[above]
             yield _native.voxel_grid(np.ascontiguousarray(points[~above]), config.ground_voxel)
 
     def _keys(self, at: Float64, radius: float) -> Iterator[tuple[int, int]]:
