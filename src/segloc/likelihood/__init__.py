@@ -2,6 +2,7 @@
 
 from .config import VerificationConfig as VerificationConfig
 from .model import FEATURES as FEATURES
+from .model import FREE as FREE
 from .model import Model as Model
 from .model import shipped_model as shipped_model
 from .observation import Count as Count

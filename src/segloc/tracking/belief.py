@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -44,16 +44,13 @@ class BeliefConfig(Section):
     drift: float = Field(0.02, ge=0, description="position error of odometry per distance [m/m]")
     drift_deg: float = Field(0.05, ge=0, description="heading error of odometry [deg/m]")
     leak: float = Field(
-        0.006, gt=0, description="probability to leave the track, kidnapped or slipping [1/m]"
+        0.004, gt=0, description="probability to leave the track, kidnapped or slipping [1/m]"
     )
     jump_m: float = Field(
-        50.0, ge=0, description="unobserved travel that a jump of the odometry counts as [m]"
+        75.0, ge=0, description="unobserved travel that a jump of the odometry counts as [m]"
     )
     max_log_ratio: float = Field(
         4.0, gt=0, description="bound of a view's log-ratio: a wrong view must not be final"
-    )
-    alike: float = Field(
-        6.5, ge=0, description="log-ratio by which a view may differ between equal places"
     )
 
 
@@ -190,7 +187,7 @@ class Belief:
         contradicted = evidence < -math.log(2.0)
         if evidence:
             self.doubt = "the map contradicts the track" if contradicted else ""
-        for place in () if contradicted else self._evened(view.places):
+        for place in () if contradicted else view.places:
             self._add(place, view)
         for h in self.hypotheses:
             if h.key in view.checks:
@@ -220,16 +217,6 @@ class Belief:
         turn, shift = math.radians(self.config.drift_deg) * path, self.config.drift * path
         grown = np.diag(np.repeat([turn**2, shift**2], 3))
         return geometry.carried_covariance(track.covariance, T_now_then) + grown
-
-    def _evened(self, places: Sequence[Reading]) -> list[Reading]:
-        """Let places that one view hardly tells apart be equal: its noise is that of later ones."""
-        best = max((place.log_ratio for place in places), default=0.0)
-        return [
-            replace(place, log_ratio=min(best, place.log_ratio + self.config.alike))
-            if place.log_ratio > 0.0
-            else place
-            for place in places
-        ]
 
     def _add(self, place: Reading, view: View) -> None:
         """Let a place support the hypotheses that are there, and take its share of "lost"."""

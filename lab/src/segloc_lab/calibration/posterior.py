@@ -28,8 +28,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
 from segloc.inspect import GREEN, PATH, RED
-from segloc.likelihood import Count, VerificationConfig, shipped_model
-from segloc.likelihood.model import FEATURES, FREE
+from segloc.likelihood import FEATURES, FREE, Count, VerificationConfig, shipped_model
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
