@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -24,7 +24,7 @@ from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 from segloc import Config, Localizer, build_map, geometry
 from segloc.frontend.segmentation import Segmentation
 from segloc.inspect.pictures import BLUE, DARK, GREEN, GREY, RED
-from segloc.likelihood import RefinedScore
+from segloc.likelihood import ScoredPose
 from segloc.pipeline import Query as Described
 from segloc.types import Candidate, Matches
 
@@ -43,8 +43,8 @@ class Query:
     localizer: Localizer
     described: Described
     matches: Matches
-    right: RefinedScore
-    wrong: RefinedScore
+    right: ScoredPose
+    wrong: ScoredPose
 
     @property
     def scene(self) -> Segmentation:
@@ -70,7 +70,11 @@ def make_query(seed: int) -> Query:
     if np.linalg.norm((best.T_map_local - truth)[:2, 3]) > 2.0:
         raise SystemExit(f"seed {seed}: the first candidate is not the answer")
     wrong = _elsewhere(localizer, scene, found.matches, truth)
-    refined = [localizer.verifier.refined(h, scene) for h in (best, wrong)]
+    likelihood = localizer.likelihood
+    cloud = likelihood.query(scene)
+    refined = [
+        replace(likelihood.at(cloud, h.T_map_local), inliers=h.inliers) for h in (best, wrong)
+    ]
     return Query(localizer, described, found.matches, *refined)
 
 
@@ -267,7 +271,7 @@ def _above_ground(query: Query, site: Floats) -> NDArray[np.bool_]:
     return above
 
 
-def _at(query: Query, candidate: RefinedScore) -> Floats:
+def _at(query: Query, candidate: ScoredPose) -> Floats:
     """The map's cloud in the local frame, where the candidate puts it."""
     prior_map = query.localizer.prior_map
     points = prior_map.cloud.astype(np.float64) + prior_map.origin
@@ -275,7 +279,7 @@ def _at(query: Query, candidate: RefinedScore) -> Floats:
     return site[(np.abs(site[:, :2]) < 1.3 * HALF_VIEW_M).all(axis=1)]
 
 
-def _candidates(query: Query, both: tuple[Axes, Axes]) -> list[tuple[Axes, RefinedScore, str]]:
+def _candidates(query: Query, both: tuple[Axes, Axes]) -> list[tuple[Axes, ScoredPose, str]]:
     return [(both[0], query.right, "right pose"), (both[1], query.wrong, "wrong pose")]
 
 

@@ -236,7 +236,7 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
             (
                 "runner-up",
                 f"{away:.1f} m away, turned by {turn:.0f} deg: {agree}, "
-                f"overlap {other.overlap:.0%} before alignment",
+                f"overlap {other.overlap:.0%}",
             )
         )
     return found
