@@ -143,11 +143,9 @@ class Scorer:
         if ranked and self._margin(candidates) >= self._threshold and not thorough:
             best = min(ranked, key=by_segments)
             fit = self._measure(best.T_map_local, inliers)
-            if (most := self._at_least(fit, ranked)) >= self._threshold:
-                fit = self._map.finished(fit, self._query)
-                scored = self._scored(fit, DOUBTFUL)
-                self.fits = [fit]
-                return Posterior.of([replace(scored, log_ratio=most)], self._model.lapse)
+            if self._at_least(fit, ranked).log_ratio >= self._threshold:
+                self.fits = [self._map.finished(fit, self._query)]
+                return Posterior.of([self._at_least(self.fits[0], ranked)], self._model.lapse)
         for start, T in self._promising(ranked, thorough):
             self._measure(T, inliers, start)
         while (fit_left := self._undecided(thorough)) is not None:
@@ -184,14 +182,14 @@ class Scorer:
         self._take(fit)
         return fit
 
-    def _at_least(self, fit: Observation, ranked: Sequence[RankedCandidate]) -> float:
-        """The log-ratio of a pose at least, if any other place fitted as well as it roughly may."""
+    def _at_least(self, fit: Observation, ranked: Sequence[RankedCandidate]) -> ScoredPose:
+        """Score a pose as if another place fitted as well as any may by what is roughly known."""
         apart, T = self._apart, fit.T_map_local
         others = [c for c in ranked if apart(c.T_map_local, T)]
         rival = copy(fit)
         rival.overlap = max((c.overlap for c in others), default=fit.overlap)
         features = self._model.features(fit, [rival], self._most_elsewhere(self._candidates, T))
-        return self._model.weighed(features) - self._floor
+        return _scored(fit, features, self._model.weighed(features) - self._floor)
 
     def _promising(
         self, ranked: Sequence[RankedCandidate], thorough: bool
