@@ -215,7 +215,7 @@ def _e57(path: Path) -> Iterator[Float64]:
     try:
         import e57
     except ImportError as error:
-        raise MissingDependency("e57", "io", "reading .e57 files") from error
+        raise MissingDependency("e57", "e57", "reading .e57 files") from error
     try:
         points = np.asarray(e57.read_points(str(path)).points, dtype=np.float64)
     except BaseException as error:  # of Rust, some no Exception

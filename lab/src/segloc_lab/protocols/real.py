@@ -153,7 +153,8 @@ def _seen(turned: Turned, truths: Float64, positions: Int64 | None = None) -> Fl
 class Judge:
     """Localizes queries in all maps, and keeps a record of every answer."""
 
-    def __init__(self, places: dict[str, SegmentMap], config: Config) -> None:
+    def __init__(self, places: dict[str, SegmentMap], config: Config, foreign: bool = True) -> None:
+        self._foreign = foreign
         self._own = {name: Localizer(place, config) for name, place in places.items()}
         self._mirrored = cache(lambda name: Localizer(mirrored(places[name]), config))
         self._first = next(iter(self._own.values()))
@@ -195,9 +196,9 @@ class Judge:
     def _places(self, chosen: Queries) -> Iterator[tuple[str, Localizer]]:
         place = chosen.name.split()[0].rstrip(",")
         for name, localizer in self._own.items():
-            if name in chosen.maps or not name.startswith(place):
+            if name in chosen.maps or (self._foreign and not name.startswith(place)):
                 yield name, localizer
-        for name in chosen.maps[:1]:
+        for name in chosen.maps[:1] if self._foreign else ():
             yield f"{name}, mirrored", self._mirrored(name)
 
     @staticmethod
@@ -244,6 +245,8 @@ def note(records: list[dict[str, Any]], method: str, step: int) -> str:
     """Explain the table, with the bound of false answers elsewhere."""
     elsewhere = [r for r in records if not r["within_coverage"]]
     _, most = wilson(sum(r["outcome"] == "false" for r in elsewhere), len(elsewhere))
+    if not elsewhere:
+        return f"`{method}`; of KITTI every {step}. query; in brackets 95 % by Wilson."
     return (
         f"`{method}`; of KITTI every {step}. query; in brackets 95 % by Wilson. Elsewhere: in the "
         "maps of all other places, in the mirror image of the own one, and beyond its path "
@@ -258,11 +261,12 @@ def main() -> None:
     options.add_argument("--method", default="profile")
     options.add_argument("--only", default="", help="queries whose name starts so")
     options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
+    options.add_argument("--own", action="store_true", help="leave out the maps of other places")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
     options.add_argument("--out", type=Path)
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    judge = Judge(_kept(args.data, args.maps, config), config)
+    judge = Judge(_kept(args.data, args.maps, config), config, not args.own)
     for chosen in queries(args.data, args.step):
         if chosen.name.startswith(args.only):
             judge.run(chosen)
