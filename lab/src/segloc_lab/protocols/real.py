@@ -241,15 +241,15 @@ def report(records: list[dict[str, Any]]) -> None:
             print(json.dumps(r))
 
 
-def note(records: list[dict[str, Any]], method: str, step: int) -> str:
+def note(records: list[dict[str, Any]], method: str, step: int, foreign: bool) -> str:
     """Explain the table, with the bound of false answers elsewhere."""
     elsewhere = [r for r in records if not r["within_coverage"]]
     _, most = wilson(sum(r["outcome"] == "false" for r in elsewhere), len(elsewhere))
-    if not elsewhere:
-        return f"`{method}`; of KITTI every {step}. query; in brackets 95 % by Wilson."
+    where = "beyond the path of the own map"
+    if foreign:
+        where = f"in the maps of all other places, in the mirror image of the own one, and {where}"
     return (
-        f"`{method}`; of KITTI every {step}. query; in brackets 95 % by Wilson. Elsewhere: in the "
-        "maps of all other places, in the mirror image of the own one, and beyond its path "
+        f"`{method}`; of KITTI every {step}. query; in brackets 95 % by Wilson. Elsewhere: {where} "
         f"({len(elsewhere)} queries: at most {100 * most:.2g} % are false). Milliseconds of "
         "processor time of one thread, on a machine with much other work."
     )
@@ -273,7 +273,9 @@ def main() -> None:
             report([r for r in judge.records if r["queries"] == chosen.name])
     if args.out:
         args.out.write_text(json.dumps(judge.records, indent=0))
-    table = Table(COLUMNS, rows(judge.records), note(judge.records, args.method, args.step))
+    table = Table(
+        COLUMNS, rows(judge.records), note(judge.records, args.method, args.step, not args.own)
+    )
     publish(args.report, "Real recordings in their own and in foreign maps", table)
 
 
