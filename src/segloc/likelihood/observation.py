@@ -15,7 +15,6 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -129,10 +128,15 @@ class Observation:
     covariance : (6, 6) float64 or None
         Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
 
-    Notes
-    -----
-    What costs more is measured on first use; :meth:`has` says whether it was.
+    flush, ground, intruding : Count
+        Wall points that are flush with the map's surfaces, of those near them; ground points on the
+        map's ground; points of what stands that stand in free space of the map. Measured on first
+        use, since they cost more: :meth:`has` says whether they were.
     """
+
+    flush: Count
+    ground: Count
+    intruding: Count
 
     def __init__(
         self,
@@ -151,20 +155,14 @@ class Observation:
         """Whether ``flush``, ``ground`` or ``intruding`` was measured."""
         return name in self.__dict__
 
-    @cached_property
-    def flush(self) -> Count:
-        """Wall points that are flush with the map's surfaces, of those near them."""
-        return self._compared.flush()
-
-    @cached_property
-    def ground(self) -> Count:
-        """Ground points that lie on the map's ground."""
-        return self._compared.ground()
-
-    @cached_property
-    def intruding(self) -> Count:
-        """Points of what stands that stand in free space of the map."""
-        return self._compared.intruding()
+    def __getattr__(self, name: str) -> Count:
+        # Not functools.cached_property: before Python 3.12 its lock is shared by all instances,
+        # and a fork while another thread holds it hangs.
+        if name not in ("flush", "ground", "intruding"):
+            raise AttributeError(name)
+        measured: Count = getattr(self._compared, name)()
+        setattr(self, name, measured)
+        return measured
 
 
 class QueryCloud:
