@@ -80,13 +80,25 @@ class Likelihood:
         """Align a query at a known pose and measure it there: no search, no segments, no rivals."""
         fit = self.cloud.finished(self.cloud.refined(T_map_local, query), query)
         fit.intruding  # noqa: B018  (measured on first use)
-        features = self.model.features(fit, [], 0)
-        log_ratio = self.model.weighed(features) - self.model.floor(self.alias)
+        found = self.scored(fit, self.model.features(fit, [], 0))
         # What lies off the map does not speak against a pose that is known.
         mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
         off_map = min(0.0, math.log1p(-mapped) + self.model.consistency(fit))
-        known_ratio = float(np.logaddexp(math.log(mapped) + log_ratio, off_map))
-        return replace(_scored(fit, features, log_ratio), known_ratio=known_ratio)
+        known_ratio = float(np.logaddexp(math.log(mapped) + found.log_ratio, off_map))
+        return replace(found, known_ratio=known_ratio)
+
+    def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
+        """What was measured at a pose, with its log-ratio."""
+        return ScoredPose(
+            T_map_local=fit.T_map_local,
+            log_ratio=self.model.weighed(features) - self.model.floor(self.alias),
+            inliers=fit.inliers,
+            overlap=fit.overlap,
+            seen=fit.seen.share,
+            rmse=fit.rmse,
+            covariance=fit.covariance,
+            features=features,
+        )
 
 
 class Scorer:
@@ -103,7 +115,6 @@ class Scorer:
         self._config, self._model = likelihood.config, likelihood.model
         self._map, self._apart = likelihood.cloud, likelihood.separation.apart
         self._threshold = log_odds(self._config.min_confidence)
-        self._floor = self._model.floor(likelihood.alias)
         self._candidates: Sequence[Candidate] = ()
         self.fits: list[Observation] = []
 
@@ -166,14 +177,17 @@ class Scorer:
         It could where the place, if nothing stood in free space there, might be believed, or be a
         rival of the best.
         """
-        known = [self._score(fit) for fit in self.fits if fit.has("intruding")]
-        best = max(known, default=-math.inf)
-        left = [fit for fit in self.fits if not fit.has("intruding")]
+        known, left = -math.inf, list[tuple[float, Observation]]()
+        for fit in self.fits:
+            log_ratio = self._scored(fit, FREE).log_ratio
+            if fit.has("intruding"):
+                known = max(known, log_ratio)
+            else:
+                left.append((log_ratio, fit))
         if not left:
             return None
-        fit = max(left, key=lambda fit: self._score(fit, FREE))
-        most = self._score(fit, FREE)
-        matters = best - most < self._threshold + _SLACK and max(best, most) >= self._threshold
+        most, fit = max(left, key=lambda each: each[0])
+        matters = known - most < self._threshold + _SLACK and max(known, most) >= self._threshold
         return fit if matters or thorough else None
 
     def _measure(self, T: Pose, inliers: Inliers, start: Pose | None = None) -> Observation:
@@ -189,7 +203,7 @@ class Scorer:
         rival = copy(fit)
         rival.overlap = max((c.overlap for c in others), default=fit.overlap)
         features = self._model.features(fit, [rival], self._most_elsewhere(self._candidates, T))
-        return _scored(fit, features, self._model.weighed(features) - self._floor)
+        return self._likelihood.scored(fit, features)
 
     def _promising(
         self, ranked: Sequence[RankedCandidate], thorough: bool
@@ -227,18 +241,11 @@ class Scorer:
         apart = self._apart
         return max([0, *(c.inliers for c in candidates if apart(c.T_map_local, T))])
 
-    def _score(self, fit: Observation, unknown: Count = DOUBTFUL) -> float:
-        return self._model.weighed(self._features(fit, unknown)) - self._floor
-
-    def _features(self, fit: Observation, unknown: Count) -> tuple[float, ...]:
+    def _scored(self, fit: Observation, unknown: Count) -> ScoredPose:
         apart, T = self._apart, fit.T_map_local
         others = [f for f in self.fits if f is not fit and apart(f.T_map_local, T)]
         inliers = max([self._most_elsewhere(self._candidates, T), *(f.inliers for f in others)])
-        return self._model.features(fit, others, inliers, unknown)
-
-    def _scored(self, fit: Observation, unknown: Count) -> ScoredPose:
-        features = self._features(fit, unknown)
-        return _scored(fit, features, self._model.weighed(features) - self._floor)
+        return self._likelihood.scored(fit, self._model.features(fit, others, inliers, unknown))
 
 
 def by_segments(candidate: RankedCandidate) -> float:
@@ -254,16 +261,3 @@ def by_clouds(candidate: RankedCandidate) -> float:
 def by_overlap(candidate: RankedCandidate) -> float:
     """Key to sort by: the overlap alone."""
     return -candidate.overlap
-
-
-def _scored(fit: Observation, features: tuple[float, ...], log_ratio: float) -> ScoredPose:
-    return ScoredPose(
-        T_map_local=fit.T_map_local,
-        log_ratio=log_ratio,
-        inliers=fit.inliers,
-        overlap=fit.overlap,
-        seen=fit.seen.share,
-        rmse=fit.rmse,
-        covariance=fit.covariance,
-        features=features,
-    )
