@@ -151,13 +151,14 @@ class Scorer:
         ranked = self._map.ranked(candidates, self._query) if candidates else []
         for fit in self.fits:
             fit.inliers = inliers(fit.T_map_local)
-        if ranked and self._margin(candidates) >= self._threshold and not thorough:
+        decisive = not thorough and self._margin(candidates) >= self._threshold
+        if decisive:
             best = min(ranked, key=by_segments)
             fit = self._measure(best.T_map_local, inliers)
             if self._at_least(fit, ranked).log_ratio >= self._threshold:
                 self.fits = [self._map.finished(fit, self._query)]
                 return Posterior.of([self._at_least(self.fits[0], ranked)], self._model.lapse)
-        for start, T in self._promising(ranked, thorough):
+        for start, T in self._promising(ranked, thorough, decisive):
             self._measure(T, inliers, start)
         while (fit_left := self._undecided(thorough)) is not None:
             finished = self._map.finished(fit_left, self._query)
@@ -206,7 +207,7 @@ class Scorer:
         return self._likelihood.scored(fit, features)
 
     def _promising(
-        self, ranked: Sequence[RankedCandidate], thorough: bool
+        self, ranked: Sequence[RankedCandidate], thorough: bool, decisive: bool
     ) -> list[tuple[Pose | None, Pose]]:
         """Poses to be measured, each with a better start, if there is one."""
         if not ranked:
@@ -217,7 +218,7 @@ class Scorer:
             best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
             chosen += [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
         found: list[tuple[Pose | None, Pose]] = [(None, c.T_map_local) for c in chosen]
-        if self._margin(self._candidates) >= self._threshold and not thorough:
+        if decisive:
             return found
         around = self._map.around(chosen[0].T_map_local, self._query)
         found[0] = around.start, chosen[0].T_map_local
