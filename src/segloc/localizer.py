@@ -13,7 +13,7 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans, listed
 from .frontend.segmentation import Segmenter
 from .likelihood import Likelihood, Scorer
-from .localization import Localization, Reason
+from .localization import Localization
 from .map.segment_map import SegmentMap
 from .pipeline import Proposed, Search, answer, explained
 from .prior import Near, Prior, allowed, within
@@ -216,11 +216,10 @@ class Localizer:
             return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
         result = answer(query, found, times.with_total())
-        if result.localized or result.reason not in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN):
+        if result.localized or not found.posterior.repeats(self.config.verification.min_confidence):
             return result
-        poses = [place.T_map_sensor for place in result.places[:2]]
-        step = self.likelihood.cloud.next_view(*poses) if len(poses) == 2 else None
-        return result if step is None else replace(result, next_view=step)
+        one, other = (place.T_map_sensor for place in result.places[:2])
+        return replace(result, next_view=self.likelihood.cloud.next_view(one, other))
 
     def search(
         self,

@@ -125,7 +125,7 @@ def trace(
         inliers=inliers,
         T_map_local=T,
         on_map=_on_map(localizer, query.scene.structure, T),
-        constant=-likelihood.model.floor(likelihood.alias),
+        constant=-likelihood.model.none,
         parts=() if best is None else _parts(likelihood.model, found),
     )
 
@@ -201,6 +201,7 @@ def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]
         "overlap_over_rival": f"{lies}, {_elsewhere([other.overlap for other in others])}",
         "seen_over_rival": f"{seen}, {_elsewhere([other.seen.share for other in others])}",
         "ground_over_rival": f"{ground}, {_elsewhere([other.ground.share for other in others])}",
+        "flush_over_rival": f"{flush}, {_elsewhere([other.flush.share for other in others])}",
         "free_space": free,
     }
 

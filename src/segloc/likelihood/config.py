@@ -30,7 +30,7 @@ class VerificationConfig(Section):
         0.9,
         ge=0,
         le=10,
-        description="a pose nearby is measured, too, whose rough overlap is this share of the best",
+        description="another pose is measured, too, whose rough overlap is this share of the best",
     )
     coarse_radius: float = Field(
         0.5, ge=0.01, le=10, description="neighbourhood before ICP, metres"

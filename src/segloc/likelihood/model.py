@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field
 
 from ..errors import ConfigError, WeightsError
@@ -24,12 +23,14 @@ FEATURES = (
     "overlap_over_rival",
     "seen_over_rival",
     "ground_over_rival",
+    "flush_over_rival",
 )
 """Names of the features, in the order of :meth:`Model.features`."""
 
 _PRIOR = {"flush": 10.0, "ground": 10.0, "seen": 15.0}
 """Points by which shares are smoothed: few say little."""
-_CHANCE_OVERLAP, _CHANCE_SEEN, _CHANCE_GROUND = 0.25, Count(50, 100), Count(80, 100)
+_CHANCE_OVERLAP = 0.25
+_CHANCE = {"flush": Count(40, 100), "ground": Count(80, 100), "seen": Count(50, 100)}
 """What stands in for a rival where there is none."""
 _CHANCE_INLIERS = 4
 """Segments that agree on some wrong pose of any map."""
@@ -52,9 +53,6 @@ class Model(Section):
         By the names of :data:`FEATURES`; no unit, natural logarithms.
     none : float
         The score of "not in this map".
-    alias : float
-        What is added to the score that wrong poses of a map reach: another place of it, like them
-        but not proposed, has this much.
     unseen : float
         Log-probability that a place which segments do not name fits as well as the one they do.
     lapse : float
@@ -65,24 +63,18 @@ class Model(Section):
         Data, command, figures and reliability of the fit.
     """
 
-    format: int = Field(ge=3, le=3)
+    format: int = Field(ge=4, le=4)
     weights: Mapping[str, float]
     none: float
-    alias: float
     unseen: float
     lapse: float = Field(ge=0, lt=1)
     settings: Mapping[str, Any] = {}
     card: Mapping[str, Any]
 
-    def floor(self, aliased: float | None = None) -> float:
-        """The score of "none of the places", in a map whose wrong poses reach ``aliased``."""
-        return (
-            self.none if aliased is None else float(np.logaddexp(self.none, aliased + self.alias))
-        )
-
-    def weighed(self, features: Sequence[float]) -> float:
-        """The score of a pose by its features, in the order of :data:`FEATURES`."""
-        return sum(self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
+    def log_ratio(self, features: Sequence[float]) -> float:
+        """How much likelier a pose is than "not in this map", by :meth:`features`."""
+        weighed = (self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
+        return sum(weighed) - self.none
 
     def features(
         self,
@@ -98,17 +90,18 @@ class Model(Section):
         fit : Observation
         others : sequence of Observation
             At other places. Overlap and visibility are compared with those of the best of them,
-            the ground with the best of each.
+            ground and walls with the best of each.
         inliers : int
             The most that agree with any pose at another place.
         unknown : Count
             What stands in free space, where that was not measured.
         """
-        overlap, seen = _CHANCE_OVERLAP, _CHANCE_SEEN
+        overlap, seen = _CHANCE_OVERLAP, _CHANCE["seen"]
         if others:
             rival = max(others, key=lambda o: share_odds(o.overlap) + _odds("seen", o.seen))
             overlap, seen = rival.overlap, rival.seen
-        grounds = [other.ground for other in others] or [_CHANCE_GROUND]
+        ground = max((_odds("ground", o.ground) for o in others), default=_chance("ground"))
+        flush = max((_odds("flush", o.flush) for o in others), default=_chance("flush"))
         return (
             math.log(50.0 + min(fit.seen.of, _MAX_IN_VIEW)),
             _odds("flush", fit.flush),
@@ -116,7 +109,8 @@ class Model(Section):
             inlier_ratio(fit.inliers, inliers),
             share_odds(fit.overlap) - share_odds(overlap),
             _odds("seen", fit.seen) - _odds("seen", seen),
-            _odds("ground", fit.ground) - max(_odds("ground", ground) for ground in grounds),
+            _odds("ground", fit.ground) - ground,
+            _odds("flush", fit.flush) - flush,
         )
 
     def consistency(self, fit: Observation) -> float:
@@ -154,6 +148,10 @@ def share_odds(share: float) -> float:
 
 def _odds(name: str, count: Count) -> float:
     return count.log_odds(_PRIOR[name])
+
+
+def _chance(name: str) -> float:
+    return _odds(name, _CHANCE[name])
 
 
 def load_model(path: Path) -> Model:

@@ -174,11 +174,14 @@ class QueryCloud:
         What overlap is computed from.
     aligned : dict
         The alignments with the map so far, by where they set out from.
+    rough : dict
+        The rough overlaps with the map so far, by pose.
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
         self.aligned: dict[bytes, Registered | None] = {}
+        self.rough: dict[bytes, float] = {}
         self._scene, self._config, self._aligner = scene, config, aligner
         self._view: QueryView | None = None
         self._surface: _native.Surface | None = None
@@ -262,12 +265,18 @@ class MapCloud:
         What is seen takes time, and only lowers what is said for them: of candidates of the clouds
         it is measured where they may be among the first.
         """
-        poses = np.stack([self._relative(c.T_map_local) for c in candidates])
-        few = thinned(query.sample, self._config.coarse_sample)
-        overlap, _ = self._target.index.overlap(
-            few, poses, self._config.coarse_radius, self._config.unmapped_overlap
-        )
-        ranked = [RankedCandidate(c, float(o)) for c, o in zip(candidates, overlap, strict=True)]
+        keys = [c.T_map_local.tobytes() for c in candidates]
+        fresh = [k for k, key in enumerate(keys) if key not in query.rough]
+        if fresh:
+            poses = np.stack([self._relative(candidates[k].T_map_local) for k in fresh])
+            few = thinned(query.sample, self._config.coarse_sample)
+            overlap, _ = self._target.index.overlap(
+                few, poses, self._config.coarse_radius, self._config.unmapped_overlap
+            )
+            query.rough |= {keys[k]: float(o) for k, o in zip(fresh, overlap, strict=True)}
+        ranked = [
+            RankedCandidate(c, query.rough[key]) for c, key in zip(candidates, keys, strict=True)
+        ]
         heap = [(-c.overlap, k) for k, c in enumerate(ranked) if c.candidate.fit is not None]
         heapq.heapify(heap)
         measured = set[int]()

@@ -93,6 +93,10 @@ class Posterior:
         """The probability of the likeliest place, in [0, 1]."""
         return self.probabilities[0] if self.places else 0.0
 
+    def repeats(self, min_confidence: float) -> bool:
+        """Whether the second place alone could keep the likeliest from being believed."""
+        return len(self.places) > 1 and self.probabilities[1] > 1.0 - min_confidence
+
     def reason(self, min_confidence: float) -> Reason | None:
         """Why the likeliest place is not believed; None where it is."""
         if self.confidence >= min_confidence:

@@ -44,8 +44,6 @@ class Likelihood:
         Whether the map has several storeys.
     path : (M, 3) float64, optional
         Where the sensor was when the map was made, in map coordinates.
-    alias : float, optional
-        The score that wrong poses of this map reach; by default that of a typical map.
 
     Attributes
     ----------
@@ -62,10 +60,9 @@ class Likelihood:
         threads: int = 0,
         storeyed: bool = False,
         path: Float64,
-        alias: float | None = None,
     ) -> None:
         self.config, self.model = config or VerificationConfig(), shipped_model()
-        self.separation, self.alias = separation or Separation(), alias
+        self.separation = separation or Separation()
         self.cloud = MapCloud(cloud, origin, self.config, self.separation, threads, storeyed, path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
@@ -91,7 +88,7 @@ class Likelihood:
         """What was measured at a pose, with its log-ratio."""
         return ScoredPose(
             T_map_local=fit.T_map_local,
-            log_ratio=self.model.weighed(features) - self.model.floor(self.alias),
+            log_ratio=self.model.log_ratio(features),
             inliers=fit.inliers,
             overlap=fit.overlap,
             seen=fit.seen.share,
@@ -213,10 +210,13 @@ class Scorer:
         if not ranked:
             return []
         most = self._config.max_refined * (3 if thorough or self._map.storeyed else 1)
+        enough = self._config.refined_from
+        least = enough * max(c.overlap for c in ranked)
         chosen: list[RankedCandidate] = []
         for key in (by_segments, by_clouds, by_overlap):
             best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
-            chosen += [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
+            apart = [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
+            chosen += [c for k, c in enumerate(apart) if not k or thorough or c.overlap >= least]
         found: list[tuple[Pose | None, Pose]] = [(None, c.T_map_local) for c in chosen]
         if decisive:
             return found
@@ -224,7 +224,7 @@ class Scorer:
         found[0] = around.start, chosen[0].T_map_local
         near = [Candidate(T, 0) for T in around.rivals if self._allowed(T)]
         rivals = self._map.ranked(near, self._query) if near else []
-        least = self._config.refined_from * chosen[0].overlap
+        least = enough * chosen[0].overlap
         return [*found, *((None, c.T_map_local) for c in rivals if c.overlap >= least)]
 
     def _is_new(self, candidate: RankedCandidate, chosen: Sequence[RankedCandidate]) -> bool:
