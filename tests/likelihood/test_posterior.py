@@ -38,7 +38,7 @@ def observed(
 
 
 def log_ratio(fit: Observation, others: list[Observation], inliers: int = 3) -> float:
-    return MODEL.weighed(MODEL.features(fit, others, inliers)) - MODEL.floor()
+    return MODEL.log_ratio(MODEL.features(fit, others, inliers))
 
 
 def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
@@ -54,6 +54,7 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
         log_ratio(observed(0.85, 0.95), rival, inliers=7),
         log_ratio(observed(0.85, 0.95), [observed(0.85, 0.6, inliers=3, flush=0.4)]),
         log_ratio(observed(0.85, 0.95), [observed(0.5, 0.95, inliers=3, flush=0.4)]),
+        log_ratio(observed(0.85, 0.95), [observed(0.5, 0.6, inliers=3, flush=0.7)]),
     ):
         assert worse < good
 

@@ -2,9 +2,8 @@
 
 One sensor maps each world in one session; several sensors return in another, in which a fifth of
 the objects have been replaced. Outdoors they ride on a car, in autumn; in warehouses and offices a
-hand carries them and tilts up to 35 degrees. A workshop is a small office where much has changed,
-seen as submaps of a solid-state sensor: they hold what lies round corners, too. The poses of every
-second world err by centimetres, as those of real maps do, so that its walls are less sharp.
+hand carries them and tilts up to 35 degrees. The poses of every second world err by centimetres, as
+those of real maps do, so that its walls are less sharp.
 
 Each world becomes a folder ``KIND-SEED`` with ``own.segmap``, ``half.segmap`` (the first half of
 the mapped route) and ``queries.npz`` (:class:`QuerySet`). Folders that exist are kept.
@@ -15,8 +14,8 @@ the mapped route) and ``queries.npz`` (:class:`QuerySet`). Folders that exist ar
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from segloc import Config, Scan, build_map, geometry
+from segloc import Config, Scan, build_map
 from segloc.batch import query_positions
 from segloc.datasets import Selection, Sequence
 from segloc.frontend import LocalCloudConfig, window
@@ -37,7 +36,6 @@ from ..simulation import (
     SCENES,
     SENSORS,
     Conditions,
-    Lidar,
     Platform,
     SimulatedSequence,
     handheld,
@@ -48,10 +46,8 @@ LENGTH_M = 90.0
 """Length of each drive [m]."""
 EVERY_M = 10.0
 """Spacing of single queries along a drive [m]; accumulated ones are made at every second."""
-AZIMUTHS, SWIRL = 900, 10_000
-"""Firings of each beam in a turn, and of a sensor that has but one."""
-SUBMAP_M, CROPPED_M = 6.0, 15.0
-"""Scans this near are merged to a submap, of which this much is kept [m]."""
+AZIMUTHS = 900
+"""Firings of each beam in a turn."""
 MAX_THINNED = 6_400
 """Points of a thinned scan."""
 SCANS_IN_MEMORY = 64
@@ -75,9 +71,6 @@ class Kind:
     mapped_by: str = "hdl64e"
     sensors: tuple[str, ...] = ("hdl64e", "vlp16")
     platform: Platform | None = None
-    scene: str = ""
-    later: Conditions = LATER
-    submaps: bool = False
 
 
 INDOORS = Kind(80.0, False, "os1-64", ("os1-64", "vlp16"), handheld())
@@ -89,15 +82,6 @@ KINDS = {
     "offices": INDOORS,
     "meadow": Kind(200.0),
     "forest": Kind(150.0),
-    "workshop": Kind(
-        40.0,
-        mapped_by="mid360",
-        sensors=("mid360",),
-        platform=handheld(),
-        scene="offices",
-        later=Conditions(replaced=0.6),
-        submaps=True,
-    ),
 }
 
 
@@ -113,64 +97,30 @@ class SimulatedWorld:
 
 def worlds(first_seed: int, each: int, chosen: list[str]) -> Iterator[SimulatedWorld]:
     """Yield ``each`` worlds of every chosen kind, the kinds in turn."""
-    for name, seed in seeds(first_seed, each, chosen):
-        yield simulated(name, seed)
+    for name, seed in seeds(first_seed, each):
+        if name in chosen:
+            yield simulated(name, seed)
 
 
-def seeds(first_seed: int, each: int, chosen: list[str]) -> Iterator[tuple[str, int]]:
+def seeds(first_seed: int, each: int) -> Iterator[tuple[str, int]]:
     """Yield kinds in turn with the seeds of their worlds."""
-    yield from zip(chosen * each, count(first_seed), strict=False)
+    yield from zip(list(KINDS) * each, count(first_seed), strict=False)
 
 
 def simulated(name: str, seed: int, length_m: float = LENGTH_M) -> SimulatedWorld:
     """Make a world and the drives through it; scans are cast when they are read."""
     kind = KINDS[name]
-    world = SCENES[kind.scene or name](seed, size_m=kind.size_m)
+    world = SCENES[name](seed, size_m=kind.size_m)
     drive = partial(simulate_sessions, world, length_m=length_m, seed=seed)
-    mapped = drive(_sensor(kind.mapped_by), [Conditions()])[0]
-    sessions = [Conditions(), kind.later]
+    mapped = drive(SENSORS[kind.mapped_by](AZIMUTHS), [Conditions()])[0]
     queries = {
-        sensor: drive(_sensor(sensor), sessions, platform=kind.platform)[1]
+        sensor: drive(SENSORS[sensor](AZIMUTHS), [Conditions(), LATER], platform=kind.platform)[1]
         for sensor in kind.sensors
     }
-    if kind.submaps:
-        mapped = Submaps.of(mapped)
-        queries = {sensor: Submaps.of(each) for sensor, each in queries.items()}
     if seed % 2:
         mapped = unsharp(mapped, seed)
         queries = {sensor: unsharp(each, seed) for sensor, each in queries.items()}
     return SimulatedWorld(f"{name} {seed}", kind.alike, mapped, queries)
-
-
-def _sensor(name: str) -> Lidar:
-    return SENSORS[name](SWIRL if name == "mid360" else AZIMUTHS)
-
-
-@dataclass
-class Submaps(SimulatedSequence):
-    """Each scan with what others near it saw, as mapping software keeps it."""
-
-    _scan: Callable[[int], Scan] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        self._scan = lru_cache(SCANS_IN_MEMORY)(super().scan)
-
-    @classmethod
-    def of(cls, drive: SimulatedSequence) -> Submaps:
-        """The submaps of a drive."""
-        return cls(**{f.name: getattr(drive, f.name) for f in fields(drive) if f.init})
-
-    def scan(self, i: int) -> Scan:
-        """Merge the scans about one of them, in its frame."""
-        T_scan_world = geometry.inverse(self.truth[i])
-        away = np.linalg.norm(self.truth[:, :3, 3] - self.truth[i, :3, 3], axis=1)
-        merged = [
-            geometry.transform(T_scan_world @ self.truth[k], self._scan(int(k)).points)
-            for k in np.flatnonzero(away < SUBMAP_M)
-        ]
-        points = np.concatenate(merged).astype(np.float32)
-        kept = points[np.linalg.norm(points, axis=1) < CROPPED_M]
-        return Scan(kept, stamp=self._scan(i).stamp, T_odom_sensor=self.poses[i])
 
 
 def unsharp(drive: SimulatedSequence, seed: int) -> SimulatedSequence:
@@ -340,9 +290,9 @@ def main() -> None:
     options.add_argument("--out", type=Path, default=Path("rows"))
     args = options.parse_args()
     config = Config.preset("profile").model_copy(update={"threads": 1})
-    for name, seed in seeds(args.first_seed, args.each, args.kinds):
+    for name, seed in seeds(args.first_seed, args.each):
         folder = args.out / f"{name}-{seed}"
-        if folder.exists():
+        if name not in args.kinds or folder.exists():
             continue
         start = time.process_time()
         write_world(simulated(name, seed), folder, config)
