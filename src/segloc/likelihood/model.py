@@ -36,8 +36,8 @@ _CHANCE_INLIERS = 4
 """Segments that agree on some wrong pose of any map."""
 _MAX_IN_VIEW = 3000
 """Map points in view beyond which more say no more."""
-FREE = Count(0, 2000)
-"""What stands in free space at best."""
+FREE, OBSTRUCTED = Count(0, 2000), Count(2000, 2000)
+"""What stands in free space at best and at worst."""
 
 _SEEN, _INTRUDING = 0.75, 0.02
 """Shares of the map in view that are seen, and of a query that stand in free space, at right poses

@@ -13,7 +13,7 @@ from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .model import FREE, shipped_model
+from .model import FREE, OBSTRUCTED, shipped_model
 from .observation import DOUBTFUL, Count, MapCloud, Observation, QueryCloud, RankedCandidate
 from .posterior import Posterior, ScoredPose, log_odds
 
@@ -113,6 +113,7 @@ class Scorer:
         self._map, self._apart = likelihood.cloud, likelihood.separation.apart
         self._threshold = log_odds(self._config.min_confidence)
         self._candidates: Sequence[Candidate] = ()
+        self._finished: list[Observation] = []
         self.fits: list[Observation] = []
 
     def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
@@ -159,15 +160,29 @@ class Scorer:
             self._measure(T, inliers, start)
         while (fit_left := self._undecided(thorough)) is not None:
             finished = self._map.finished(fit_left, self._query)
-            finished.intruding  # noqa: B018  (measured on first use)
             self.fits[self.fits.index(fit_left)] = finished
+            self._finished.append(finished)
+            if thorough or not self._is_believed_anyway(finished):
+                finished.intruding  # noqa: B018  (measured on first use)
         return self.posterior()
 
     def posterior(self) -> Posterior:
         """The probabilities of all that was measured."""
-        unknown = FREE if any(fit.has("intruding") for fit in self.fits) else DOUBTFUL
-        places = [self._scored(fit, unknown) for fit in self.fits]
+        rivals = FREE if self._finished else DOUBTFUL
+        places = [
+            self._scored(fit, DOUBTFUL if fit in self._finished else rivals) for fit in self.fits
+        ]
         return Posterior.of(places, self._model.lapse)
+
+    def _is_believed_anyway(self, fit: Observation) -> bool:
+        """Whether a place is believed whatever stands in free space there, and nothing elsewhere.
+
+        Measuring what stands there takes as long as several alignments.
+        """
+        place = self._scored(fit, OBSTRUCTED)
+        others = [self._scored(other, FREE) for other in self.fits if other is not fit]
+        posterior = Posterior.of([place, *others], self._model.lapse)
+        return posterior.best is place and posterior.confidence >= self._config.min_confidence
 
     def _undecided(self, thorough: bool) -> Observation | None:
         """The likeliest place that is not measured wholly, if that could change what is believed.
@@ -178,7 +193,7 @@ class Scorer:
         known, left = -math.inf, list[tuple[float, Observation]]()
         for fit in self.fits:
             log_ratio = self._scored(fit, FREE).log_ratio
-            if fit.has("intruding"):
+            if fit in self._finished:
                 known = max(known, log_ratio)
             else:
                 left.append((log_ratio, fit))
