@@ -1,10 +1,10 @@
 // Voxel grid, ground and clusters.
 #include "bindings/bindings.h"
+#include "common/cells.h"
 #include "frontend/cluster.h"
 #include "frontend/ground.h"
 #include "frontend/planes.h"
 #include "frontend/spacing.h"
-#include "frontend/voxel.h"
 
 namespace segloc::bindings {
 namespace {

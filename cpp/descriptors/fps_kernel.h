@@ -23,17 +23,17 @@ inline size_t first_equal(const float* values, Vec target) {
   }
 }
 
-inline void reset(float* distance, size_t n) {
+inline void reset(float* distance, size_t n, size_t groups) {
   for (size_t i = 0; i < n; ++i) distance[i] = kFar;
-  for (size_t i = n; i < padded(n, kFpsGroup); ++i) distance[i] = -1.0f;
+  for (size_t i = n; i < groups * kFpsGroup; ++i) distance[i] = -1.0f;
 }
 
 // Nothing is in the set yet. `distance` has those of the points and then those of the groups.
 inline void clear_set(float* distance, size_t n, size_t groups) {
-  reset(distance, n);
+  reset(distance, n, groups);
   // Groups of padding, so that first_equal can look at whole blocks.
   float* group_max = distance + groups * kFpsGroup;
-  for (size_t i = groups * kWidth; i < fps_group_max_size(n); ++i) group_max[i] = -1.0f;
+  for (size_t i = groups * kWidth; i < fps_group_max_size(groups); ++i) group_max[i] = -1.0f;
 }
 
 // The sum is in double and in a fixed order, so that every instruction set finds the same mean. Its
@@ -63,14 +63,17 @@ inline void fill_rest(float* distance, int32_t* order, size_t n, size_t chosen, 
 // `Groups` is the number of groups of 64 points where it is known beforehand, otherwise 0: constant
 // offsets leave the registers to the clouds.
 template <size_t Clouds, size_t Groups>
-inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
-  const size_t groups = Groups ? Groups : padded(n, kFpsGroup) / kFpsGroup;
+inline void sample(const FpsCloud* clouds, size_t most) {
+  const size_t groups = Groups ? Groups : most;
   const size_t stride = groups * kFpsGroup;
   float* x[Clouds];  // copies: a vector store could alias the pointers otherwise
   Vec cx[Clouds], cy[Clouds], cz[Clouds];
-  bool exhausted[Clouds] = {};
+  size_t left[Clouds], samples = 0;  // still to be chosen of each, and at most
   SEGLOC_UNROLL
   for (size_t k = 0; k < Clouds; ++k) {
+    const size_t n = clouds[k].n;
+    left[k] = clouds[k].samples;
+    samples = left[k] > samples ? left[k] : samples;
     x[k] = clouds[k].memory;
     cx[k] = broadcast(mean(x[k], n));
     cy[k] = broadcast(mean(x[k] + stride, n));
@@ -102,12 +105,13 @@ inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
     }
     SEGLOC_UNROLL
     for (size_t k = 0; k < Clouds; ++k) {
-      if (exhausted[k]) continue;
+      if (left[k] == 0) continue;
+      --left[k];
       const float farthest = reduce_max(best[k]);
       float* distance = x[k] + 3 * stride;
       if (!(farthest > 0.0f)) {
-        fill_rest(distance, clouds[k].order, n, s, samples);
-        exhausted[k] = true;
+        fill_rest(distance, clouds[k].order, clouds[k].n, s, clouds[k].samples);
+        left[k] = 0;
         continue;
       }
       const Vec target = broadcast(farthest);
@@ -117,23 +121,29 @@ inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
       cx[k] = broadcast(x[k][i]);
       cy[k] = broadcast(x[k][i + stride]);
       cz[k] = broadcast(x[k][i + 2 * stride]);
-      if (s == 0) reset(distance, n);  // the centroid is no member of the set
+      if (s == 0) reset(distance, clouds[k].n, groups);  // the centroid is no member of the set
     }
   }
 }
 
 template <size_t Groups>
-void fps_of(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
+void fps_of(const FpsCloud* clouds, size_t count, size_t groups) {
   size_t i = 0;
-  for (; i + kLockstep <= count; i += kLockstep) {
-    sample<kLockstep, Groups>(clouds + i, n, samples);
-  }
-  for (; i < count; ++i) sample<1, Groups>(clouds + i, n, samples);
+  for (; i + kLockstep <= count; i += kLockstep) sample<kLockstep, Groups>(clouds + i, groups);
+  for (; i < count; ++i) sample<1, Groups>(clouds + i, groups);
 }
 
-void fps(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
-  if (padded(n, kFpsGroup) == 4 * kFpsGroup) return fps_of<4>(clouds, count, n, samples);
-  fps_of<0>(clouds, count, n, samples);
+void fps(const FpsCloud* clouds, size_t count, size_t groups) {
+  switch (groups) {
+    case 1:
+      return fps_of<1>(clouds, count, groups);
+    case 2:
+      return fps_of<2>(clouds, count, groups);
+    case 4:
+      return fps_of<4>(clouds, count, groups);
+    default:
+      return fps_of<0>(clouds, count, groups);
+  }
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/parallel.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
@@ -128,41 +129,14 @@ void write_slices(const Cloud& cloud, float* out) {
   }
 }
 
-// As many lists as a vector has lanes are sorted side by side by a bitonic network, which takes
-// no branches: several times faster than sorting one after another.
-constexpr std::size_t kLanes = 16;
+constexpr std::size_t kLanes = kSortLanes;
 using Row = std::array<float, kLanes>;
-
-void exchange(Row& a, Row& b) {
-  for (std::size_t lane = 0; lane < kLanes; ++lane) {
-    const float low = std::min(a[lane], b[lane]), high = std::max(a[lane], b[lane]);
-    a[lane] = low;
-    b[lane] = high;
-  }
-}
-
-// `count`, a power of two, rows; each lane rises afterwards.
-void sort_lanes(Row* rows, std::size_t count) {
-  for (std::size_t run = 2; run <= count; run *= 2) {
-    for (std::size_t step = run / 2; step > 0; step /= 2) {
-      for (std::size_t i = 0; i < count; ++i) {
-        const std::size_t j = i ^ step;
-        if (j < i) continue;
-        if (i & run) {
-          exchange(rows[j], rows[i]);
-        } else {
-          exchange(rows[i], rows[j]);
-        }
-      }
-    }
-  }
-}
 
 // Up to kLanes segments at a time.
 class Batch {
  public:
-  Batch(const std::vector<Cloud>& clouds, float* output)
-      : clouds_(clouds), output_(output), rows_(kRows) {}
+  Batch(const Kernels& kernels, const std::vector<Cloud>& clouds, float* output)
+      : kernels_(kernels), clouds_(clouds), output_(output), rows_(kRows) {}
 
   void write() {
     for (std::size_t lane = 0; lane < clouds_.size(); ++lane) {
@@ -188,7 +162,7 @@ class Batch {
     for (std::size_t lane = 0; lane < clouds_.size(); ++lane) {
       for (std::size_t i = 0; i < count; ++i) rows_[i][lane] = value(clouds_[lane], i);
     }
-    sort_lanes(rows_.data(), padded);
+    kernels_.sort_lanes(rows_.front().data(), padded);
     for (std::size_t lane = 0; lane < clouds_.size(); ++lane) {
       for (std::size_t k = 0; k < number; ++k) {
         const std::size_t rank = (k * (count - 1) + (number - 1) / 2) / (number - 1);
@@ -250,6 +224,7 @@ class Batch {
     return pairs;
   }
 
+  const Kernels& kernels_;
   const std::vector<Cloud>& clouds_;
   float* output_;
   std::vector<Row> rows_;
@@ -270,7 +245,7 @@ void shape_profiles(const float* prepared, const float* heights, std::size_t seg
       for (std::size_t i = first; i < std::min(first + kLanes, end); ++i) {
         clouds.emplace_back(prepared + 3 * count * i, count, heights[i]);
       }
-      Batch(clouds, output + kSize * first).write();
+      Batch(best_kernels(), clouds, output + kSize * first).write();
     }
   });
 }

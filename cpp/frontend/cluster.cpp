@@ -60,7 +60,7 @@ class Lattice {
     const std::size_t n = level.size();
     // A hair wider than the radius, so that rounding never puts linked points two blocks apart.
     const double block_size = radius * (1.0 + 1e-6);
-    const CellOrder sorted = sort_into_cells(points.data(), n, block_size);
+    const CellRuns sorted = sort_into_runs(points.data(), n, block_size);
     stride_y_ = sorted.stride_y;
     stride_z_ = sorted.stride_z;
     order_.resize(n);
@@ -68,11 +68,13 @@ class Lattice {
     ends_.reserve(levels * n / 2);
     blocks_.reserve(n / 4);
     const std::vector<std::uint16_t> slots = slots_of(points, level, block_size);
-    for (std::size_t i = 0; i < n;) {
-      std::size_t j = i;
-      while (j < n && sorted.keys[j] == sorted.keys[i]) ++j;
-      add_block(points, sorted, slots, i, j);
-      i = j;
+    const CellRun* end = sorted.runs.data() + sorted.runs.size();
+    std::uint32_t row = 0;
+    for (const CellRun* begin = sorted.runs.data(); begin < end;) {
+      const CellRun* next = begin;
+      while (next < end && next->key == begin->key) ++next;
+      row = add_block(points, begin, next, slots, row);
+      begin = next;
     }
     sets_ = DisjointSets(cells_.size());
   }
@@ -118,12 +120,16 @@ class Lattice {
     return slots;
   }
 
-  void add_block(const std::vector<float>& points, const CellOrder& sorted,
-                 const std::vector<std::uint16_t>& slots, std::size_t begin, std::size_t end) {
+  // The block of some runs, whose points come from `row` on; the row behind them.
+  std::uint32_t add_block(const std::vector<float>& points, const CellRun* begin,
+                          const CellRun* end, const std::vector<std::uint16_t>& slots,
+                          std::uint32_t row) {
     start_.assign(8 * levels_, 0);
-    for (std::size_t i = begin; i < end; ++i) ++start_[slots[sorted.order[i]]];
+    for (const CellRun* run = begin; run < end; ++run) {
+      for (std::uint32_t i = run->begin; i < run->end; ++i) ++start_[slots[i]];
+    }
     const auto first_cell = static_cast<std::uint32_t>(cells_.size());
-    auto at = static_cast<std::uint32_t>(begin);
+    std::uint32_t at = row;
     for (std::size_t octant = 0; octant < 8; ++octant) {
       const std::uint32_t cell_begin = at;
       for (std::size_t k = octant * levels_; k < (octant + 1) * levels_; ++k) {
@@ -138,14 +144,17 @@ class Lattice {
         ends_.resize(ends_.size() - levels_);
       }
     }
-    for (std::size_t i = begin; i < end; ++i) {
-      const std::uint32_t point = sorted.order[i], slot = start_[slots[point]]++;
-      order_[slot] = point;
-      std::copy_n(points.begin() + 3 * static_cast<std::ptrdiff_t>(point), 3,
-                  xyz_.begin() + 3 * static_cast<std::ptrdiff_t>(slot));
+    for (const CellRun* run = begin; run < end; ++run) {
+      for (std::uint32_t point = run->begin; point < run->end; ++point) {
+        const std::uint32_t slot = start_[slots[point]]++;
+        order_[slot] = point;
+        std::copy_n(points.begin() + 3 * static_cast<std::ptrdiff_t>(point), 3,
+                    xyz_.begin() + 3 * static_cast<std::ptrdiff_t>(slot));
+      }
     }
     const auto end_cell = static_cast<std::uint32_t>(cells_.size());
-    blocks_.push_back({sorted.keys[begin], first_cell, end_cell, false, false});
+    blocks_.push_back({begin->key, first_cell, end_cell, false, false});
+    return at;
   }
 
   std::uint32_t end(std::uint32_t cell) const { return ends_[cell * levels_ + level_]; }

@@ -180,6 +180,15 @@ inline Vec count_before(Vec count, Vec v, Vec x, Vec i, Vec j) {
 
 #endif
 
+// Appends first + i to `found` for each set bit i of the hits, up to `end`; the new count.
+inline size_t append(uint32_t hits, size_t first, size_t end, uint32_t* found, size_t count) {
+  if (end - first < kWidth) hits &= (1u << (end - first)) - 1u;
+  for (; hits != 0; hits &= hits - 1) {
+    found[count++] = static_cast<uint32_t>(first) + static_cast<uint32_t>(lowest_bit(hits));
+  }
+  return count;
+}
+
 // x for x > 0, exp(x) - 1 otherwise; absolute error below 3e-7. 2^f on [-1/2, 1/2] is a polynomial
 // with a relative error below 1e-7.
 inline Vec elu(Vec x) {

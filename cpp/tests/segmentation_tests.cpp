@@ -2,11 +2,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/cells.h"
 #include "frontend/cluster.h"
 #include "frontend/ground.h"
 #include "frontend/planes.h"
 #include "frontend/point_grid.h"
-#include "frontend/voxel.h"
 #include "tests/check.h"
 
 namespace segloc {
