@@ -43,15 +43,6 @@ void radix_sort(std::vector<std::uint64_t>& keys, std::vector<std::uint32_t>& va
   }
 }
 
-namespace {
-
-constexpr std::size_t kChunk = 1024;  // points whose cells are computed at a time, from cache
-
-struct Bounds {
-  double low[3], high[3];
-};
-
-// Of n > 0 points.
 Bounds bounds_of(const float* points, std::size_t n) {
   constexpr std::size_t kWide = 12;  // four points: whole vectors
   float low[kWide], high[kWide];
@@ -75,6 +66,11 @@ Bounds bounds_of(const float* points, std::size_t n) {
   return bounds;
 }
 
+namespace {
+
+constexpr double kNarrow = 1e9;        // cells from the origin whose numbers fit 32 bits
+constexpr std::size_t kChunk = 1024;  // points whose cells are computed at a time, from cache
+
 // How cells are numbered. The lattice is fixed to the frame's origin, not to the cloud: the same
 // point always falls into the same cell, whatever else was seen.
 struct CellNumbers {
@@ -91,7 +87,7 @@ struct CellNumbers {
       }
       first[a] = static_cast<std::int64_t>(begin) - CellOrder::kPad;
       count[a] = static_cast<std::int64_t>(width);
-      narrow = narrow && std::abs(begin) < 1e9 && std::abs(end) < 1e9;
+      narrow = narrow && std::abs(begin) < kNarrow && std::abs(end) < kNarrow;
     }
     stride_y = count[0], stride_z = count[0] * count[1];
     const std::uint64_t last = static_cast<std::uint64_t>(stride_z) * count[2] - 1;
@@ -115,26 +111,27 @@ struct CellNumbers {
   bool narrow = true;  // cells fit 32 bits along each axis
 };
 
-// Calls take(point, key) for each point in turn.
+// Calls take(points, keys, count) for some points at a time.
 template <typename Take>
-void each_key(const float* points, std::size_t n, const CellNumbers& numbers, Take&& take) {
-  if (!numbers.narrow) {
-    for (const float* p = points; p < points + 3 * n; p += 3) {
-      std::int64_t cell[3];
-      for (int a = 0; a < 3; ++a) cell[a] = floor_of(p[a] / numbers.size);
-      take(p, numbers.key(cell[0], cell[1], cell[2]));
-    }
-    return;
-  }
+void each_chunk(const float* points, std::size_t n, const CellNumbers& numbers, Take&& take) {
   const Kernels& kernels = best_kernels();
   std::int32_t cells[3 * kChunk];
+  std::uint64_t keys[kChunk];
   for (std::size_t begin = 0; begin < n; begin += kChunk) {
-    const std::size_t count = 3 * std::min(kChunk, n - begin);
+    const std::size_t count = std::min(kChunk, n - begin);
     const float* p = points + 3 * begin;
-    kernels.cell_numbers(p, count, numbers.size, cells);
-    for (std::size_t i = 0; i < count; i += 3) {
-      take(p + i, numbers.key(cells[i], cells[i + 1], cells[i + 2]));
+    if (numbers.narrow) {
+      kernels.cell_numbers(p, 3 * count, numbers.size, cells);
+      for (std::size_t i = 0; i < count; ++i) {
+        keys[i] = numbers.key(cells[3 * i], cells[3 * i + 1], cells[3 * i + 2]);
+      }
+    } else {
+      const auto cell = [&](std::size_t k) { return floor_of(p[k] / numbers.size); };
+      for (std::size_t i = 0; i < count; ++i) {
+        keys[i] = numbers.key(cell(3 * i), cell(3 * i + 1), cell(3 * i + 2));
+      }
     }
+    take(p, keys, count);
   }
 }
 
@@ -157,19 +154,48 @@ struct Runs {
   std::uint32_t begin(std::size_t k) const { return k == 0 ? 0 : ends[k - 1]; }
 };
 
-// Calls also(point, run, whether it is the first of the run).
-template <typename Also>
-Runs find_runs(const float* points, std::size_t n, const CellNumbers& numbers, Also&& also) {
+SEGLOC_VECTOR(double, Pair, 16);
+SEGLOC_VECTOR(std::int64_t, PairMask, 16);
+
+// Sums of the points of a run: x and y, z and their number.
+struct RunSum {
+  Pair xy, z;
+};
+
+// With the sums of each where there is room for them. No branches to guess: runs are short.
+Runs find_runs(const float* points, std::size_t n, const CellNumbers& numbers, RunSum* sums) {
   Runs runs(n);
   std::uint64_t last = ~std::uint64_t{0};
   std::uint32_t next = 0;
-  each_key(points, n, numbers, [&](const float* p, std::uint64_t key) {  // no branch to guess
-    const bool fresh = key != last;
-    runs.count += fresh;
-    last = key;
-    runs.keys[runs.count - 1] = key;
-    runs.ends[runs.count - 1] = ++next;
-    also(p, runs.count - 1, fresh);
+  Pair xy = {0.0, 0.0}, z = {0.0, 0.0};
+  each_chunk(points, n, numbers, [&](const float* p, const std::uint64_t* keys, std::size_t size) {
+    std::uint64_t before = last;
+    std::uint64_t* run_keys = runs.keys.get();
+    std::uint32_t* run_ends = runs.ends.get();
+    std::size_t run = runs.count - 1;  // wraps before the first
+    if (sums == nullptr) {
+      for (std::size_t i = 0; i < size; ++i) {
+        run += keys[i] != before;
+        before = run_keys[run] = keys[i];
+        run_ends[run] = ++next;
+      }
+    } else {
+      Pair run_xy = xy, run_z = z;
+      for (std::size_t i = 0; i < size; ++i, p += 3) {
+        const std::int64_t same = -static_cast<std::int64_t>(keys[i] == before);
+        const PairMask kept = {same, same};
+        run += static_cast<std::size_t>(1 + same);
+        before = run_keys[run] = keys[i];
+        run_ends[run] = ++next;
+        run_xy = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(run_xy) & kept) +
+                 Pair{p[0], p[1]};
+        run_z = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(run_z) & kept) + Pair{p[2], 1.0};
+        sums[run] = {run_xy, run_z};
+      }
+      xy = run_xy, z = run_z;
+    }
+    last = before;
+    runs.count = run + 1;
   });
   return runs;
 }
@@ -221,21 +247,13 @@ CellNumbers numbered(const float* points, std::size_t n, double size) {
   return {n == 0 ? Bounds{} : bounds_of(points, n), size};
 }
 
-SEGLOC_VECTOR(double, Pair, 16);
-SEGLOC_VECTOR(std::int64_t, PairMask, 16);
-
-// Sums of the points of a run.
-struct RunSum {
-  Pair xy, z;
-};
-
 }  // namespace
 
 CellRuns sort_into_runs(const float* points, std::size_t n, double size) {
   const CellNumbers numbers = numbered(points, n, size);
   CellRuns cells;
   cells.stride_y = numbers.stride_y, cells.stride_z = numbers.stride_z;
-  const Runs runs = find_runs(points, n, numbers, [](const float*, std::size_t, bool) {});
+  const Runs runs = find_runs(points, n, numbers, nullptr);
   cells.runs.reserve(runs.count);
   in_order(runs, numbers.bits, [&](std::uint32_t k, std::uint64_t key) {
     cells.runs.push_back({key, runs.begin(k), runs.ends[k]});
@@ -257,19 +275,30 @@ CellOrder sort_into_cells(const float* points, std::size_t n, double size) {
   return cells;
 }
 
+std::vector<std::uint8_t> odd_cells(const float* values, std::size_t count, double size) {
+  std::vector<std::uint8_t> odd(count);
+  float largest = 0.0f;
+  for (std::size_t i = 0; i < count; ++i) largest = std::max(largest, std::abs(values[i]));
+  if (!(largest / size < kNarrow)) {
+    for (std::size_t i = 0; i < count; ++i) odd[i] = floor_of(values[i] / size) & 1;
+    return odd;
+  }
+  const Kernels& kernels = best_kernels();
+  std::int32_t cells[3 * kChunk];
+  for (std::size_t begin = 0; begin < count; begin += 3 * kChunk) {
+    const std::size_t size_here = std::min(3 * kChunk, count - begin);
+    kernels.cell_numbers(values + begin, size_here, size, cells);
+    for (std::size_t i = 0; i < size_here; ++i) odd[begin + i] = cells[i] & 1;
+  }
+  return odd;
+}
+
 // Runs are summed on the way: sums of single precision in double are exact, so nothing depends on
 // the order.
 std::vector<float> voxel_grid(const float* points, std::size_t n, double size) {
   const CellNumbers numbers = numbered(points, n, size);
   const Raw<RunSum> sums = raw<RunSum>(n);
-  Pair xy = {0.0, 0.0}, z = {0.0, 0.0};
-  const Runs runs = find_runs(points, n, numbers, [&](const float* p, std::size_t k, bool fresh) {
-    const std::int64_t kept = fresh ? 0 : -1;
-    const PairMask mask = {kept, kept};
-    xy = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(xy) & mask) + Pair{p[0], p[1]};
-    z = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(z) & mask) + Pair{p[2], 1.0};
-    sums[k] = {xy, z};
-  });
+  const Runs runs = find_runs(points, n, numbers, sums.get());
   std::vector<float> means;
   means.reserve(3 * runs.count);
   std::uint64_t cell = ~std::uint64_t{0};

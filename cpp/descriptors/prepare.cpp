@@ -27,8 +27,7 @@ uint64_t hash_point(const float* p) {
 }
 
 constexpr std::size_t kTogether = 4;      // clouds whose points are chosen in lockstep
-constexpr std::size_t kMostGroups = 8;    // of such clouds: more do not wait for each other
-constexpr std::size_t kSlot = padded(fps_scratch_size(kMostGroups * kFpsGroup), 16);
+constexpr std::size_t kSlot = padded(fps_scratch_size(kFpsFewGroups * kFpsGroup), 16);
 
 std::size_t kept_points(std::size_t n) { return std::min(n, kThinnedPoints); }
 
@@ -55,7 +54,7 @@ class Preparer {
   void prepare(const Task* tasks, std::size_t count) {
     for (std::size_t first = 0; first < count;) {
       const std::size_t groups = tasks[first].groups();
-      const std::size_t together = groups > kMostGroups ? 1 : std::min(kTogether, count - first);
+      const std::size_t together = groups > kFpsFewGroups ? 1 : std::min(kTogether, count - first);
       FpsCloud clouds[kTogether];
       for (std::size_t k = 0; k < together; ++k) clouds[k] = place(tasks[first + k], k, groups);
       kernels_.fps(clouds, together, groups);

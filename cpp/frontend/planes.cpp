@@ -1,6 +1,7 @@
 #include "frontend/planes.h"
 
 #include <algorithm>
+#include <memory>
 
 #include "common/principal_axes.h"
 #include "frontend/point_grid.h"
@@ -27,22 +28,23 @@ std::vector<float> plane_normals(const float* points, std::size_t n, const Plane
   const PointGrid grid(points, n, options.radius);
   const auto far = static_cast<float>(options.radius * options.radius);
   const float near = far / 4;
-  const std::size_t judged = std::min(n, options.most);
+  const std::size_t sampled = std::min(n, options.most);
+  const std::unique_ptr<std::uint32_t[]> around(new std::uint32_t[2 * (n + PointGrid::kPad)]);
+  std::uint32_t* close = around.get() + n + PointGrid::kPad;
   std::vector<float> normals;
-  std::vector<std::uint32_t> around, close;
-  for (std::size_t k = 0; k < judged; ++k) {
-    const PointGrid::Point p = grid[k * n / judged];
-    around.clear();
-    grid.within(p, options.radius, far, around);
-    if (around.size() < options.min_points) continue;
-    close.clear();
-    for (const std::uint32_t i : around) {
-      if (squared_distance(grid[i], p) <= near) close.push_back(i);
+  for (std::size_t k = 0; k < sampled; ++k) {
+    const PointGrid::Point p = grid[k * n / sampled];
+    const std::size_t count = grid.within(p, options.radius, far, around.get());
+    if (count < options.min_points) continue;
+    std::size_t close_count = 0;
+    for (std::size_t j = 0; j < count; ++j) {  // no branch to guess
+      close[close_count] = around[j];
+      close_count += squared_distance(grid[around[j]], p) <= near;
     }
+    const bool dense = close_count >= options.min_points;
+    const std::uint32_t* used = dense ? close : around.get();
     Moments moments;
-    for (const std::uint32_t i : close.size() >= options.min_points ? close : around) {
-      moments.add(grid[i], p);
-    }
+    for (std::size_t j = 0; j < (dense ? close_count : count); ++j) moments.add(grid[used[j]], p);
     const PrincipalAxes axes = principal_axes(moments.covariance());
     if (!is_flat(axes, options.thickness)) continue;
     for (const double v : axes.least_axis) normals.push_back(static_cast<float>(v));

@@ -17,8 +17,9 @@ size_t near_points(const PointArrays& points, const float* place, float distance
   for (size_t i = begin; i < end; i += kWidth) {
     const Vec dx = load(points.x + i) - x, dy = load(points.y + i) - y;
     const Vec dz = load(points.z + i) - z;
-    const uint32_t hits = less_equal(dx * dx + dy * dy + dz * dz, limit);
-    if (hits != 0) count = append(hits, i, end, found, count);
+    uint32_t hits = less_equal(dx * dx + dy * dy + dz * dz, limit);
+    if (end - i < size_t{kWidth}) hits &= (1u << (end - i)) - 1u;
+    count = append_fast(hits, i, found, count);
   }
   return count;
 }

@@ -11,7 +11,6 @@ namespace {
 
 constexpr double kMargin = 1.0 + 1e-4;  // of squared distances in single precision
 constexpr std::size_t kLanes = 4;
-constexpr std::size_t kPad = 16;  // what kernels may read behind the last point
 
 SEGLOC_VECTOR(float, Floats, 16);
 SEGLOC_VECTOR(std::int32_t, Flags, 16);
@@ -124,10 +123,11 @@ void PointGrid::visit_cells(const Point& p, double radius, const Bound& bound,
   }
 }
 
-void PointGrid::within(const Point& p, double radius, float distance2,
-                       std::vector<std::uint32_t>& found) const {
+std::size_t PointGrid::within(const Point& p, double radius, float distance2,
+                              std::uint32_t* found) const {
   std::int64_t low[3], high[3];
-  if (!reach(p, radius, low, high)) return;
+  if (!reach(p, radius, low, high)) return 0;
+  std::size_t count = 0;
   const Kernels& kernels = best_kernels();
   const PointArrays points = {x_.data(), y_.data(), z_.data()};
   Cells cells(*this, low);
@@ -136,13 +136,12 @@ void PointGrid::within(const Point& p, double radius, float distance2,
       for (std::int64_t z = low[2]; z <= high[2]; ++z) {
         const Range* range = cells.find(x, y, z);
         if (range == nullptr) continue;
-        const std::size_t count = found.size();
-        found.resize(count + range->end - range->begin);
-        found.resize(count + kernels.near_points(points, p.data(), distance2, range->begin,
-                                                 range->end, found.data() + count));
+        count += kernels.near_points(points, p.data(), distance2, range->begin, range->end,
+                                     found + count);
       }
     }
   }
+  return count;
 }
 
 // Vectors that reach past the end of a cell read other points: those are no nearer than the

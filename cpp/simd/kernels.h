@@ -207,7 +207,7 @@ struct Kernels {
   // floor(values / size), all of which fit 32 bits.
   void (*cell_numbers)(const float* values, size_t count, double size, int32_t* cells);
   // Writes the points in [begin, end) within the distance of a place, squared, and returns how
-  // many.
+  // many. Up to 15 values behind them may be written.
   size_t (*near_points)(const PointArrays& points, const float* place, float distance2,
                         size_t begin, size_t end, uint32_t* found);
   // Sorts kSortLanes lists side by side: row i has the i-th value of each. `count` is a power of
@@ -229,8 +229,12 @@ static constexpr size_t padded(size_t n, size_t multiple) {
   return (n + multiple - 1) / multiple * multiple;
 }
 static constexpr size_t kFpsGroup = 64;
+static constexpr size_t kFpsFewGroups = 8;  // clouds that are sampled in lockstep have no more
 static constexpr size_t fps_groups(size_t n) { return (n + kFpsGroup - 1) / kFpsGroup; }
-// The largest distances of each group, one vector (of at most 16) a group, in blocks of 64.
-static constexpr size_t fps_group_max_size(size_t groups) { return padded(groups * 16, 64); }
+// The largest distances of each group, one vector (of at most 16) a group, in blocks of 64. Of a
+// large cloud: one value a group, and the box of each group.
+static constexpr size_t fps_group_max_size(size_t groups) {
+  return groups > kFpsFewGroups ? 7 * padded(groups, 64) : padded(groups * 16, 64);
+}
 
 }  // namespace segloc

@@ -62,18 +62,60 @@ def reference_normals(points: Float64, radius: float, least: int, thickness: flo
     return np.array(normals).reshape(-1, 3)
 
 
+def flat_normals(points: Float32, radius: float, least: int, most: int) -> Float32:
+    """Of points that each have a voxel of their own."""
+    return _native.flat_normals(points, 100.0, 1e-4, radius, least, 0.05, most)
+
+
+def reference_vertical(normals: Float64, directions: Float64) -> tuple[Float64, float]:
+    """The direction along the normals of floors and across those of walls, and its error [deg]."""
+    squared = (directions @ normals.T) ** 2
+    nearest = np.minimum(squared, 1.0 - squared) / np.sin(np.radians(8.0)) ** 2
+    up = directions[np.maximum(1.0 - nearest, 0.0).sum(axis=1).argmax()]
+    for tolerance in np.radians([10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0]):
+        along = np.abs(normals @ up)
+        floors, walls = normals[along > np.cos(tolerance)], normals[along < np.sin(tolerance)]
+        values, axes = np.linalg.eigh(walls.T @ walls - floors.T @ floors)
+        up = axes[:, 0] * np.sign(axes[:, 0] @ up)
+    count = len(floors) + len(walls)
+    variance = (values[0] + len(floors)) / count / (values[1] - values[0])
+    return up, float(np.degrees(np.sqrt(13.0 * variance)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_vertical_is_that_of_the_reference(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R = turn(rng, rng.uniform(0, 30))
+    axes = np.eye(3)[rng.choice(3, 700, p=[0.1, 0.2, 0.7])] + rng.normal(0, 0.03, (700, 3))
+    every = np.concatenate([axes @ R.T, rng.normal(size=(200, 3))])
+    normals = (every / np.linalg.norm(every, axis=1, keepdims=True)).astype(np.float32)
+    directions = rng.normal(size=(4000, 3)) + [0, 0, 3]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    up, sigma_deg = _native.fit_vertical(normals, directions)
+    expected, expected_deg = reference_vertical(normals.astype(np.float64), directions)
+    np.testing.assert_allclose(up, expected, atol=1e-12)
+    assert sigma_deg == pytest.approx(expected_deg, rel=1e-9)
+    assert angle_deg(up, R @ Z) < 1.0
+
+
+def test_no_normal_agrees_with_no_direction() -> None:
+    up = np.array([[0.0, 0.0, 1.0]])
+    none = np.full((5, 3), 1 / np.sqrt(3), np.float32)
+    assert _native.fit_vertical(none, up)[1] == _native.fit_vertical(none[:0], up)[1] == np.inf
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_plane_normals_are_those_of_the_reference(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = np.concatenate([room(rng, 1500), rng.uniform(-4, 4, (300, 3)).astype(np.float32)])
     expected = reference_normals(points.astype(np.float64), 1.5, 8, 0.05)
-    found = _native.plane_normals(points, 1.5, 8, 0.05, len(points))
+    found = flat_normals(points, 1.5, 8, len(points))
     assert len(found) == len(expected) > 500
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-6)
     along = np.abs(found @ expected.T)  # in another order, of either sign
     assert along.max(axis=0).min() > 1 - 1e-6
     assert along.max(axis=1).min() > 1 - 1e-6
-    few = _native.plane_normals(points, 1.5, 8, 0.05, 200)
+    few = flat_normals(points, 1.5, 8, 200)
     assert 50 < len(few) <= 200
     assert np.abs(few @ expected.T).max(axis=1).min() > 1 - 1e-6
 

@@ -1,0 +1,139 @@
+#include "frontend/gravity.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "common/cells.h"
+#include "common/eigen_axes.h"
+
+namespace segloc {
+namespace {
+
+// From the air what is nearest may all be roofs: the range is at least kFar times the median one of
+// the points, but at most kFarthest times what is used otherwise.
+constexpr double kFar = 1.5, kFarthest = 3.0;
+constexpr double kRadians = 3.14159265358979323846 / 180.0;
+constexpr double kStartDeg = 8.0;  // of a direction, within which normals agree with it the less
+constexpr double kTolerancesDeg[] = {10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0};
+constexpr double kCorrelated = 13.0;  // neighbouring normals that err together: one plane
+constexpr std::size_t kLanes = 16;
+
+float squared_range(const float* p) { return p[0] * p[0] + p[1] * p[1] + p[2] * p[2]; }
+
+// The median of n > 0 squared ranges.
+double median_squared_range(const float* points, std::size_t n) {
+  std::vector<float> squares(n);
+  for (std::size_t i = 0; i < n; ++i) squares[i] = squared_range(points + 3 * i);
+  const auto middle = squares.begin() + static_cast<std::ptrdiff_t>(n / 2);
+  std::nth_element(squares.begin(), middle, squares.end());
+  if (n % 2 != 0) return *middle;
+  return (*std::max_element(squares.begin(), middle) + *middle) / 2.0f;
+}
+
+// The points within range, packed.
+std::vector<float> points_within(const float* points, std::size_t n, double range) {
+  const double usual = range * range;
+  const auto far = static_cast<float>(usual / (kFar * kFar));
+  std::size_t beyond = 0;
+  for (std::size_t i = 0; i < n; ++i) beyond += squared_range(points + 3 * i) > far;
+  double limit = usual;
+  if (n > 0 && 2 * beyond >= n) {
+    const double wide = kFar * kFar * median_squared_range(points, n);
+    limit = std::max(usual, std::min(wide, kFarthest * kFarthest * usual));
+  }
+  const auto most = static_cast<float>(limit);
+  std::vector<float> near(3 * n);
+  std::size_t size = 0;
+  for (std::size_t i = 0; i < n; ++i) {  // no branch to guess
+    for (std::size_t a = 0; a < 3; ++a) near[size + a] = points[3 * i + a];
+    size += squared_range(points + 3 * i) < most ? 3 : 0;
+  }
+  near.resize(size);
+  return near;
+}
+
+// Of the directions, the first that most normals agree with. The score of a direction is summed in
+// parts, so that it becomes vector instructions.
+std::size_t best_direction(const float* normals, std::size_t n, const double* directions,
+                           std::size_t count) {
+  const std::size_t stride = (n + kLanes - 1) / kLanes * kLanes;
+  std::vector<float> xyz(3 * stride, 0.0f);  // zeros count the same for all directions
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t a = 0; a < 3; ++a) xyz[a * stride + i] = normals[3 * i + a];
+  }
+  const float *x = xyz.data(), *y = x + stride, *z = y + stride;
+  const double sine = std::sin(kStartDeg * kRadians);
+  const auto slope = static_cast<float>(1.0 / (sine * sine));
+  std::size_t best = 0;
+  double most = -1.0;
+  for (std::size_t k = 0; k < count; ++k) {
+    const auto dx = static_cast<float>(directions[3 * k]);
+    const auto dy = static_cast<float>(directions[3 * k + 1]);
+    const auto dz = static_cast<float>(directions[3 * k + 2]);
+    float part[kLanes] = {};
+    for (std::size_t i = 0; i < stride; i += kLanes) {
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        const float along = x[i + lane] * dx + y[i + lane] * dy + z[i + lane] * dz;
+        const float squared = along * along;
+        const float nearest = std::min(squared, 1.0f - squared);  // sine to either, squared
+        part[lane] += std::max(1.0f - nearest * slope, 0.0f);
+      }
+    }
+    double score = 0.0;
+    for (const float each : part) score += each;
+    if (score > most) most = score, best = k;
+  }
+  return best;
+}
+
+// Sums of squared sines as a quadratic form of the direction: of the angles between it and the
+// normals of floors, and between it and the planes of walls.
+struct Agreeing {
+  Mat3 form = {};
+  std::size_t count = 0;
+
+  void add(const float* normal, bool floor) {
+    for (std::size_t a = 0; a < 3; ++a) {
+      for (std::size_t b = 0; b < 3; ++b) {
+        const double product = double{normal[a]} * normal[b];
+        form[a][b] += floor ? double(a == b) - product : product;
+      }
+    }
+    ++count;
+  }
+};
+
+}  // namespace
+
+std::vector<float> flat_normals(const float* points, std::size_t n, const FlatOptions& options) {
+  const std::vector<float> near = points_within(points, n, options.range);
+  const std::vector<float> thinned = voxel_grid(near.data(), near.size() / 3, options.voxel_size);
+  return plane_normals(thinned.data(), thinned.size() / 3, options.planes);
+}
+
+Vertical fit_vertical(const float* normals, std::size_t n, const double* directions,
+                      std::size_t count) {
+  const double* start = directions + 3 * best_direction(normals, n, directions, count);
+  Vec3 up = {start[0], start[1], start[2]}, values = {};
+  std::size_t agreeing = 0;
+  for (const double tolerance : kTolerancesDeg) {
+    const double floor = std::cos(tolerance * kRadians), wall = std::sin(tolerance * kRadians);
+    Agreeing sums;
+    for (const float* p = normals; p < normals + 3 * n; p += 3) {
+      const double along = std::abs(p[0] * up[0] + p[1] * up[1] + p[2] * up[2]);
+      if (along > floor || along < wall) sums.add(p, along > floor);
+    }
+    const EigenAxes axes = eigen_axes(sums.form);
+    const Vec3& axis = axes.axes[2];
+    const double sign = axis[0] * up[0] + axis[1] * up[1] + axis[2] * up[2] > 0.0 ? 1.0 : -1.0;
+    for (std::size_t a = 0; a < 3; ++a) up[a] = sign * axis[a];
+    values = axes.values, agreeing = sums.count;
+  }
+  const double curvature = values[1] - values[2];
+  if (agreeing < 3 || !(curvature > 0.0)) return {up, std::numeric_limits<double>::infinity()};
+  const double variance = std::max(values[2], 0.0) / static_cast<double>(agreeing) / curvature;
+  return {up, std::sqrt(kCorrelated * variance) / kRadians};
+}
+
+}  // namespace segloc
