@@ -160,6 +160,13 @@ SEGLOC_VECTOR(std::int64_t, PairMask, 16);
 // Sums of the points of a run: x and y, z and their number.
 struct RunSum {
   Pair xy, z;
+
+  // To what was summed before, if it is kept: all bits of `kept` are set, or none.
+  void add_to(std::int64_t kept, const Pair& more_xy, const Pair& more_z) {
+    const PairMask mask = {kept, kept};
+    xy = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(xy) & mask) + more_xy;
+    z = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(z) & mask) + more_z;
+  }
 };
 
 // With the sums of each where there is room for them. No branches to guess: runs are short.
@@ -167,7 +174,7 @@ Runs find_runs(const float* points, std::size_t n, const CellNumbers& numbers, R
   Runs runs(n);
   std::uint64_t last = ~std::uint64_t{0};
   std::uint32_t next = 0;
-  Pair xy = {0.0, 0.0}, z = {0.0, 0.0};
+  RunSum sum{};
   each_chunk(points, n, numbers, [&](const float* p, const std::uint64_t* keys, std::size_t size) {
     std::uint64_t before = last;
     std::uint64_t* run_keys = runs.keys.get();
@@ -180,19 +187,16 @@ Runs find_runs(const float* points, std::size_t n, const CellNumbers& numbers, R
         run_ends[run] = ++next;
       }
     } else {
-      Pair run_xy = xy, run_z = z;
+      RunSum run_sum = sum;
       for (std::size_t i = 0; i < size; ++i, p += 3) {
         const std::int64_t same = -static_cast<std::int64_t>(keys[i] == before);
-        const PairMask kept = {same, same};
         run += static_cast<std::size_t>(1 + same);
         before = run_keys[run] = keys[i];
         run_ends[run] = ++next;
-        run_xy = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(run_xy) & kept) +
-                 Pair{p[0], p[1]};
-        run_z = reinterpret_cast<Pair>(reinterpret_cast<PairMask>(run_z) & kept) + Pair{p[2], 1.0};
-        sums[run] = {run_xy, run_z};
+        run_sum.add_to(same, Pair{p[0], p[1]}, Pair{p[2], 1.0});
+        sums[run] = run_sum;
       }
-      xy = run_xy, z = run_z;
+      sum = run_sum;
     }
     last = before;
     runs.count = run + 1;
@@ -221,16 +225,21 @@ std::uint64_t* sort_packed(std::uint64_t* values, std::uint64_t* buffer, std::si
   return values;
 }
 
-// Calls visit(run, key) for the runs in the order of their cells, those of a cell as in the input.
+// Calls visit(run, key, a later run) for the runs in the order of their cells, those of a cell as in
+// the input.
 template <typename Visit>
 void in_order(const Runs& runs, int bits, Visit&& visit) {
+  constexpr std::size_t kAhead = 16;
+  if (runs.count == 0) return;
+  const auto later = [&](std::size_t k) { return std::min(k + kAhead, runs.count - 1); };
   if (bits <= 32) {
     const Raw<std::uint64_t> packed = raw<std::uint64_t>(2 * runs.count);
     for (std::size_t k = 0; k < runs.count; ++k) packed[k] = runs.keys[k] << 32 | k;
     const std::uint64_t* sorted =
         sort_packed(packed.get(), packed.get() + runs.count, runs.count, bits);
     for (std::size_t k = 0; k < runs.count; ++k) {
-      visit(static_cast<std::uint32_t>(sorted[k]), sorted[k] >> 32);
+      visit(static_cast<std::uint32_t>(sorted[k]), sorted[k] >> 32,
+            static_cast<std::uint32_t>(sorted[later(k)]));
     }
     return;
   }
@@ -238,24 +247,24 @@ void in_order(const Runs& runs, int bits, Visit&& visit) {
   std::vector<std::uint32_t> order(runs.count);
   std::iota(order.begin(), order.end(), 0u);
   radix_sort(keys, order, bits);
-  for (std::size_t k = 0; k < runs.count; ++k) visit(order[k], keys[k]);
+  for (std::size_t k = 0; k < runs.count; ++k) visit(order[k], keys[k], order[later(k)]);
 }
 
-CellNumbers numbered(const float* points, std::size_t n, double size) {
+CellNumbers numbered(std::size_t n, double size, const Bounds& bounds) {
   if (!(size > 0.0)) throw std::invalid_argument("cell size must be positive");
   if (n > std::numeric_limits<std::uint32_t>::max()) throw std::invalid_argument("too many points");
-  return {n == 0 ? Bounds{} : bounds_of(points, n), size};
+  return {bounds, size};
 }
 
 }  // namespace
 
 CellRuns sort_into_runs(const float* points, std::size_t n, double size) {
-  const CellNumbers numbers = numbered(points, n, size);
+  const CellNumbers numbers = numbered(n, size, n == 0 ? Bounds{} : bounds_of(points, n));
   CellRuns cells;
   cells.stride_y = numbers.stride_y, cells.stride_z = numbers.stride_z;
   const Runs runs = find_runs(points, n, numbers, nullptr);
   cells.runs.reserve(runs.count);
-  in_order(runs, numbers.bits, [&](std::uint32_t k, std::uint64_t key) {
+  in_order(runs, numbers.bits, [&](std::uint32_t k, std::uint64_t key, std::uint32_t) {
     cells.runs.push_back({key, runs.begin(k), runs.ends[k]});
   });
   return cells;
@@ -296,27 +305,29 @@ std::vector<std::uint8_t> odd_cells(const float* values, std::size_t count, doub
 // Runs are summed on the way: sums of single precision in double are exact, so nothing depends on
 // the order.
 std::vector<float> voxel_grid(const float* points, std::size_t n, double size) {
-  const CellNumbers numbers = numbered(points, n, size);
+  return voxel_grid(points, n, size, n == 0 ? Bounds{} : bounds_of(points, n));
+}
+
+std::vector<float> voxel_grid(const float* points, std::size_t n, double size,
+                              const Bounds& bounds) {
+  const CellNumbers numbers = numbered(n, size, bounds);
   const Raw<RunSum> sums = raw<RunSum>(n);
   const Runs runs = find_runs(points, n, numbers, sums.get());
-  std::vector<float> means;
-  means.reserve(3 * runs.count);
+  std::vector<float> means(3 * runs.count);
+  float* to = means.data() - 3;  // the mean of the cell at hand
   std::uint64_t cell = ~std::uint64_t{0};
   RunSum sum{};
-  const auto write = [&] {
-    for (const double each : {sum.xy[0], sum.xy[1], sum.z[0]}) {
-      means.push_back(static_cast<float>(each / sum.z[1]));
-    }
-  };
-  in_order(runs, numbers.bits, [&](std::uint32_t k, std::uint64_t key) {
-    if (key == cell) {
-      sum.xy += sums[k].xy, sum.z += sums[k].z;
-      return;
-    }
-    if (sum.z[1] > 0.0) write();
-    sum = sums[k], cell = key;
+  in_order(runs, numbers.bits, [&](std::uint32_t k, std::uint64_t key, std::uint32_t later) {
+    prefetch(&sums[later]);
+    const std::int64_t same = -static_cast<std::int64_t>(key == cell);
+    cell = key;
+    sum.add_to(same, sums[k].xy, sums[k].z);
+    to += 3 * (1 + same);
+    const Pair number = {sum.z[1], sum.z[1]}, xy = sum.xy / number, z = sum.z / number;
+    to[0] = static_cast<float>(xy[0]), to[1] = static_cast<float>(xy[1]);
+    to[2] = static_cast<float>(z[0]);
   });
-  if (sum.z[1] > 0.0) write();
+  means.resize(static_cast<std::size_t>(to + 3 - means.data()));
   return means;
 }
 

@@ -15,9 +15,14 @@ double fixed_point_scale(double largest, std::size_t n, int order) {
 }
 
 double largest_magnitude(const float* values, std::size_t count) {
-  float largest = 0;
-  for (std::size_t i = 0; i < count; ++i) largest = std::max(largest, std::abs(values[i]));
-  return largest;
+  constexpr std::size_t kLanes = 16;  // becomes vector instructions
+  float lanes[kLanes] = {};
+  std::size_t i = 0;
+  for (; i + kLanes <= count; i += kLanes) {
+    for (std::size_t k = 0; k < kLanes; ++k) lanes[k] = std::max(lanes[k], std::abs(values[i + k]));
+  }
+  for (; i < count; ++i) lanes[0] = std::max(lanes[0], std::abs(values[i]));
+  return *std::max_element(lanes, lanes + kLanes);
 }
 
 Vec3 mean_of(const float* p, std::size_t n) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 
 #include "common/cells.h"
 #include "common/eigen_axes.h"
@@ -31,26 +32,37 @@ double median_squared_range(const float* points, std::size_t n) {
   return (*std::max_element(squares.begin(), middle) + *middle) / 2.0f;
 }
 
-// The points within range, packed.
-std::vector<float> points_within(const float* points, std::size_t n, double range) {
-  const double usual = range * range;
-  const auto far = static_cast<float>(usual / (kFar * kFar));
-  std::size_t beyond = 0;
-  for (std::size_t i = 0; i < n; ++i) beyond += squared_range(points + 3 * i) > far;
+// Writes the points nearer than `limit`, squared, and returns how many values; counts those beyond
+// `far`, squared.
+std::size_t pack_near(const float* points, std::size_t n, double limit, double far, float* near,
+                      std::size_t& beyond) {
+  const auto most = static_cast<float>(limit), counted = static_cast<float>(far);
+  std::size_t size = 0, count = 0;
+  for (std::size_t i = 0; i < n; ++i) {  // no branch to guess
+    const float* p = points + 3 * i;
+    const float squared = squared_range(p);
+    for (std::size_t a = 0; a < 3; ++a) near[size + a] = p[a];
+    size += squared < most ? 3 : 0;
+    count += squared > counted;
+  }
+  beyond = count;
+  return size;
+}
+
+// The voxel grid of the points within range.
+std::vector<float> thinned_near(const float* points, std::size_t n, const FlatOptions& options) {
+  const double usual = options.range * options.range, far = usual / (kFar * kFar);
   double limit = usual;
+  const std::unique_ptr<float[]> near(new float[3 * n + 3]);
+  std::size_t beyond = 0, size = pack_near(points, n, limit, far, near.get(), beyond);
   if (n > 0 && 2 * beyond >= n) {
     const double wide = kFar * kFar * median_squared_range(points, n);
     limit = std::max(usual, std::min(wide, kFarthest * kFarthest * usual));
+    size = pack_near(points, n, limit, far, near.get(), beyond);
   }
-  const auto most = static_cast<float>(limit);
-  std::vector<float> near(3 * n);
-  std::size_t size = 0;
-  for (std::size_t i = 0; i < n; ++i) {  // no branch to guess
-    for (std::size_t a = 0; a < 3; ++a) near[size + a] = points[3 * i + a];
-    size += squared_range(points + 3 * i) < most ? 3 : 0;
-  }
-  near.resize(size);
-  return near;
+  const double reach = std::sqrt(limit) * (1.0 + 1e-6);  // for rounding
+  const Bounds bounds = {{-reach, -reach, -reach}, {reach, reach, reach}};
+  return voxel_grid(near.get(), size / 3, options.voxel_size, bounds);
 }
 
 // Of the directions, the first that most normals agree with. The score of a direction is summed in
@@ -107,8 +119,7 @@ struct Agreeing {
 }  // namespace
 
 std::vector<float> flat_normals(const float* points, std::size_t n, const FlatOptions& options) {
-  const std::vector<float> near = points_within(points, n, options.range);
-  const std::vector<float> thinned = voxel_grid(near.data(), near.size() / 3, options.voxel_size);
+  const std::vector<float> thinned = thinned_near(points, n, options);
   return plane_normals(thinned.data(), thinned.size() / 3, options.planes);
 }
 
