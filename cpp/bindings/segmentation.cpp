@@ -114,18 +114,20 @@ Out<float> flat_normals_(const In2<float>& points, double range, double voxel_si
   return to_numpy(std::move(normals), {count, 3});
 }
 
-nb::tuple fit_vertical_(const In2<float>& normals, const In2<double>& directions) {
+Out<double> fit_vertical_(const In2<float>& normals, const In2<double>& directions,
+                          const std::vector<double>& tolerances) {
   require_points(normals, "normals");
   require(directions.shape(1) == 3 && directions.shape(0) > 0, "directions must have shape (D, 3)");
   require_usable(normals.data(), normals.size(), "normals");
   require_usable(directions.data(), directions.size(), "directions");
-  Vertical found;
+  require_usable(tolerances.data(), tolerances.size(), "tolerances");
+  std::array<double, 3> up;
   {
     nb::gil_scoped_release release;
-    found = fit_vertical(normals.data(), normals.shape(0), directions.data(), directions.shape(0));
+    up = fit_vertical(normals.data(), normals.shape(0), directions.data(), directions.shape(0),
+                      tolerances);
   }
-  return nb::make_tuple(to_numpy(std::vector<double>(found.up.begin(), found.up.end())),
-                        found.sigma_deg);
+  return to_numpy(std::vector<double>(up.begin(), up.end()));
 }
 
 double point_spacing_(const In2<float>& points, double least, std::size_t most) {
@@ -153,7 +155,7 @@ void bind_segmentation(nb::module_& m) {
         nb::arg("voxel_size"), nb::arg("radius"), nb::arg("min_points"), nb::arg("thickness"),
         nb::arg("most"));
   m.def("fit_vertical", &fit_vertical_, nb::arg("normals").noconvert(),
-        nb::arg("directions").noconvert());
+        nb::arg("directions").noconvert(), nb::arg("tolerances"));
   m.def("point_spacing", &point_spacing_, nb::arg("points").noconvert(), nb::arg("least"),
         nb::arg("most"));
 }

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 
 #include "common/cells.h"
@@ -14,10 +13,7 @@ namespace {
 // From the air what is nearest may all be roofs: the range is at least kFar times the median one of
 // the points, but at most kFarthest times what is used otherwise.
 constexpr double kFar = 1.5, kFarthest = 3.0;
-constexpr double kRadians = 3.14159265358979323846 / 180.0;
-constexpr double kStartDeg = 8.0;  // of a direction, within which normals agree with it the less
-constexpr double kTolerancesDeg[] = {10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0};
-constexpr double kCorrelated = 13.0;  // neighbouring normals that err together: one plane
+constexpr double kStart = 8.0 * 3.14159265358979323846 / 180.0;  // agreement ends there, radians
 constexpr std::size_t kLanes = 16;
 
 float squared_range(const float* p) { return p[0] * p[0] + p[1] * p[1] + p[2] * p[2]; }
@@ -75,7 +71,7 @@ std::size_t best_direction(const float* normals, std::size_t n, const double* di
     for (std::size_t a = 0; a < 3; ++a) xyz[a * stride + i] = normals[3 * i + a];
   }
   const float *x = xyz.data(), *y = x + stride, *z = y + stride;
-  const double sine = std::sin(kStartDeg * kRadians);
+  const double sine = std::sin(kStart);
   const auto slope = static_cast<float>(1.0 / (sine * sine));
   std::size_t best = 0;
   double most = -1.0;
@@ -99,22 +95,16 @@ std::size_t best_direction(const float* normals, std::size_t n, const double* di
   return best;
 }
 
-// Sums of squared sines as a quadratic form of the direction: of the angles between it and the
-// normals of floors, and between it and the planes of walls.
-struct Agreeing {
-  Mat3 form = {};
-  std::size_t count = 0;
-
-  void add(const float* normal, bool floor) {
-    for (std::size_t a = 0; a < 3; ++a) {
-      for (std::size_t b = 0; b < 3; ++b) {
-        const double product = double{normal[a]} * normal[b];
-        form[a][b] += floor ? double(a == b) - product : product;
-      }
+// Adds a squared sine as a quadratic form of the direction: of the angle between it and the normal
+// of a floor, or between it and the plane of a wall.
+void add_squared_sine(Mat3& sums, const float* normal, bool floor) {
+  for (std::size_t a = 0; a < 3; ++a) {
+    for (std::size_t b = 0; b < 3; ++b) {
+      const double product = double{normal[a]} * normal[b];
+      sums[a][b] += floor ? double(a == b) - product : product;
     }
-    ++count;
   }
-};
+}
 
 }  // namespace
 
@@ -123,28 +113,22 @@ std::vector<float> flat_normals(const float* points, std::size_t n, const FlatOp
   return plane_normals(thinned.data(), thinned.size() / 3, options.planes);
 }
 
-Vertical fit_vertical(const float* normals, std::size_t n, const double* directions,
-                      std::size_t count) {
+std::array<double, 3> fit_vertical(const float* normals, std::size_t n, const double* directions,
+                                   std::size_t count, const std::vector<double>& tolerances) {
   const double* start = directions + 3 * best_direction(normals, n, directions, count);
-  Vec3 up = {start[0], start[1], start[2]}, values = {};
-  std::size_t agreeing = 0;
-  for (const double tolerance : kTolerancesDeg) {
-    const double floor = std::cos(tolerance * kRadians), wall = std::sin(tolerance * kRadians);
-    Agreeing sums;
+  Vec3 up = {start[0], start[1], start[2]};
+  for (const double tolerance : tolerances) {
+    const double floor = std::cos(tolerance), wall = std::sin(tolerance);
+    Mat3 sums = {};
     for (const float* p = normals; p < normals + 3 * n; p += 3) {
       const double along = std::abs(p[0] * up[0] + p[1] * up[1] + p[2] * up[2]);
-      if (along > floor || along < wall) sums.add(p, along > floor);
+      if (along > floor || along < wall) add_squared_sine(sums, p, along > floor);
     }
-    const EigenAxes axes = eigen_axes(sums.form);
-    const Vec3& axis = axes.axes[2];
+    const Vec3 axis = eigen_axes(sums).axes[2];
     const double sign = axis[0] * up[0] + axis[1] * up[1] + axis[2] * up[2] > 0.0 ? 1.0 : -1.0;
     for (std::size_t a = 0; a < 3; ++a) up[a] = sign * axis[a];
-    values = axes.values, agreeing = sums.count;
   }
-  const double curvature = values[1] - values[2];
-  if (agreeing < 3 || !(curvature > 0.0)) return {up, std::numeric_limits<double>::infinity()};
-  const double variance = std::max(values[2], 0.0) / static_cast<double>(agreeing) / curvature;
-  return {up, std::sqrt(kCorrelated * variance) / kRadians};
+  return up;
 }
 
 }  // namespace segloc

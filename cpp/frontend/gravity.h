@@ -19,15 +19,10 @@ struct FlatOptions {
 // of the points within range. They do not depend on the order of the points.
 std::vector<float> flat_normals(const float* points, std::size_t n, const FlatOptions& options);
 
-struct Vertical {
-  std::array<double, 3> up;
-  double sigma_deg;  // standard deviation in the direction that is known least; may be infinite
-};
-
-// The direction that n > 0 normals are parallel or orthogonal to. It starts from the one of the
-// `count` unit directions, (count, 3), that most of them agree with, and is refined by least
-// squares with a tolerance that shrinks.
-Vertical fit_vertical(const float* normals, std::size_t n, const double* directions,
-                      std::size_t count);
+// The direction that n normals are parallel or orthogonal to. It starts from the one of the `count`
+// unit directions, (count, 3), that most of them agree with, and is refined by least squares once
+// for each tolerance [rad].
+std::array<double, 3> fit_vertical(const float* normals, std::size_t n, const double* directions,
+                                   std::size_t count, const std::vector<double>& tolerances);
 
 }  // namespace segloc

@@ -83,7 +83,8 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "flat_normals", Call(_native.flat_normals, flat)
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     vertical = {"normals": axes.astype(np.float32), "directions": axes}
-    yield "fit_vertical", Call(_native.fit_vertical, vertical, finite=False)
+    vertical |= {"tolerances": [0.1, 0.05]}
+    yield "fit_vertical", Call(_native.fit_vertical, vertical)
     spacing = {"points": points, "least": 0.1, "most": 128}
     yield "point_spacing", Call(_native.point_spacing, spacing)
 

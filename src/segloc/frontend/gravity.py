@@ -14,6 +14,9 @@ from ..types import Float32, Float64
 
 _Z = np.array([0.0, 0.0, 1.0])
 _STEP_DEG = 4.0
+_TOLERANCES_RAD = tuple(math.radians(deg) for deg in (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0))
+_CORRELATED = 13.0
+"""Neighbouring normals that err together: those of one plane."""
 _MIN_NEIGHBOURS = 10
 _MAX_THICKNESS_M = 0.05
 _MAX_NORMALS = 2000
@@ -103,7 +106,7 @@ class AttitudeEstimator:
         if len(normals) < self.config.min_normals:
             return None
         grid = self._grid @ geometry.upright(expected)[:3, :3]
-        found = Attitude(*_native.fit_vertical(normals, grid))
+        found = _refined(normals, _native.fit_vertical(normals, grid, _TOLERANCES_RAD[:-1]))
         off = angle_deg(found.up, expected)
         if off > self.config.max_tilt_deg or found.sigma_deg > self.config.max_sigma_deg:
             return None
@@ -138,3 +141,19 @@ def _directions(most_deg: float) -> Float64:
         ring = [math.sin(tilt) * np.cos(turn), math.sin(tilt) * np.sin(turn)]
         rings.append(np.stack([*ring, np.full(count, math.cos(tilt))], axis=1))
     return np.concatenate(rings)
+
+
+def _refined(normals: Float32, up: Float64) -> Attitude:
+    """Fit the direction along the normals of floors and across those of walls, with its error."""
+    tolerance, exact = _TOLERANCES_RAD[-1], normals.astype(np.float64)
+    along = np.abs(exact @ up)
+    floors, walls = exact[along > math.cos(tolerance)], exact[along < math.sin(tolerance)]
+    values, axes = np.linalg.eigh(walls.T @ walls - floors.T @ floors)
+    up = axes[:, 0] * (1.0 if axes[:, 0] @ up > 0 else -1.0)
+    residual = float(values[0]) + len(floors)  # sum of squared sines
+    count = len(floors) + len(walls)
+    curvature = float(values[1] - values[0])
+    if count < 3 or curvature <= 0.0:
+        return Attitude(up, math.inf)
+    variance = max(residual, 0.0) / count / curvature
+    return Attitude(up, math.degrees(math.sqrt(_CORRELATED * variance)))

@@ -52,9 +52,7 @@ def worker(python: str) -> Iterator[Worker]:
     """Start a worker; its imports are those of its interpreter alone."""
     environment, pipe = {**os.environ, **_ONE_THREAD}, subprocess.PIPE
     command = [python, "-I", str(_WORKER)]
-    with subprocess.Popen(
-        command, stdin=pipe, stdout=pipe, text=True, env=environment
-    ) as process:
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
         yield Worker(python, process)
         assert process.stdin is not None
         process.stdin.close()
@@ -114,7 +112,11 @@ SIMULATED = {
     "VLP-16": _simulated("vlp16", 1800),
     "MID-360": _simulated("mid360", None),
 }
-REAL = {"HDL-64E": "kitti00/scans", "VLP-16": "vlp16_corridor/scans", "MID-360": "mid360_lab/0618/scans"}
+REAL = {
+    "HDL-64E": "kitti00/scans",
+    "VLP-16": "vlp16_corridor/scans",
+    "MID-360": "mid360_lab/0618/scans",
+}
 """Where ``../shared/data`` has scans of a sensor; those of the MID-360 are crops of a map."""
 
 
