@@ -314,7 +314,7 @@ std::vector<float> voxel_grid(const float* points, std::size_t n, double size,
   const Raw<RunSum> sums = raw<RunSum>(n);
   const Runs runs = find_runs(points, n, numbers, sums.get());
   std::vector<float> means(3 * runs.count);
-  float* to = means.data() - 3;  // the mean of the cell at hand
+  std::size_t voxels = 0;
   std::uint64_t cell = ~std::uint64_t{0};
   RunSum sum{};
   in_order(runs, numbers.bits, [&](std::uint32_t k, std::uint64_t key, std::uint32_t later) {
@@ -322,12 +322,13 @@ std::vector<float> voxel_grid(const float* points, std::size_t n, double size,
     const std::int64_t same = -static_cast<std::int64_t>(key == cell);
     cell = key;
     sum.add_to(same, sums[k].xy, sums[k].z);
-    to += 3 * (1 + same);
+    voxels += static_cast<std::size_t>(1 + same);
     const Pair number = {sum.z[1], sum.z[1]}, xy = sum.xy / number, z = sum.z / number;
+    float* to = means.data() + 3 * (voxels - 1);
     to[0] = static_cast<float>(xy[0]), to[1] = static_cast<float>(xy[1]);
     to[2] = static_cast<float>(z[0]);
   });
-  means.resize(static_cast<std::size_t>(to + 3 - means.data()));
+  means.resize(3 * voxels);
   return means;
 }
 

@@ -23,9 +23,7 @@ def segments_above(
     radius: float,
     min_points: int,
     max_points: int,
-) -> tuple[
-    NDArray[np.float32], NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]
-]: ...
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]: ...
 def flat_normals(
     points: NDArray[np.float32],
     range: float,
