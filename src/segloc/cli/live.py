@@ -80,22 +80,29 @@ def live(
 ) -> None:
     """Replay a recording through the online localizer, scan by scan.
 
-    Only the motion between poses is used, never where they are. Writes poses.tum, states.jsonl and
+    Only the motion between poses is used, never where they are. Without poses, or with --odometry,
+    the motion is computed scan by scan (KISS-ICP). Writes poses.tum, states.jsonl and
     summary.json; `segloc view MAP DIR` follows it meanwhile.
     """
-    from ..live.replay import odometry_of, play, summary
+    from ..datasets import NO_POSES
+    from ..errors import ConfigError
+    from ..live.replay import play, summary
     from ..map.segment_map import SegmentMap
-    from .console import progress
+    from .console import note, progress
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
     from .results import check_folder, write_together
 
     check_folder(out)
+    if odometry and poses is not None:
+        raise ConfigError("--odometry and --poses exclude each other")
     localizer = open_localizer(SegmentMap.load(prior_map), config, threads, weights)
     local = localizer.config.local_cloud
+    poses = Path(NO_POSES) if odometry else poses
     recording: Scans = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=local.mount
+        sequence, poses, select, topic=topic, deskew=deskew, mount=local.mount
     )
-    moved = odometry_of(recording)[1]
+    if recording.poses is None:
+        note("odometry from the scans (KISS-ICP)")
     recording = levelled_poses(recording, local, level)
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(local.mount))
     tell = _teller(recording)
@@ -107,7 +114,7 @@ def live(
 
         played = play(localizer, recording, _settings(every, rate), rate, heard, update)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
-    facts |= summary(played, moved, truths, tolerance_m, tolerance_deg)
+    facts |= summary(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts))
     _show(facts, f"{recording.name} in {prior_map.name}")
 

@@ -58,6 +58,8 @@ class LiveLocalizer:
     config : LiveConfig, optional
     T_base_sensor : (4, 4) array, optional
         As for :class:`LiveCore`.
+    lidar_odometry : bool
+        Compute the odometry from the scans, by KISS-ICP: :meth:`add_odometry` is not needed.
     on_state : callable, optional
         Called with every :class:`State` in order, in a thread of this object.
 
@@ -77,9 +79,10 @@ class LiveLocalizer:
         config: LiveConfig | None = None,
         *,
         T_base_sensor: ArrayLike | None = None,
+        lidar_odometry: bool = False,
         on_state: Callable[[State], None] | None = None,
     ) -> None:
-        self._core = LiveCore(localizer, config, T_base_sensor)
+        self._core = LiveCore(localizer, config, T_base_sensor, lidar_odometry=lidar_odometry)
         self._state, self._on_state = self._core.state, on_state
         self._changed = threading.Condition()
         self._inbox: deque[_Pose | _Taken | _Answered] = deque()
