@@ -47,6 +47,7 @@ _HEARD = {
     "matches": (MarkerArray, "/segloc/matches", 10),
     "diagnostics": (DiagnosticArray, "/diagnostics", 10),
     "tf": (TFMessage, "/tf", 100),
+    "odom": (Odometry, "/odom", 100),
 }
 
 
@@ -115,9 +116,11 @@ class Peer(Node):
         mount = transform_out(Transform(0.0, BASE, LIDAR, MOUNT))
         self._tf_static.publish(TFMessage(transforms=[mount]))
 
-    def ready(self) -> None:
+    def ready(self, odometry: bool = True) -> None:
         """Wait until the node's ends of the topics are there."""
-        ends = (self._points, self._odom, self._tf_static)
+        ends = [self._points, self._tf_static]
+        if odometry:
+            self.until(lambda: self._odom.get_subscription_count() > 1, 60.0)  # ours, too
         self.until(lambda: all(end.get_subscription_count() for end in ends), 60.0)
 
     def send_cloud(self, stamp: float, points: Float32) -> None:
@@ -132,7 +135,7 @@ class Peer(Node):
         q.x, q.y, q.z, q.w = xyzw
         self._odom.publish(message)
 
-    def walk(self, count: int, **options: Any) -> Pose:
+    def walk(self, count: int, *, odometry: bool = True, **options: Any) -> Pose:
         """Walk on in time, as :func:`samples.streams.walked`; the true pose of the base."""
         lidar_base, truth = geometry.inverse(MOUNT), np.eye(4)
         self.now += 1.0
@@ -140,10 +143,12 @@ class Peer(Node):
             truth = T_map_lidar @ lidar_base
             for event in events:
                 if event.scan is None:
-                    self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
+                    if odometry:
+                        self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
+                        self.spin(0.05)
                 else:
                     self.send_cloud(event.stamp, event.scan.points)
-                self.spin(0.05)
+                    self.spin(0.05)
             self.now = events[1].stamp
             self.spin(0.25)
         return truth

@@ -92,7 +92,7 @@ class SeglocNode(LifecycleNode):
 
     def _without_tf(self, settings: Settings) -> None:
         if settings.tells_tf or settings.odometry == "tf":
-            raise ImportError("mode tf and odometry by tf need tf2_msgs, which is not installed")
+            raise ImportError("mode tf and odometry by tf need tf2_msgs: install it")
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -137,6 +137,24 @@ def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
     assert b"Traceback" not in log.read_bytes()
 
 
+def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """No odometry comes in: the node computes it, publishes it, and is localized by it."""
+    pytest.importorskip("kiss_icp")
+    peer.clear()
+    options = PARAMETERS | {"odometry": "kiss-icp", "query_every_m": 10}
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.ready(odometry=False)
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(40, odometry=False, step=0.5, every_s=0.1)
+        assert localized(peer, truth), peer.said
+        sent = [t for message in peer.heard["tf"] for t in message.transforms]
+        assert {t.child_frame_id for t in sent} == {"odom", "base_link"}
+        T_odom_base = pose_in(peer.heard["odom"][-1].pose.pose)
+        assert off(peer.map_to_odom() @ T_odom_base, truth) < 0.5
+
+
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
     peer.clear()

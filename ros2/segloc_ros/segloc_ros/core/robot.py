@@ -14,14 +14,14 @@ import numpy as np
 
 from segloc import Localizer, Prior, SeglocError, geometry
 from segloc.datasets.ros.pointcloud2 import to_scan
-from segloc.live import LiveCore, State, Status
-from segloc.types import Float64, Pose
+from segloc.live import LidarOdometry, LiveCore, State, Status
+from segloc.types import Float64, Pose, Scan
 
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
 from .queries import Answer, Job, make
-from .replies import InitialPose, MapToOdom, PoseReply, Reply
+from .replies import InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .settings import Settings
 from .trigger import Trigger
 
@@ -63,6 +63,7 @@ class Robot:
             "map": "the map is being read",
             "points": f"no cloud yet: {settings.points_topic}",
         }
+        self._lidar_odometry: LidarOdometry | None = None
         self._lidar = "", -np.inf  # whose clouds are taken, and when the last came
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
@@ -115,16 +116,22 @@ class Robot:
             return []
         self._lidar = lidar, stamp
         T_base_lidar = self.body.mount(lidar)
-        if T_base_lidar is None or (core := self._following(T_base_lidar)) is None:
+        if T_base_lidar is None:
             return []
+        core = self._following(T_base_lidar)
         try:
             scan = to_scan(cloud, stamp)
+            replies: list[Reply] = []
             if self.settings.odometry == "none":
                 self._moved(self.body.standing(stamp))
                 scan.times = None
-            replies = self._tell(core.add_scan(scan, stamp))
+            elif self.settings.odometry == "kiss-icp":
+                replies += self._registered(scan, stamp, T_base_lidar)
+            if core is not None:
+                replies += self._tell(core.add_scan(scan, stamp))
         except SeglocError as error:
-            core.refused += 1
+            if core is not None:
+                core.refused += 1
             self._own["points"] = f"cloud refused: {error}"
             return []
         self.intake_ms = 1e3 * (time.perf_counter() - begun)
@@ -244,6 +251,23 @@ class Robot:
             if self._core is not None:
                 replies += self._tell(self._core.add_odometry(stamp, T))
             replies += self._broadcast(stamp)
+        return replies
+
+    def _registered(self, scan: Scan, stamp: float, T_base_lidar: Pose) -> list[Reply]:
+        """Compute the odometry of a cloud, and publish it."""
+        odometry = self._lidar_odometry
+        if odometry is None or not same(odometry.T_base_sensor, T_base_lidar):
+            odometry = self._lidar_odometry = LidarOdometry(T_base_lidar)
+        lost, replies = odometry.losses, list[Reply]()
+        for time_s, T in odometry.add(scan, stamp):
+            before = self._odometry[-1] if self._odometry else None
+            if before is not None and time_s <= before[0]:
+                continue
+            frames = self.body.odom_frame, self.settings.base_frame
+            replies.append(OdometryReply.of(Transform(time_s, *frames, T), before))
+            replies += self._moved(self.body.computed(time_s, T))
+        if odometry.losses > lost and self._core is not None:
+            replies += self._tell([self._core.doubt(odometry.fault)])
         return replies
 
     def _broadcast(self, stamp: float) -> list[Reply]:

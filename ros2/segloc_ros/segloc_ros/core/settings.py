@@ -37,10 +37,12 @@ class Settings(Section):
     points_topic: str = Field("points", description="sensor_msgs/PointCloud2")
     points_reliable: bool = Field(False, description="QoS; best effort takes any publisher")
     points_depth: int = Field(2, ge=1, le=100, description="QoS: clouds that wait")
-    odometry: Literal["topic", "tf", "none"] = Field(
-        "topic", description="where it comes from; none: the robot stands while it is looked for"
+    odometry: Literal["topic", "tf", "kiss-icp", "none"] = Field(
+        "topic",
+        description="source; kiss-icp: computed from the clouds; none: the robot must stand still",
     )
-    odom_topic: str = Field("odom", description="nav_msgs/Odometry")
+    odom_topic: str = Field("odom", description="nav_msgs/Odometry, in; with kiss-icp, out")
+    odom_tf: bool = Field(True, description="with kiss-icp, also broadcast odom -> base_link")
     imu_topic: str = Field(
         "", description="sensor_msgs/Imu: levels an odometry whose z axis is not up; '': none"
     )
