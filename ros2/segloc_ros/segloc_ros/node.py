@@ -132,17 +132,21 @@ class SeglocNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def _tear_down(self) -> None:
-        if self.pump is not None:
-            self.pump.close()
+        self._close_pump()
         for port in (self._outputs, self._tf):
             if port is not None:
                 port.close()
-        self.robot, self.pump, self._outputs, self._tf = None, None, None, None
+        self.robot, self._outputs, self._tf = None, None, None
 
-    def destroy_node(self) -> None:
+    def _close_pump(self) -> None:
         if self.pump is not None:
             self.pump.close()
             self.pump = None
+        if self.robot is not None and self.robot.keeper is not None:
+            self.robot.keeper.flush()
+
+    def destroy_node(self) -> None:
+        self._close_pump()
         super().destroy_node()
 
     # --- what comes in -------------------------------------------------------------------------
@@ -216,6 +220,10 @@ class SeglocNode(LifecycleNode):
                 self.get_logger().info(told.message)
             elif told is not None:
                 self.get_logger().warning(told.message)
+        if robot.keeper is not None:
+            for note in robot.keeper.notes:
+                self.get_logger().info(note)
+            robot.keeper.notes.clear()
         given_up = robot.trigger.resting and robot.trigger.held is None
         self.waiting.settle(robot.fixes, given_up)
 

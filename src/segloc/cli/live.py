@@ -70,6 +70,15 @@ def live(
     every: Annotated[
         float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
     ] = 10.0,
+    pose_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--pose-file",
+            metavar="FILE",
+            help="File of the last pose: checked first, then kept up to date.",
+            show_default="none",
+        ),
+    ] = None,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -86,6 +95,7 @@ def live(
     """
     from ..datasets import NO_POSES
     from ..errors import ConfigError
+    from ..live import PoseKeeper
     from ..live.replay import play, summary
     from ..map.segment_map import SegmentMap
     from .console import note, progress
@@ -112,7 +122,10 @@ def live(
             tell(position, state)
             so_far.add(position, state)
 
-        played = play(localizer, recording, _settings(every, rate), rate, heard, update)
+        keeper = None if pose_file is None else PoseKeeper(pose_file)
+        played = play(localizer, recording, _settings(every, rate), rate, heard, update, keeper)
+    for line in [] if keeper is None else keeper.notes:
+        note(line)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
     facts |= summary(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from ..tracker import QueryCallback, QueryRequest, Tracker
 from ..tracking.belief import Status, View
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
+from .kept_pose import PoseKeeper
 from .lidar_odometry import LidarOdometry
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 
@@ -37,10 +38,13 @@ class Asked:
     stamp : float
         Of its scan.
     question : QueryRequest
+    near : Prior or None
+        Where the kept pose is checked.
     """
 
     stamp: float
     question: QueryRequest
+    near: Prior | None = None
 
 
 class LiveCore:
@@ -58,6 +62,8 @@ class LiveCore:
         ``local_cloud.mount`` says, and else the sensor is the base.
     lidar_odometry : bool
         Compute the odometry from the scans, by KISS-ICP; none is to be added then.
+    keeper : PoseKeeper, optional
+        Keeps the pose over a restart.
 
     Attributes
     ----------
@@ -76,6 +82,7 @@ class LiveCore:
         T_base_sensor: ArrayLike | None = None,
         *,
         lidar_odometry: bool = False,
+        keeper: PoseKeeper | None = None,
     ) -> None:
         self.config = config or LiveConfig()
         mount = localizer.config.local_cloud.mount.T_base_sensor
@@ -84,6 +91,9 @@ class LiveCore:
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
         )
         self.tracker = Tracker(localizer, self.config.tracker)
+        self._keeper = keeper
+        if keeper is not None:
+            keeper.use(localizer.prior_map)
         self._lidar_odometry: LidarOdometry | None = None
         if lidar_odometry:
             attitude = localizer.config.local_cloud.attitude
@@ -166,7 +176,11 @@ class LiveCore:
         """The query that is to be made now, if any; handed out once."""
         asked, self._due = self._due, None
         self._open = self._open or asked is not None
-        return asked
+        T_odom_base = self.state.T_odom_base
+        if asked is None or self._keeper is None or T_odom_base is None:
+            return asked
+        near = self._keeper.near(asked.stamp, T_odom_base, self.T_base_sensor)
+        return replace(asked, near=near)
 
     def ask(
         self, asked: Asked, *, near: Prior | None = None, heard: QueryCallback | None = None
@@ -178,6 +192,7 @@ class LiveCore:
         SeglocError
             If it cannot be made.
         """
+        near = near or asked.near
         return self.tracker.ask(asked.question, self.config.deadline_ms, near=near, heard=heard)
 
     def answer(self, asked: Asked, view: View | None) -> State:
@@ -309,6 +324,10 @@ class LiveCore:
             self.tracker.travelled,
             answered,
         )
+        T_map_base = self.state.T_map_base
+        if self._keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
+            assert T_odom_base is not None
+            self._keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
         return self.state
 
     def _last_pose(self) -> Pose | None:

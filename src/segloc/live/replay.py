@@ -16,6 +16,7 @@ from ..tracking.belief import Status
 from ..types import Float64, Int64, Recording
 from .config import LiveConfig
 from .core import LiveCore, State
+from .kept_pose import PoseKeeper
 from .localizer import LiveLocalizer
 
 NOMINAL_S, NOMINAL_MPS = 0.1, 10.0
@@ -118,6 +119,7 @@ def play(
     rate: float = 0.0,
     heard: Heard | None = None,
     progress: Progress | None = None,
+    keeper: PoseKeeper | None = None,
 ) -> Replay:
     """Play a recording, its poses as the odometry of its sensor.
 
@@ -136,6 +138,8 @@ def play(
         Called with the position of the scan and each state.
     progress : callable, optional
         Called with (scans done, scans in all).
+    keeper : PoseKeeper, optional
+        Keeps the pose from one recording to the next.
 
     Raises
     ------
@@ -149,8 +153,10 @@ def play(
     listener = _Listener(clock / speed, heard)
     play = _in_time if rate > 0 else _in_turn
     scans, dropped = play(
-        localizer, recording, config, clock / speed, poses, listener, progress or _silent
+        localizer, recording, config, clock / speed, poses, listener, progress or _silent, keeper
     )
+    if keeper is not None:
+        keeper.flush()
     return listener.replay(scans, dropped)
 
 
@@ -162,9 +168,10 @@ def _in_turn(
     poses: Float64 | None,
     listener: _Listener,
     progress: Progress,
+    keeper: PoseKeeper | None,
 ) -> tuple[int, int]:
     """Every query is answered before the next scan comes."""
-    core = LiveCore(localizer, config, np.eye(4), lidar_odometry=poses is None)
+    core = LiveCore(localizer, config, np.eye(4), lidar_odometry=poses is None, keeper=keeper)
     for i, stamp in enumerate(clock.tolist()):
         scan = recording.scan(i)
         begun = time.perf_counter()
@@ -185,6 +192,7 @@ def _in_time(
     poses: Float64 | None,
     listener: _Listener,
     progress: Progress,
+    keeper: PoseKeeper | None,
 ) -> tuple[int, int]:
     """Scans come when they came; one that cannot be read in time is left out."""
     missed, count = 0, len(recording)
@@ -193,6 +201,7 @@ def _in_time(
         config,
         T_base_sensor=np.eye(4),
         lidar_odometry=poses is None,
+        keeper=keeper,
         on_state=listener,
     ) as live:
         begun = time.monotonic() - clock[0]

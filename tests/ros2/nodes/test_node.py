@@ -155,6 +155,35 @@ def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
         assert off(peer.map_to_odom() @ T_odom_base, truth) < 0.5
 
 
+def test_a_pose_over_a_power_cycle(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """Boots where it was switched off, elsewhere, and with another map."""
+    kept = tmp_path / "pose.json"
+    options = PARAMETERS | {"pose_file": str(kept), "click_s": 2.0, "click_radius_m": 5.0}
+    boots = [
+        ("site", np.eye(4), "no file"),
+        ("site", np.eye(4), "kept pose confirmed"),
+        ("site", geometry.yaw_transform(2.5, (3.0, -24.0, 0.0)), "not confirmed within 2 s"),
+        ("shifted", np.eye(4), "of another map"),
+    ]
+    for k, (name, carried, said) in enumerate(boots):
+        peer.clear()
+        log = tmp_path / f"log {k}"
+        with running(NODE, log, map=str(maps / f"{name}.segmap"), **options) as node:
+            peer.ready()
+            peer.tell_mount()
+            peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+            peer.spin(1.0)
+            truth = peer.walk(7, begin=(3.0 * k - 14.0, 1.0), step=0.5, carried=carried)
+            truth = SHIFT @ truth if name == "shifted" else truth
+            assert localized(peer, truth), peer.said
+            assert all(off(pose_in(m.pose.pose), truth) < 3.0 for m in peer.heard["pose"])
+            node.send_signal(signal.SIGINT)
+            assert node.wait(WAIT_S) == 0
+        assert said in log.read_text()
+        T = np.array(json.loads(kept.read_text())["T_map_base"])
+        assert off(T, truth) < 0.5
+
+
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
     peer.clear()

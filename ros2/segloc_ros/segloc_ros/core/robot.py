@@ -48,6 +48,8 @@ class Robot:
         The last query with a search.
     intake_ms : float
         What the last cloud took.
+    keeper : PoseKeeper or None
+        Keeps the pose over a power cycle.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -63,6 +65,7 @@ class Robot:
             "map": "the map is being read",
             "points": f"no cloud yet: {settings.points_topic}",
         }
+        self.keeper = settings.keeper
         self._lidar_odometry: LidarOdometry | None = None
         self._lidar = "", -np.inf  # whose clouds are taken, and when the last came
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
@@ -160,6 +163,8 @@ class Robot:
         int
             ``fixes`` will be more once it is found.
         """
+        if self.keeper is not None:
+            self.keeper.drop("overridden by a call")
         self.trigger.wake(near, anywhere)
         self._told, self._own = None, {k: v for k, v in self._own.items() if k != "jump"}
         if self._core is not None:
@@ -237,7 +242,9 @@ class Robot:
         if self._localizer is None:
             return None
         if self._core is None or not same(self._core.T_base_sensor, T_base_lidar):
-            self._core = LiveCore(self._localizer, self.settings.live, T_base_lidar)
+            self._core = LiveCore(
+                self._localizer, self.settings.live, T_base_lidar, keeper=self.keeper
+            )
             self.state, self._told, self._jumps = None, None, 0
             for stamp, T in self._odometry:
                 self._core.add_odometry(stamp, T)
@@ -287,7 +294,16 @@ class Robot:
             self._notice_jumps()
             if not self.trigger.resting:
                 replies += self._told_of(state)
+            elif self.keeper is not None and (pose := self._at_rest(state)) is not None:
+                self.keeper.keep(state.stamp, *pose)
         return replies
+
+    def _at_rest(self, state: State) -> tuple[Pose, Pose, Float64 | None] | None:
+        """T_map_base and T_odom_base of a robot at rest, and the covariance when it was found."""
+        held = self.trigger.held
+        if held is None or held.T_map_odom is None or state.T_odom_base is None:
+            return None
+        return held.T_map_odom @ state.T_odom_base, state.T_odom_base, held.covariance
 
     def _notice_jumps(self) -> None:
         core = self._core

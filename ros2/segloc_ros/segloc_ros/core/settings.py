@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from segloc.config import validated
 from segloc.frontend.mounting import rotation
 from segloc.geometry import rigid
-from segloc.live import LiveConfig
+from segloc.live import LiveConfig, PoseKeeper
 from segloc.system.section import Section
 from segloc.tracker import TrackerConfig
 from segloc.types import Pose
@@ -69,6 +69,13 @@ class Settings(Section):
     initialpose_least_deg: float = Field(5.0, ge=0, description="and for angles")
     click_radius_m: float = Field(10.0, gt=0, description="it is looked for so near a click")
     click_s: float = Field(5.0, gt=0, description="and for so long, then anywhere")
+    pose_file: str = Field(
+        "", description="file that keeps the pose over a power cycle, checked after boot; '': none"
+    )
+    pose_file_every_s: float = Field(5.0, gt=0, description="time between its writes")
+    pose_file_max_age_s: float = Field(
+        604_800.0, gt=0, description="an older pose is not used: the robot is found anew"
+    )
 
     tf_rate_hz: float = Field(20.0, gt=0, le=1000, description="of map -> odom at most")
     tf_ahead_s: float = Field(0.2, ge=0, le=10, description="map -> odom is post-dated by this")
@@ -145,6 +152,19 @@ class Settings(Section):
         x, y, z, *angles = self.base_to_lidar
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         return rigid(rotation(roll, pitch, yaw), np.array([x, y, z]))
+
+    @property
+    def keeper(self) -> PoseKeeper | None:
+        """What keeps the pose over a power cycle."""
+        if not self.pose_file:
+            return None
+        return PoseKeeper(
+            self.pose_file,
+            every_s=self.pose_file_every_s,
+            max_age_s=self.pose_file_max_age_s,
+            radius_m=self.click_radius_m,
+            check_s=self.click_s,
+        )
 
     @property
     def live(self) -> LiveConfig:
