@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from samples.plaza import Plaza
 from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, diagnose
-from segloc_ros.core.replies import InitialPose, MapToOdom, MatchesReply, PoseReply
+from segloc_ros.core.replies import CandidatesReply, InitialPose, MapToOdom, MatchesReply, PoseReply
 
 from segloc import ConfigError, Localizer, Prior, geometry
+from segloc.map.georeference import KEY, Georeference
 from segloc.types import Pose
+
+HERE = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))
 
 
 def off(T: Pose, truth: Pose) -> float:
@@ -153,6 +159,41 @@ def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> N
     assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.5
 
 
+def fix(xyz: tuple[float, float, float], sigma_m: float) -> Any:
+    """sensor_msgs/NavSatFix at a position of the georeferenced map."""
+    longitude, latitude, altitude = HERE.on_globe(np.array([xyz]))[0]
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
+        status=SimpleNamespace(status=0), longitude=longitude, latitude=latitude,
+        altitude=altitude, position_covariance=(np.eye(3) * sigma_m**2).ravel(),
+        position_covariance_type=2,
+    )  # fmt: skip
+
+
+def test_gnss_says_where_to_search_first_and_a_wrong_fix_is_survived(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    pytest.importorskip("pyproj")
+    for position, begin in (((-14.0, 1.0, 0.0), -14.0), ((16.0, 4.0, 0.0), -14.0)):
+        listener = Listener.of(localizer, fix_topic="fix", mode="initialpose", matches=False)
+        on_tf_static(listener.robot)
+        listener.robot.on_fix(fix(position, 1.0))
+        listener.walk(plaza, 1, begin=(begin, 1.0))
+        assert "missing fix" in diagnose(listener.robot).values  # the map has no georeference
+        localizer.prior_map.metadata[KEY] = HERE.to_text()
+        try:
+            listener.robot.relocalize()
+            listener.robot.on_fix(fix(position, 1.0))
+            truth = listener.walk(plaza, 2, start_s=101.0, begin=(begin, 1.0), step=0.5)
+        finally:
+            del localizer.prior_map.metadata[KEY]
+        assert "missing fix" not in diagnose(listener.robot).values
+        assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+        places = listener.of_kind(CandidatesReply)[-1].places
+        assert off(places[0][0], truth) < 1.0 and places[0][1] > 0.9
+        assert float(diagnose(listener.robot).values["candidates"].split()[0]) > 0.9
+
+
 def test_a_click_is_refined_and_its_echo_is_not_taken_for_another(
     localizer: Localizer, plaza: Plaza
 ) -> None:
@@ -209,6 +250,20 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
     listener.clear()
     listener.walk(plaza, 2, start_s=104.0, begin=(-6.0, 1.4))
     assert listener.of_kind(InitialPose)
+
+
+def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, trigger="until_localized", click_radius_m=5.0)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    listener.robot.switch(localizer, near=True)
+    assert listener.robot.T_map_odom is None
+    listener.clear()
+    truth = listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))
+    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
+    assert listener.robot.trigger.resting
 
 
 def test_an_answer_in_a_map_that_was_replaced_is_passed_over(

@@ -183,6 +183,14 @@ class Peer(Node):
         self.until(answered, 60.0)
         return next(call.result() for call in calls if call.done())
 
+    def load_map(self, path: Path, near: bool = False) -> Any:
+        """Call the service; its response."""
+        from segloc_msgs.srv import LoadMap
+
+        client = self.create_client(LoadMap, "/segloc/load_map")
+        self.until(client.service_is_ready, 60.0)
+        return self.ask(client, LoadMap.Request(map_url=str(path), near=near), again_s=10.0)
+
     def relocalize(self) -> Any:
         """Call the service; a future."""
         return self._relocalize.call_async(Trigger.Request())

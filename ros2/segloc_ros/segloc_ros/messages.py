@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseArray,
+    PoseWithCovarianceStamped,
+    TransformStamped,
+)
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
@@ -18,7 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .core.clicks import Click
 from .core.diagnosis import Diagnosis
 from .core.frames import Transform, frame_name, pose_of, position_and_quaternion
-from .core.replies import MatchesReply, OdometryReply, PoseReply
+from .core.replies import CandidatesReply, MatchesReply, OdometryReply, PoseReply
 
 _ODOMETRY_M, _ODOMETRY_DEG = 0.05, 0.5
 """Deviations of computed odometry, and of its velocities per second."""
@@ -97,6 +103,14 @@ def set_pose(pose: Any, T: NDArray[np.float64]) -> None:
     p, q = pose.position, pose.orientation
     p.x, p.y, p.z = xyz
     q.x, q.y, q.z, q.w = xyzw
+
+
+def candidates_out(reply: CandidatesReply) -> PoseArray:
+    message = PoseArray(poses=[Pose() for _ in reply.places])
+    message.header.frame_id, message.header.stamp = reply.frame, time_of(reply.stamp)
+    for pose, (T, _) in zip(message.poses, reply.places, strict=True):
+        set_pose(pose, T)
+    return message
 
 
 def cloud_out(points: NDArray[np.float32], frame: str, stamp: Time) -> PointCloud2:

@@ -14,9 +14,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from sensor_msgs.msg import Imu, PointCloud2
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 
 from segloc import Prior, SeglocError
@@ -32,6 +33,11 @@ from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
 from .tf_port import TfPort
 from .waiting import Waiting
+
+try:
+    from segloc_msgs.srv import LoadMap
+except ImportError:  # then the parameter map does it
+    LoadMap = None
 
 _TICK_S = 0.5
 
@@ -57,6 +63,9 @@ class SeglocNode(LifecycleNode):
         # Calls wait, and must not keep what they wait for from coming in.
         self.calls = ReentrantCallbackGroup()
         self.create_service(Trigger, "~/relocalize", self._on_relocalize, callback_group=self.calls)
+        if LoadMap is not None:
+            self.create_service(LoadMap, "~/load_map", self._on_load, callback_group=self.calls)
+        self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
         """What the parameters say.
@@ -105,6 +114,7 @@ class SeglocNode(LifecycleNode):
         wanted = [
             (PointCloud2, settings.points_topic, self._on_cloud, clouds),
             (Imu, settings.imu_topic, self._on_imu, fast),
+            (NavSatFix, settings.fix_topic, self._on_fix, fast),
             (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
         ]
         if settings.odometry == "topic":
@@ -182,6 +192,10 @@ class SeglocNode(LifecycleNode):
         felt = np.array([a.x, a.y, a.z])
         self.pump.read(lambda robot: robot.on_acceleration(stamp, frame, felt))
 
+    def _on_fix(self, message: NavSatFix) -> None:
+        if self.pump is not None:
+            self.pump.read(lambda robot: robot.on_fix(message))
+
     def _on_click(self, message: PoseWithCovarianceStamped) -> None:
         if self.pump is None:
             return
@@ -235,6 +249,31 @@ class SeglocNode(LifecycleNode):
         response.success = await self.find()
         response.message = self.why()
         return response
+
+    async def _on_load(self, request: Any, response: Any) -> Any:
+        fault = await self._load(request.map_url, request.near)
+        response.success, response.message = not fault, fault or f"loaded {request.map_url}"
+        return response
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        for each in parameters:
+            if each.name == "map" and each.value and self.pump is not None:
+                self._load(str(each.value), near=False)
+
+    def _load(self, path: str, near: bool) -> Future:
+        """Replace the map; a future of the fault, "" if there is none."""
+        future = Future(executor=self.executor)
+        if self.pump is None:
+            future.set_result("the node is not configured")
+            return future
+
+        def done(fault: str) -> None:
+            if fault:
+                self.get_logger().error(f"the map stays as it was: {fault}")
+            future.set_result(fault)
+
+        self.pump.load(path, near, done)
+        return future
 
     def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:
         """Look for the robot; a future that says whether it was found."""

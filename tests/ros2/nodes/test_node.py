@@ -17,12 +17,14 @@ import pytest
 from samples.plaza import Plaza, PlazaSequence
 from samples.streams import walked
 
-from segloc import Config, Scan, build_map, geometry
+from segloc import Config, Scan, SegmentMap, build_map, geometry
+from segloc.tiles import cut_tiles
 from segloc.types import Pose
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("tf2_msgs")
 
+from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
 from segloc_ros.messages import pose_in, pose_out  # noqa: E402
@@ -182,6 +184,40 @@ def test_a_pose_over_a_power_cycle(peer: Peer, maps: Path, tmp_path: Path) -> No
         assert said in log.read_text()
         T = np.array(json.loads(kept.read_text())["T_map_base"])
         assert off(T, truth) < 0.5
+
+
+def test_maps_are_replaced_while_it_drives(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """By the service: tiles, a file that is none, and a map of another frame; by the parameter."""
+    from rcl_interfaces.srv import SetParameters
+
+    peer.clear()
+    cut_tiles(SegmentMap.load(maps / "site.segmap"), tmp_path / "tiles", size_m=50.0)
+    log, site = tmp_path / "log", maps / "site.segmap"
+    with running(NODE, log, map=str(site), **PARAMETERS):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        peer.walk(2, step=1.0)
+        assert peer.load_map(tmp_path / "tiles", near=True).success
+        truth = peer.walk(4, begin=(-11.0, 1.2), step=1.0)
+        assert localized(peer, truth), peer.said
+        refused = peer.load_map(tmp_path / "nothing.segmap")
+        assert not refused.success and "nothing.segmap" in refused.message
+        truth = peer.walk(2, begin=(-7.0, 1.4), step=1.0)
+        assert localized(peer, truth), peer.said
+        assert peer.load_map(maps / "shifted.segmap").success
+        truth = peer.walk(4, begin=(-5.0, 1.5), step=1.0)
+        assert localized(peer, SHIFT @ truth), peer.said
+        peer.heard["map_cloud"].clear()
+        value = Parameter("map", value=str(site)).to_parameter_msg()
+        client = peer.create_client(SetParameters, "/segloc/set_parameters")
+        peer.until(client.service_is_ready, WAIT_S)
+        peer.ask(client, SetParameters.Request(parameters=[value]), again_s=10.0)
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        truth = peer.walk(4, begin=(-1.0, 1.6), step=1.0)
+        assert localized(peer, truth), peer.said
+    assert b"Traceback" not in log.read_bytes()
 
 
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:

@@ -85,5 +85,6 @@ def _values(robot: Robot) -> dict[str, str]:
         values |= {name: str(count) for name, count in counts.items()}
     if (last := robot.last) is not None:
         values["last query"] = last.message or "believed"
+        values["candidates"] = " ".join(f"{p:.3f}" for _, p in last.candidates)
         values |= {f"{stage}_ms": f"{ms:.1f}" for stage, ms in last.times_ms.items()}
     return values

@@ -118,4 +118,21 @@ class MatchesReply:
     believed: bool
 
 
-Reply = PoseReply | InitialPose | MapToOdom | OdometryReply | MatchesReply
+@dataclass(frozen=True)
+class CandidatesReply:
+    """geometry_msgs/PoseArray: the places that a query found.
+
+    Attributes
+    ----------
+    stamp : float
+    frame : str
+    places : tuple of (T_map_base, probability)
+        The most probable first.
+    """
+
+    stamp: float
+    frame: str
+    places: tuple[tuple[Pose, float], ...]
+
+
+Reply = PoseReply | InitialPose | MapToOdom | OdometryReply | CandidatesReply | MatchesReply

@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 
 from segloc import Localizer, Prior, SeglocError, geometry
+from segloc.batch.run import gnss_priors
+from segloc.datasets.fixes import Fixes
 from segloc.datasets.ros.pointcloud2 import to_scan
 from segloc.live import LidarOdometry, LiveCore, State, Status
+from segloc.map.georeference import Georeference
 from segloc.types import Float64, Pose, Scan
 
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
 from .queries import Answer, Job, make
-from .replies import InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
+from .replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .settings import Settings
 from .trigger import Trigger
 
@@ -60,6 +63,7 @@ class Robot:
         self.last: Answer | None = None
         self.fixes, self.intake_ms = 0, 0.0
         self._localizer: Localizer | None = None
+        self._fix: Any = None  # the newest sensor_msgs/NavSatFix
         self._core: LiveCore | None = None
         self._own = {
             "map": "the map is being read",
@@ -90,6 +94,15 @@ class Robot:
         if self.trigger.held is not None:
             self.trigger.lose()
         self._own.pop("map", None)
+
+    def switch(self, localizer: Localizer, near: bool) -> None:
+        """Take another map and search it: near the pose in the one before, seen from above."""
+        pose = self._now()
+        self.use(localizer)
+        prior = None
+        if near and pose is not None:
+            prior = Prior(pose[0][:2, 3], self.settings.click_radius_m)
+        self.relocalize(prior)
 
     def no_map(self, why: str) -> None:
         """There is none; one that was used before stays in use."""
@@ -140,6 +153,10 @@ class Robot:
         self.intake_ms = 1e3 * (time.perf_counter() - begun)
         return replies
 
+    def on_fix(self, fix: Any) -> None:
+        """sensor_msgs/NavSatFix."""
+        self._fix = fix
+
     def on_click(self, click: Click) -> str:
         """A rough pose: it is looked for there, whatever was believed before.
 
@@ -185,11 +202,30 @@ class Robot:
         asked = None if core is None else core.due()
         if core is None or asked is None:
             return None
-        near = self.trigger.near(asked.stamp)
+        near = self.trigger.near(asked.stamp) or asked.near or self._fixed(asked.stamp)
         if self.trigger.resting:
             core.answer(asked, None)
             return None
         return Job(core, asked, near)
+
+    def _fixed(self, stamp: float) -> Prior | None:
+        """Around the newest fix, while the robot is not localized; then anywhere."""
+        is_wanted = self._fix is not None and self.state is not None and not self.state.localized
+        if self._localizer is None or not is_wanted:
+            return None
+        self._own.pop("fix", None)
+        try:
+            georeference = Georeference.of(self._localizer.prior_map.metadata)
+            if georeference is None:
+                self._own["fix"] = "GNSS unused: build the map with --epsg and --origin"
+                return None
+            fixes = Fixes.of(self.settings.fix_topic, [(self._fix, stamp)])
+            times = np.array([stamp])
+            (prior,) = gnss_priors(fixes, georeference, times, self.settings.click_radius_m)
+        except SeglocError as error:
+            self._own["fix"] = f"GNSS unused: {error}"
+            return None
+        return prior
 
     @staticmethod
     def ask(job: Job) -> Answer:
@@ -203,6 +239,9 @@ class Robot:
         if answer.search is not None:
             self.last = answer
         replies = self._tell([answer.job.core.answer(answer.job.asked, answer.view)])
+        if answer.candidates:
+            frame, stamp = self.settings.map_frame, answer.job.asked.stamp
+            replies.append(CandidatesReply(stamp, frame, answer.candidates))
         shown = answer.matches(self.settings.map_frame) if self.settings.matches else None
         return replies if shown is None else [*replies, shown]
 
@@ -223,17 +262,16 @@ class Robot:
 
     def initial_pose(self) -> InitialPose | None:
         """Where it is now, for a tracker; None while it is not localized."""
-        believed, state = self.believed, self.state
-        if state is None or believed is None or believed.T_map_odom is None:
+        now = self._now()
+        if now is None:
             return None
-        if state.T_odom_base is None:
-            return None
-        T = believed.T_map_odom @ state.T_odom_base
-        self._told = believed.T_map_odom
+        assert self.state is not None
+        T, T_odom_base, covariance = now
+        self._told = T @ geometry.inverse(T_odom_base)
         self._echoes.sent(T)
         least = (self.settings.initialpose_least_m, self.settings.initialpose_least_deg)
         frame = self.settings.map_frame
-        return InitialPose(PoseReply.of(state.stamp, frame, T, believed.covariance, least))
+        return InitialPose(PoseReply.of(self.state.stamp, frame, T, covariance, least))
 
     # --- inside --------------------------------------------------------------------------------
 
@@ -294,16 +332,18 @@ class Robot:
             self._notice_jumps()
             if not self.trigger.resting:
                 replies += self._told_of(state)
-            elif self.keeper is not None and (pose := self._at_rest(state)) is not None:
+            elif self.keeper is not None and (pose := self._now()) is not None:
                 self.keeper.keep(state.stamp, *pose)
         return replies
 
-    def _at_rest(self, state: State) -> tuple[Pose, Pose, Float64 | None] | None:
-        """T_map_base and T_odom_base of a robot at rest, and the covariance when it was found."""
-        held = self.trigger.held
-        if held is None or held.T_map_odom is None or state.T_odom_base is None:
+    def _now(self) -> tuple[Pose, Pose, Float64 | None] | None:
+        """T_map_base, T_odom_base, and the covariance when it was measured."""
+        believed, state = self.believed, self.state
+        if state is None or believed is None or believed.T_map_odom is None:
             return None
-        return held.T_map_odom @ state.T_odom_base, state.T_odom_base, held.covariance
+        if state.T_odom_base is None:
+            return None
+        return believed.T_map_odom @ state.T_odom_base, state.T_odom_base, believed.covariance
 
     def _notice_jumps(self) -> None:
         core = self._core

@@ -23,7 +23,10 @@ from .frames import frame_name
 class Settings(Section):
     """All parameters of the node. Seconds are those of stamps."""
 
-    map: str = Field("", description="path of the .segmap; it is loaded again when it changes")
+    map: str = Field(
+        "",
+        description=".segmap, or folder or URL of tiles; read again when it changes or is set",
+    )
     mode: Literal["initialpose", "tf", "both"] = Field(
         "initialpose", description="what is told: a pose for a tracker such as AMCL, map -> odom"
     )
@@ -45,6 +48,9 @@ class Settings(Section):
     odom_tf: bool = Field(True, description="with kiss-icp, also broadcast odom -> base_link")
     imu_topic: str = Field(
         "", description="sensor_msgs/Imu: levels an odometry whose z axis is not up; '': none"
+    )
+    fix_topic: str = Field(
+        "", description="sensor_msgs/NavSatFix: where to search first in a georeferenced map"
     )
     click_topic: str = Field(
         "~/click", description="a rough pose to refine; '': none. /initialpose, too, if need be"
