@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -323,3 +324,25 @@ def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
     listener.robot.quiet(3.0)
     told = diagnose(listener.robot)
     assert told.level is Level.WARN and "nothing has come in for 3.0 s" in told.message
+
+
+def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """Odometry steps by 1 m, too little to be noticed as a jump: the correction takes seconds."""
+    rate = {"smooth_tf_mps": 0.1, "smooth_tf_dps": 1.0, "mode": "tf"}
+    listener = Listener.of(localizer, smooth_tf=True, **rate)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3, step=0.5)
+    listener.clear()
+    slipped = T_MAP_ODOM @ geometry.yaw_transform(0.0, (0.7, 0.0, 0.0))
+    truth = listener.walk(plaza, 6, start_s=103.0, begin=(-12.0, 1.3), step=0.5, T_map_odom=slipped)
+    sent = [reply.transform for reply in listener.of_kind(MapToOdom)]
+    for a, b in pairwise(sent):
+        moved = np.linalg.norm((b.T_parent_child - a.T_parent_child)[:3, 3])
+        assert moved < 0.1 * (b.stamp - a.stamp) + 0.05
+    pose = listener.of_kind(PoseReply)[-1]
+    error = off(pose.T_map_base, truth)
+    assert (
+        0.1 < error < 0.8 and np.sqrt(pose.covariance[0, 0] + pose.covariance[1, 1]) > 0.5 * error
+    )

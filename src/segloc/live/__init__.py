@@ -12,6 +12,7 @@ from .core import State as State
 from .kept_pose import PoseKeeper as PoseKeeper
 from .lidar_odometry import LidarOdometry as LidarOdometry
 from .localizer import LiveLocalizer as LiveLocalizer
+from .smooth import SmoothTransform as SmoothTransform
 
 if TYPE_CHECKING:
     from .replay import Replay as Replay

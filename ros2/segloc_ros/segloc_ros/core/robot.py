@@ -70,6 +70,7 @@ class Robot:
             "points": f"no cloud yet: {settings.points_topic}",
         }
         self.keeper = settings.keeper
+        self._smooth = settings.smooth
         self._lidar_odometry: LidarOdometry | None = None
         self._lidar = "", -np.inf  # whose clouds are taken, and when the last came
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
@@ -295,7 +296,7 @@ class Robot:
             self._odometry.append((stamp, T))
             if self._core is not None:
                 replies += self._tell(self._core.add_odometry(stamp, T))
-            replies += self._broadcast(stamp)
+            replies += self._broadcast(stamp, T)
         return replies
 
     def _registered(self, scan: Scan, stamp: float, T_base_lidar: Pose) -> list[Reply]:
@@ -315,13 +316,19 @@ class Robot:
             replies += self._tell([self._core.doubt(odometry.fault)])
         return replies
 
-    def _broadcast(self, stamp: float) -> list[Reply]:
-        T, settings = self.T_map_odom, self.settings
+    def _broadcast(self, stamp: float, T_odom_base: Pose) -> list[Reply]:
+        settings, believed = self.settings, self.believed
+        T = None if believed is None else believed.T_map_odom
+        if T is None and self._smooth is not None:
+            self._smooth.clear()
         if T is None or not settings.tells_tf:
             return []
         if 0.0 <= stamp - self._sent_at < 1.0 / settings.tf_rate_hz:
             return []
         self._sent_at = stamp
+        if self._smooth is not None:
+            T = self._smooth.update(stamp, T, T_odom_base)
+        T = T @ self.body.T_level_odom
         ahead = stamp + settings.tf_ahead_s
         return [MapToOdom(Transform(ahead, settings.map_frame, self.body.odom_frame, T))]
 
@@ -358,10 +365,8 @@ class Robot:
 
     def _told_of(self, state: State) -> list[Reply]:
         replies: list[Reply] = []
-        T = state.T_map_base
-        if T is not None:
-            frame = self.settings.map_frame
-            replies.append(PoseReply.of(state.stamp, frame, T, state.covariance))
+        if (pose := self._published(state)) is not None:
+            replies.append(PoseReply.of(state.stamp, self.settings.map_frame, *pose))
         if not state.localized:
             self._told = None
         elif state.status is Status.LOCALIZED and self._is_news(state):
@@ -371,6 +376,17 @@ class Robot:
                 replies.append(pose)
             self.trigger.found(state)
         return replies
+
+    def _published(self, state: State) -> tuple[Pose, Float64 | None] | None:
+        """T_map_base and covariance, consistent with map -> odom where that is smooth."""
+        T, T_odom_base = state.T_map_base, state.T_odom_base
+        smooth = None if self._smooth is None else self._smooth.T_map_odom
+        if T is None or T_odom_base is None or state.T_map_odom is None:
+            return None
+        if self._smooth is None or smooth is None or state.covariance is None:
+            return T, state.covariance
+        offset = self._smooth.offset(state.T_map_odom, T_odom_base)
+        return smooth @ T_odom_base, state.covariance + np.outer(offset, offset)
 
     def _is_news(self, state: State) -> bool:
         """Whether a tracker that was told before would now be wrong."""

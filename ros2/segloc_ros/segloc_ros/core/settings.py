@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from segloc.config import validated
 from segloc.frontend.mounting import rotation
 from segloc.geometry import rigid
-from segloc.live import LiveConfig, PoseKeeper
+from segloc.live import LiveConfig, PoseKeeper, SmoothTransform
 from segloc.system.section import Section
 from segloc.tracker import TrackerConfig
 from segloc.types import Pose
@@ -85,6 +85,12 @@ class Settings(Section):
 
     tf_rate_hz: float = Field(20.0, gt=0, le=1000, description="of map -> odom at most")
     tf_ahead_s: float = Field(0.2, ge=0, le=10, description="map -> odom is post-dated by this")
+    smooth_tf: bool = Field(
+        False, description="correct map -> odom at a bounded rate, without jumps; ~/pose as well"
+    )
+    smooth_tf_mps: float = Field(0.2, gt=0, description="that rate at the base, metres a second")
+    smooth_tf_dps: float = Field(2.0, gt=0, description="and degrees a second")
+    smooth_tf_jump_m: float = Field(3.0, gt=0, description="a larger correction is made at once")
     tf_keep_s: float = Field(10.0, gt=0, description="tf is kept for so long")
 
     query_every_m: float = Field(10.0, ge=0, description="travel between queries")
@@ -158,6 +164,13 @@ class Settings(Section):
         x, y, z, *angles = self.base_to_lidar
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         return rigid(rotation(roll, pitch, yaw), np.array([x, y, z]))
+
+    @property
+    def smooth(self) -> SmoothTransform | None:
+        """What corrects map -> odom without jumps."""
+        if not self.smooth_tf:
+            return None
+        return SmoothTransform(self.smooth_tf_mps, self.smooth_tf_dps, self.smooth_tf_jump_m)
 
     @property
     def keeper(self) -> PoseKeeper | None:
