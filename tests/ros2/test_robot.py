@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza
 from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
+from samples.streams import walked
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, diagnose
 from segloc_ros.core.replies import CandidatesReply, InitialPose, MapToOdom, MatchesReply, PoseReply
@@ -306,10 +307,38 @@ def test_clouds_of_two_lidars_on_one_topic_are_not_mixed(
     listener.walk(plaza, 2)
     core = listener.robot.core
     listener.cloud(101.5, np.ones((50, 3)), "rear")
-    assert "clouds in rear and in os_sensor" in diagnose(listener.robot).message
+    assert "clouds in rear and in os_sensor on one topic" in diagnose(listener.robot).message
     assert listener.robot.core is core
     listener.cloud(110.0, np.ones((50, 3)), "rear")  # the other has fallen silent
     assert listener.robot.core is not core
+
+
+def test_clouds_of_two_lidars_are_merged_by_mounts_and_stamps(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """Each sees half of the surroundings, the rear one 50 ms later; at last it falls silent."""
+    rear = geometry.yaw_transform(-2.0, (-1.0, -0.3, 0.1))
+    listener = Listener.of(localizer, more_points_topics=["rear"])
+    on_tf_static(listener.robot)
+    on_tf_static(listener.robot, rear, "rear_lidar")
+    lidar_base = geometry.inverse(MOUNT)
+    for k, (events, T_map_lidar) in enumerate(walked(plaza, 8, every_s=0.5)):
+        truth = T_map_lidar @ lidar_base
+        later = truth @ geometry.yaw_transform(0.0, (0.2, 0.0, 0.0))
+        halves = []
+        for T, mount in ((truth, MOUNT), (later, rear)):
+            points = plaza.scan(T @ mount, posed=False, seed=k).points
+            halves.append(points[(points @ mount[:2, :3].T[:, 0] > 0) == (mount is MOUNT)])
+        before, main, behind = events
+        listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
+        listener.cloud(main.stamp, halves[0])
+        if k < 6:
+            listener.cloud(main.stamp + 0.05, halves[1], "rear_lidar", "rear")
+        listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
+        if k == 5:
+            error = off(listener.of_kind(PoseReply)[-1].T_map_base, truth)
+    assert error < 0.3 and listener.robot.core.scans == 7  # the last one still waits
+    assert "no clouds of rear" in diagnose(listener.robot).message
 
 
 def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:

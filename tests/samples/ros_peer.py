@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -27,7 +27,7 @@ from segloc_ros.messages import (
     transform_in,
     transform_out,
 )
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -39,6 +39,7 @@ from .plaza import Plaza
 from .ros_drive import BASE, LIDAR, MOUNT, ODOM
 from .streams import T_MAP_ODOM, walked
 
+REAR = geometry.yaw_transform(-2.0, (-1.0, -0.3, 0.1))
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _HEARD = {
     "pose": (PoseWithCovarianceStamped, "/segloc/pose", 10),
@@ -47,6 +48,7 @@ _HEARD = {
     "matches": (MarkerArray, "/segloc/matches", 10),
     "diagnostics": (DiagnosticArray, "/diagnostics", 10),
     "tf": (TFMessage, "/tf", 100),
+    "candidates": (PoseArray, "/segloc/candidates", 10),
     "odom": (Odometry, "/odom", 100),
 }
 
@@ -70,6 +72,8 @@ class Peer(Node):
         for name in _HEARD:
             self.listen(name)
         self._points = self.create_publisher(PointCloud2, "/points", 5)
+        self._rear = self.create_publisher(PointCloud2, "/rear", 5)
+        self.fix = self.create_publisher(NavSatFix, "/fix", 5)
         self._odom = self.create_publisher(Odometry, "/odom", 50)
         self._tf_static = self.create_publisher(TFMessage, "/tf_static", LATCHED)
         self.click = self.create_publisher(PoseWithCovarianceStamped, "/segloc/click", 1)
@@ -113,8 +117,9 @@ class Peer(Node):
         return {v.key: v.value for v in newest[0].status[0].values} if newest else {}
 
     def tell_mount(self) -> None:
-        mount = transform_out(Transform(0.0, BASE, LIDAR, MOUNT))
-        self._tf_static.publish(TFMessage(transforms=[mount]))
+        mounts = {LIDAR: MOUNT, "rear_lidar": REAR}
+        told = [transform_out(Transform(0.0, BASE, name, T)) for name, T in mounts.items()]
+        self._tf_static.publish(TFMessage(transforms=told))
 
     def ready(self, odometry: bool = True) -> None:
         """Wait until the node's ends of the topics are there."""
@@ -135,8 +140,13 @@ class Peer(Node):
         q.x, q.y, q.z, q.w = xyzw
         self._odom.publish(message)
 
-    def walk(self, count: int, *, odometry: bool = True, **options: Any) -> Pose:
-        """Walk on in time, as :func:`samples.streams.walked`; the true pose of the base."""
+    def walk(
+        self, count: int, *, odometry: bool = True, rear: bool = False, **options: Any
+    ) -> Pose:
+        """Walk on in time, as :func:`samples.streams.walked`; the true pose of the base.
+
+        With ``rear`` the cloud is that of two LiDARs, half of it each.
+        """
         lidar_base, truth = geometry.inverse(MOUNT), np.eye(4)
         self.now += 1.0
         for events, T_map_lidar in walked(self.plaza, count, start_s=self.now, **options):
@@ -147,7 +157,13 @@ class Peer(Node):
                         self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
                         self.spin(0.05)
                 else:
-                    self.send_cloud(event.stamp, event.scan.points)
+                    points = event.scan.points
+                    if rear:
+                        behind = geometry.transform(geometry.inverse(REAR) @ MOUNT, points[1::2])
+                        message = cloud_out(behind, "rear_lidar", time_of(event.stamp))
+                        self._rear.publish(message)
+                        points = points[::2]
+                    self.send_cloud(event.stamp, points)
                     self.spin(0.05)
             self.now = events[1].stamp
             self.spin(0.25)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -111,8 +112,9 @@ class SeglocNode(LifecycleNode):
             reliability = ReliabilityPolicy.RELIABLE
         clouds = QoSProfile(depth=settings.points_depth, reliability=reliability)
         fast = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+        lidars = (settings.points_topic, *settings.more_points_topics)
         wanted = [
-            (PointCloud2, settings.points_topic, self._on_cloud, clouds),
+            *((PointCloud2, topic, partial(self._on_cloud, topic), clouds) for topic in lidars),
             (Imu, settings.imu_topic, self._on_imu, fast),
             (NavSatFix, settings.fix_topic, self._on_fix, fast),
             (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
@@ -171,9 +173,9 @@ class SeglocNode(LifecycleNode):
         except SeglocError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
-    def _on_cloud(self, message: PointCloud2) -> None:
+    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
-        self._feed(lambda robot: robot.on_cloud(message, stamp, frame))
+        self._feed(lambda robot: robot.on_cloud(message, stamp, frame, topic))
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp, frame, child = (

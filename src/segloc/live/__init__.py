@@ -12,6 +12,8 @@ from .core import State as State
 from .kept_pose import PoseKeeper as PoseKeeper
 from .lidar_odometry import LidarOdometry as LidarOdometry
 from .localizer import LiveLocalizer as LiveLocalizer
+from .merge import MountedScan as MountedScan
+from .merge import ScanMerger as ScanMerger
 from .smooth import SmoothTransform as SmoothTransform
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from samples.plaza import Plaza, PlazaSequence
 from samples.streams import walked
 
 from segloc import Config, Scan, SegmentMap, build_map, geometry
+from segloc.map.georeference import KEY, Georeference
 from segloc.tiles import cut_tiles
 from segloc.types import Pose
 
@@ -27,7 +29,8 @@ pytest.importorskip("tf2_msgs")
 from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
-from segloc_ros.messages import pose_in, pose_out  # noqa: E402
+from sensor_msgs.msg import NavSatFix  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out, transform_in  # noqa: E402
 
 pytestmark = pytest.mark.slow
 INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
@@ -218,6 +221,46 @@ def test_maps_are_replaced_while_it_drives(peer: Peer, maps: Path, tmp_path: Pat
         truth = peer.walk(4, begin=(-1.0, 1.6), step=1.0)
         assert localized(peer, truth), peer.said
     assert b"Traceback" not in log.read_bytes()
+
+
+def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
+    peer: Peer, maps: Path, tmp_path: Path
+) -> None:
+    """GNSS is 30 m off, sure of 1 m; then the odometry slips by 0.8 m."""
+    pytest.importorskip("pyproj")
+    site = SegmentMap.load(maps / "site.segmap")
+    here = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))
+    site.metadata[KEY] = here.to_text()
+    site.save(tmp_path / "site.segmap")
+    longitude, latitude, _ = here.on_globe(np.array([[16.0, 4.0, 0.0]]))[0].tolist()
+    fix = NavSatFix(longitude=longitude, latitude=latitude, position_covariance_type=2)
+    fix.position_covariance = np.eye(3).ravel().tolist()
+    peer.clear()
+    options = PARAMETERS | {
+        "mode": "tf", "more_points_topics": "[rear]", "fix_topic": "fix", "smooth_tf": "true",
+        "smooth_tf_mps": 0.1, "smooth_tf_dps": 1.0,
+    }  # fmt: skip
+    with running(NODE, tmp_path / "log", map=str(tmp_path / "site.segmap"), **options):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.until(peer.fix.get_subscription_count, WAIT_S)
+        peer.fix.publish(fix)
+        peer.spin(1.0)
+        truth = peer.walk(4, rear=True, step=0.5)
+        assert localized(peer, truth), peer.said
+        assert off(pose_in(peer.heard["candidates"][-1].poses[0]), truth) < 2.0
+        half = len(peer.plaza.scan(truth @ MOUNT, posed=False).points) / 2
+        assert float(peer.values["points"]) > 1.5 * half
+        peer.heard["tf"].clear()
+        slipped = T_MAP_ODOM @ geometry.yaw_transform(0.0, (0.8, 0.0, 0.0))
+        peer.walk(8, rear=True, step=0.5, begin=(-12.0, 1.2), T_map_odom=slipped)
+        sent = [transform_in(t) for message in peer.heard["tf"] for t in message.transforms]
+        base = (geometry.inverse(slipped) @ truth)[:3, 3]
+        at = [(t.stamp, geometry.transform(t.T_parent_child, base[None])[0]) for t in sent]
+        assert len(at) > 10 and 0.2 < np.linalg.norm(at[-1][1] - at[0][1]) < 1.0
+        for (begin, a), (end, b) in pairwise(at):
+            assert np.linalg.norm(b - a) < 0.1 * (end - begin) + 0.05
 
 
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:

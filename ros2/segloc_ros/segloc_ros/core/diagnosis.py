@@ -79,7 +79,11 @@ def _values(robot: Robot) -> dict[str, str]:
             "travelled_m": f"{state.travelled_m:.1f}",
             "stamp": f"{state.stamp:.3f}",
         }
-    values |= {"fixes": str(robot.fixes), "intake_ms": f"{robot.intake_ms:.1f}"}
+    values |= {
+        "fixes": str(robot.fixes),
+        "points": str(robot.points),
+        "intake_ms": f"{robot.intake_ms:.1f}",
+    }
     if (core := robot.core) is not None:
         counts = {"scans": core.scans, "dropped": core.dropped, "refused": core.refused}
         values |= {name: str(count) for name, count in counts.items()}

@@ -16,9 +16,9 @@ from segloc import Localizer, Prior, SeglocError, geometry
 from segloc.batch.run import gnss_priors
 from segloc.datasets.fixes import Fixes
 from segloc.datasets.ros.pointcloud2 import to_scan
-from segloc.live import LidarOdometry, LiveCore, State, Status
+from segloc.live import LidarOdometry, LiveCore, MountedScan, State, Status
 from segloc.map.georeference import Georeference
-from segloc.types import Float64, Pose, Scan
+from segloc.types import Float64, Pose
 
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
@@ -49,8 +49,8 @@ class Robot:
         How often it was found.
     last : Answer or None
         The last query with a search.
-    intake_ms : float
-        What the last cloud took.
+    intake_ms, points : float, int
+        What the last cloud took, and its points, those of all LiDARs.
     keeper : PoseKeeper or None
         Keeps the pose over a power cycle.
     """
@@ -61,7 +61,7 @@ class Robot:
         self.trigger = Trigger(settings.trigger, settings.click_s)
         self.state: State | None = None
         self.last: Answer | None = None
-        self.fixes, self.intake_ms = 0, 0.0
+        self.fixes, self.intake_ms, self.points = 0, 0.0, 0
         self._localizer: Localizer | None = None
         self._fix: Any = None  # the newest sensor_msgs/NavSatFix
         self._core: LiveCore | None = None
@@ -70,7 +70,7 @@ class Robot:
             "points": f"no cloud yet: {settings.points_topic}",
         }
         self.keeper = settings.keeper
-        self._smooth = settings.smooth
+        self._smooth, self._merger = settings.smooth, settings.merger
         self._lidar_odometry: LidarOdometry | None = None
         self._lidar = "", -np.inf  # whose clouds are taken, and when the last came
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
@@ -123,35 +123,57 @@ class Robot:
         if np.isfinite(acceleration).all():
             self.body.add_acceleration(stamp, frame, acceleration)
 
-    def on_cloud(self, cloud: Any, stamp: float, frame: str) -> list[Reply]:
-        """sensor_msgs/PointCloud2. What cannot be used is refused, and that is said."""
+    def on_cloud(self, cloud: Any, stamp: float, frame: str, topic: str = "") -> list[Reply]:
+        """sensor_msgs/PointCloud2. What cannot be used is refused, and that is said.
+
+        ``topic``: of which LiDAR it is, if there are several.
+        """
         begun = time.perf_counter()
         self._own.pop("points", None)
-        lidar = frame_name(frame)
-        if lidar != self._lidar[0] and 0.0 <= stamp - self._lidar[1] < self.settings.silent_s:
-            self._own["points"] = f"clouds in {lidar} and in {self._lidar[0]}: give those of one"
+        lidar, is_main = frame_name(frame), topic in ("", self.settings.points_topic)
+        if is_main and not self._is_of_one(lidar, stamp):
             return []
-        self._lidar = lidar, stamp
         T_base_lidar = self.body.mount(lidar)
         if T_base_lidar is None:
             return []
-        core = self._following(T_base_lidar)
+        replies: list[Reply] = []
         try:
-            scan = to_scan(cloud, stamp)
-            replies: list[Reply] = []
-            if self.settings.odometry == "none":
-                self._moved(self.body.standing(stamp))
-                scan.times = None
-            elif self.settings.odometry == "kiss-icp":
-                replies += self._registered(scan, stamp, T_base_lidar)
-            if core is not None:
-                replies += self._tell(core.add_scan(scan, stamp))
+            given = [MountedScan(stamp, to_scan(cloud, stamp), T_base_lidar)]
+            if self._merger is not None:
+                given = self._merger.add(topic or self.settings.points_topic, given[0])
+                if given and self._merger.missing:
+                    self._own["points"] = f"no clouds of {', '.join(self._merger.missing)}"
+            for each in given:
+                replies += self._take(each)
         except SeglocError as error:
-            if core is not None:
-                core.refused += 1
+            if self._core is not None:
+                self._core.refused += 1
             self._own["points"] = f"cloud refused: {error}"
             return []
         self.intake_ms = 1e3 * (time.perf_counter() - begun)
+        return replies
+
+    def _is_of_one(self, lidar: str, stamp: float) -> bool:
+        """Whether clouds of the main topic are of one LiDAR."""
+        name, last = self._lidar
+        if lidar != name and 0.0 <= stamp - last < self.settings.silent_s:
+            self._own["points"] = (
+                f"clouds in {lidar} and in {name} on one topic: use more_points_topics"
+            )
+            return False
+        self._lidar = lidar, stamp
+        return True
+
+    def _take(self, given: MountedScan) -> list[Reply]:
+        core, self.points = self._following(given.T_base_sensor), len(given.scan)
+        replies: list[Reply] = []
+        if self.settings.odometry == "none":
+            self._moved(self.body.standing(given.stamp))
+            given.scan.times = None
+        elif self.settings.odometry == "kiss-icp":
+            replies += self._registered(given)
+        if core is not None:
+            replies += self._tell(core.add_scan(given.scan, given.stamp))
         return replies
 
     def on_fix(self, fix: Any) -> None:
@@ -299,13 +321,13 @@ class Robot:
             replies += self._broadcast(stamp, T)
         return replies
 
-    def _registered(self, scan: Scan, stamp: float, T_base_lidar: Pose) -> list[Reply]:
+    def _registered(self, given: MountedScan) -> list[Reply]:
         """Compute the odometry of a cloud, and publish it."""
         odometry = self._lidar_odometry
-        if odometry is None or not same(odometry.T_base_sensor, T_base_lidar):
-            odometry = self._lidar_odometry = LidarOdometry(T_base_lidar)
+        if odometry is None or not same(odometry.T_base_sensor, given.T_base_sensor):
+            odometry = self._lidar_odometry = LidarOdometry(given.T_base_sensor)
         lost, replies = odometry.losses, list[Reply]()
-        for time_s, T in odometry.add(scan, stamp):
+        for time_s, T in odometry.add(given.scan, given.stamp):
             before = self._odometry[-1] if self._odometry else None
             if before is not None and time_s <= before[0]:
                 continue

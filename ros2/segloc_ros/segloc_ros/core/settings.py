@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from segloc.config import validated
 from segloc.frontend.mounting import rotation
 from segloc.geometry import rigid
-from segloc.live import LiveConfig, PoseKeeper, SmoothTransform
+from segloc.live import LiveConfig, PoseKeeper, ScanMerger, SmoothTransform
 from segloc.system.section import Section
 from segloc.tracker import TrackerConfig
 from segloc.types import Pose
@@ -38,6 +38,12 @@ class Settings(Section):
     )
 
     points_topic: str = Field("points", description="sensor_msgs/PointCloud2")
+    more_points_topics: tuple[str, ...] = Field(
+        (), description="clouds of further LiDARs of the base, merged into those of points_topic"
+    )
+    points_tolerance_s: float = Field(
+        0.06, gt=0, le=1, description="largest difference of stamps of clouds that are merged"
+    )
     points_reliable: bool = Field(False, description="QoS; best effort takes any publisher")
     points_depth: int = Field(2, ge=1, le=100, description="QoS: clouds that wait")
     odometry: Literal["topic", "tf", "kiss-icp", "none"] = Field(
@@ -164,6 +170,13 @@ class Settings(Section):
         x, y, z, *angles = self.base_to_lidar
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         return rigid(rotation(roll, pitch, yaw), np.array([x, y, z]))
+
+    @property
+    def merger(self) -> ScanMerger | None:
+        """What merges the clouds of several LiDARs."""
+        if not self.more_points_topics:
+            return None
+        return ScanMerger(self.points_topic, self.more_points_topics, self.points_tolerance_s)
 
     @property
     def smooth(self) -> SmoothTransform | None:
