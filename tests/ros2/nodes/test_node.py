@@ -29,8 +29,8 @@ pytest.importorskip("tf2_msgs")
 from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
-from sensor_msgs.msg import NavSatFix  # noqa: E402
 from segloc_ros.messages import pose_in, pose_out, transform_in  # noqa: E402
+from sensor_msgs.msg import NavSatFix  # noqa: E402
 
 pytestmark = pytest.mark.slow
 INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()

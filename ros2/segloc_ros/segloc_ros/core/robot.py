@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,7 @@ class Robot:
         self.fixes, self.intake_ms, self.points = 0, 0.0, 0
         self._localizer: Localizer | None = None
         self._fix: Any = None  # the newest sensor_msgs/NavSatFix
+        self._is_near_fix = False  # whether the last query was near it
         self._core: LiveCore | None = None
         self._own = {
             "map": "the map is being read",
@@ -232,7 +234,7 @@ class Robot:
         return Job(core, asked, near)
 
     def _fixed(self, stamp: float) -> Prior | None:
-        """Around the newest fix, while the robot is not localized; then anywhere."""
+        """Around the newest fix, in every other query while the robot is not localized."""
         is_wanted = self._fix is not None and self.state is not None and not self.state.localized
         if self._localizer is None or not is_wanted:
             return None
@@ -245,6 +247,9 @@ class Robot:
             fixes = Fixes.of(self.settings.fix_topic, [(self._fix, stamp)])
             times = np.array([stamp])
             (prior,) = gnss_priors(fixes, georeference, times, self.settings.click_radius_m)
+            self._is_near_fix = not self._is_near_fix
+            if prior is not None:  # the whole map has a query, and a deadline, of its own
+                prior = replace(prior, anywhere=False) if self._is_near_fix else None
         except SeglocError as error:
             self._own["fix"] = f"GNSS unused: {error}"
             return None

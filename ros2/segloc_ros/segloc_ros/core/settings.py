@@ -59,11 +59,11 @@ class Settings(Section):
         "", description="sensor_msgs/NavSatFix: where to search first in a georeferenced map"
     )
     click_topic: str = Field(
-        "~/click", description="a rough pose to refine; '': none. /initialpose, too, if need be"
+        "~/click", description="a rough pose to refine; '': none. initialpose, too, if need be"
     )
-    initialpose_topic: str = Field("/initialpose", description="where poses for a tracker go")
+    initialpose_topic: str = Field("initialpose", description="where poses for a tracker go")
     set_initial_pose_service: str = Field(
-        "", description="AMCL's service, such as /set_initial_pose, called as well; '': none"
+        "", description="AMCL's service, such as set_initial_pose, called as well; '': none"
     )
 
     map_frame: str = "map"
