@@ -245,6 +245,8 @@ class Robot:
                 self._own["fix"] = "GNSS unused: build the map with --epsg and --origin"
                 return None
             fixes = Fixes.of(self.settings.fix_topic, [(self._fix, stamp)])
+            if not len(fixes):  # the receiver has none
+                return None
             times = np.array([stamp])
             (prior,) = gnss_priors(fixes, georeference, times, self.settings.click_radius_m)
             self._is_near_fix = not self._is_near_fix
@@ -398,9 +400,9 @@ class Robot:
             self._told = None
         elif state.status is Status.LOCALIZED and self._is_news(state):
             self.fixes += 1
-            pose = self.initial_pose()
-            if self.settings.tells_initialpose and pose is not None:
-                replies.append(pose)
+            told = self.initial_pose()
+            if self.settings.tells_initialpose and told is not None:
+                replies.append(told)
             self.trigger.found(state)
         return replies
 
