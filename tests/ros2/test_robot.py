@@ -260,7 +260,7 @@ def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(
     listener = Listener.of(localizer, trigger="until_localized", click_radius_m=5.0)
     on_tf_static(listener.robot)
     listener.walk(plaza, 2)
-    listener.robot.switch(localizer, near=True)
+    listener.robot.switch(localizer, np.eye(4))
     assert listener.robot.T_map_odom is None
     listener.clear()
     truth = listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))

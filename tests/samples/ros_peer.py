@@ -23,6 +23,7 @@ from segloc_ros.messages import (
     cloud_out,
     pose_in,
     seconds,
+    set_pose,
     time_of,
     transform_in,
     transform_out,
@@ -199,13 +200,16 @@ class Peer(Node):
         self.until(answered, 60.0)
         return next(call.result() for call in calls if call.done())
 
-    def load_map(self, path: Path, near: bool = False) -> Any:
-        """Call the service; its response."""
+    def load_map(self, path: Path, T_new_old: Pose | None = None) -> Any:
+        """Call the service; its response. With a pose, search near the last one first."""
         from segloc_msgs.srv import LoadMap
 
         client = self.create_client(LoadMap, "/segloc/load_map")
         self.until(client.service_is_ready, 60.0)
-        return self.ask(client, LoadMap.Request(map_url=str(path), near=near), again_s=10.0)
+        request = LoadMap.Request(map_url=str(path), near=T_new_old is not None)
+        if T_new_old is not None:
+            set_pose(request.old_in_new, T_new_old)
+        return self.ask(client, request, again_s=10.0)
 
     def relocalize(self) -> Any:
         """Call the service; a future."""

@@ -253,16 +253,20 @@ class SeglocNode(LifecycleNode):
         return response
 
     async def _on_load(self, request: Any, response: Any) -> Any:
-        fault = await self._load(request.map_url, request.near)
+        try:
+            T_new_old = pose_in(request.old_in_new) if request.near else None
+            fault = await self._load(request.map_url, T_new_old)
+        except SeglocError as error:
+            fault = str(error)
         response.success, response.message = not fault, fault or f"loaded {request.map_url}"
         return response
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         for each in parameters:
             if each.name == "map" and each.value and self.pump is not None:
-                self._load(str(each.value), near=False)
+                self._load(str(each.value))
 
-    def _load(self, path: str, near: bool) -> Future:
+    def _load(self, path: str, T_new_old: Any = None) -> Future:
         """Replace the map; a future of the fault, "" if there is none."""
         future = Future(executor=self.executor)
         if self.pump is None:
@@ -274,7 +278,7 @@ class SeglocNode(LifecycleNode):
                 self.get_logger().error(f"the map stays as it was: {fault}")
             future.set_result(fault)
 
-        self.pump.load(path, near, done)
+        self.pump.load(path, T_new_old, done)
         return future
 
     def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:

@@ -202,14 +202,14 @@ def test_maps_are_replaced_while_it_drives(peer: Peer, maps: Path, tmp_path: Pat
         peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
         peer.spin(1.0)
         peer.walk(2, step=1.0)
-        assert peer.load_map(tmp_path / "tiles", near=True).success
+        assert peer.load_map(tmp_path / "tiles", np.eye(4)).success
         truth = peer.walk(4, begin=(-11.0, 1.2), step=1.0)
         assert localized(peer, truth), peer.said
         refused = peer.load_map(tmp_path / "nothing.segmap")
         assert not refused.success and "nothing.segmap" in refused.message
         truth = peer.walk(2, begin=(-7.0, 1.4), step=1.0)
         assert localized(peer, truth), peer.said
-        assert peer.load_map(maps / "shifted.segmap").success
+        assert peer.load_map(maps / "shifted.segmap", SHIFT).success
         truth = peer.walk(4, begin=(-5.0, 1.5), step=1.0)
         assert localized(peer, SHIFT @ truth), peer.said
         peer.heard["map_cloud"].clear()
@@ -253,7 +253,7 @@ def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
         peer.relocalize()
         truth = peer.walk(14, rear=True, step=0.5)
         assert localized(peer, truth), peer.said
-        assert off(pose_in(peer.heard["candidates"][-1].poses[0]), truth) < 2.0
+        assert off(pose_in(peer.heard["candidates"][-1].poses[0]), truth) < 8.0
         half = len(peer.plaza.scan(truth @ MOUNT, posed=False).points) / 2
         assert float(peer.values["points"]) > 1.5 * half
         peer.heard["tf"].clear()

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from segloc import Localizer, SeglocError
+from segloc.types import Pose
 
 from .maps import MapFile
 from .replies import Reply
@@ -43,7 +44,7 @@ class Pump:
         self._robot, self._maps = robot, maps
         self._publish, self._on_map, self._watch_s = publish, on_map, watch_s
         self._changed = threading.Condition()
-        self._loads: deque[tuple[str, bool, Callable[[str], None]]] = deque()
+        self._loads: deque[tuple[str, Pose | None, Callable[[str], None]]] = deque()
         self._closed = False
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._guarded, name="segloc-queries", daemon=True)
@@ -60,14 +61,14 @@ class Pump:
         with self._changed:
             return question(self._robot)
 
-    def load(self, path: str, near: bool, done: Callable[[str], None]) -> None:
+    def load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
         """Replace the map while the robot drives.
 
-        ``near``: search near the last pose first, seen from above; the maps share a frame.
-        ``done`` is called, in any thread, with the fault; "" if there is none.
+        With ``T_new_old``, between the maps' frames, search near the last pose first, seen from
+        above. ``done`` is called, in any thread, with the fault; "" if there is none.
         """
         with self._changed:
-            self._loads.append((path, near, done))
+            self._loads.append((path, T_new_old, done))
             self._changed.notify_all()
 
     def close(self) -> None:
@@ -100,14 +101,14 @@ class Pump:
             with self._changed:
                 self._publish(self._robot.answer(answer))
 
-    def _load(self, path: str, near: bool, done: Callable[[str], None]) -> None:
+    def _load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
         try:
             localizer = self._maps.switch(path)
         except SeglocError as error:
             done(str(error))
             return
         self._on_map(localizer)
-        self.read(lambda robot: robot.switch(localizer, near))
+        self.read(lambda robot: robot.switch(localizer, T_new_old))
         done("")
 
     def _look_after_map(self) -> None:

@@ -98,13 +98,16 @@ class Robot:
             self.trigger.lose()
         self._own.pop("map", None)
 
-    def switch(self, localizer: Localizer, near: bool) -> None:
-        """Take another map and search it: near the pose in the one before, seen from above."""
+    def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:
+        """Take another map and search it.
+
+        With ``T_new_old``, between the maps' frames, near the last pose first, seen from above.
+        """
         pose = self._now()
         self.use(localizer)
         prior = None
-        if near and pose is not None:
-            prior = Prior(pose[0][:2, 3], self.settings.click_radius_m)
+        if T_new_old is not None and pose is not None:
+            prior = Prior((T_new_old @ pose[0])[:2, 3], self.settings.click_radius_m)
         self.relocalize(prior)
 
     def no_map(self, why: str) -> None:
