@@ -267,6 +267,40 @@ def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
             assert np.linalg.norm(b - a) < 0.1 * (end - begin) + 0.05
 
 
+def test_a_lift(peer: Peer, plaza: Plaza, tmp_path: Path) -> None:
+    """From storey 0 to 2, which its odometry does not notice: by load_map, and in one map."""
+    up = geometry.yaw_transform(0.0, (0.0, 0.0, 8.0))
+    walk = PlazaSequence(plaza).poses
+    storeys, scans = [plaza, Plaza(5), Plaza(6)], []
+    for k, storey in enumerate(storeys):
+        poses = np.linalg.matrix_power(up, k) @ walk
+        storey.points = storey.points + [0.0, 0.0, 8.0 * k]
+        scans.append([storey.scan(T, seed=i) for i, T in enumerate(poses)])
+        build_map(scans[k], Config.preset("geo")).save(tmp_path / f"{k}.segmap")
+    build_map([scan for each in scans for scan in each], Config.preset("geo")).save(
+        tmp_path / "all.segmap"
+    )
+    lifted = up @ up
+    for name in ("0", "all"):
+        peer.clear()
+        with running(NODE, tmp_path / "log", map=str(tmp_path / f"{name}.segmap"), **PARAMETERS):
+            peer.ready()
+            peer.tell_mount()
+            peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+            peer.spin(1.0)
+            peer.plaza = storeys[0]
+            truth = peer.walk(4, step=1.0)
+            assert localized(peer, truth), peer.said
+            if name == "0":
+                assert peer.load_map(tmp_path / "2.segmap", np.eye(4)).success
+            peer.plaza = storeys[2]
+            peer.clear()
+            count = 6 if name == "0" else 20
+            truth = peer.walk(count, begin=(-10.0, 1.4), step=1.0, carried=lifted)
+            peer.plaza = storeys[0]
+            assert localized(peer, truth), peer.said
+
+
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
     peer.clear()
