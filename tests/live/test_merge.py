@@ -36,7 +36,7 @@ def test_merged_points_lie_where_they_are_while_the_base_moves() -> None:
 
 
 def test_a_silent_lidar_is_not_waited_for() -> None:
-    merger, scan = ScanMerger("front", ["rear"], wait_s=0.2), Scan(np.ones((9, 3)))
+    merger, scan = ScanMerger("front", ["rear"], wait_s=0.25), Scan(np.ones((9, 3)))
     told = [merger.add("front", MountedScan(0.1 * k, scan, FRONT)) for k in range(8)]
     assert [len(merged) for merged in told] == [0, 0, 0, 1, 1, 1, 1, 1]
     assert told[3][0].scan is scan and merger.missing == ("rear",)
