@@ -107,7 +107,7 @@ def trace(
 ) -> Trace:
     """Localize a local cloud, as :meth:`Localizer.localize` does, and keep what each stage made."""
     times = times or StageTimes(localizer.clock)
-    query = localizer.describe(cloud, times)
+    query = localizer.in_one_piece().describe(cloud, times)
     found = localizer.search(query, times, near=near)
     result = answer(query, found, times.with_total())
     best = found.posterior.best

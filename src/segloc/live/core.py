@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ from ..tracker import QueryCallback, QueryRequest, Tracker
 from ..tracking.belief import Status, View
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
+from .kept_pose import PoseKeeper
+from .lidar_odometry import LidarOdometry
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 
 NO_ODOMETRY = "no odometry at the time of the scan"
@@ -36,10 +38,13 @@ class Asked:
     stamp : float
         Of its scan.
     question : QueryRequest
+    near : Prior or None
+        Where the kept pose is checked.
     """
 
     stamp: float
     question: QueryRequest
+    near: Prior | None = None
 
 
 class LiveCore:
@@ -55,6 +60,10 @@ class LiveCore:
     T_base_sensor : (4, 4) array, optional
         How the sensor is mounted on the base that odometry is of; by default as
         ``local_cloud.mount`` says, and else the sensor is the base.
+    lidar_odometry : bool
+        Compute the odometry from the scans, by KISS-ICP; none is to be added then.
+    keeper : PoseKeeper, optional
+        Keeps the pose over a restart.
 
     Attributes
     ----------
@@ -71,6 +80,9 @@ class LiveCore:
         localizer: Localizer,
         config: LiveConfig | None = None,
         T_base_sensor: ArrayLike | None = None,
+        *,
+        lidar_odometry: bool = False,
+        keeper: PoseKeeper | None = None,
     ) -> None:
         self.config = config or LiveConfig()
         mount = localizer.config.local_cloud.mount.T_base_sensor
@@ -79,6 +91,13 @@ class LiveCore:
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
         )
         self.tracker = Tracker(localizer, self.config.tracker)
+        self._keeper = keeper
+        if keeper is not None:
+            keeper.use(localizer.prior_map)
+        self._lidar_odometry: LidarOdometry | None = None
+        if lidar_odometry:
+            attitude = localizer.config.local_cloud.attitude
+            self._lidar_odometry = LidarOdometry(self.T_base_sensor, attitude)
         self.scans = self.dropped = self.refused = self.jumps = 0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
@@ -145,8 +164,9 @@ class LiveCore:
                 return []
             self._set_clock(time)
         self._newest = time
+        said = [] if self._lidar_odometry is None else self._register(scan, time)
         self._waiting.append((time, scan))
-        said = self._release(time)
+        said += self._release(time)
         while len(self._waiting) > self.config.waiting:
             self._waiting.popleft()
             self.dropped += 1
@@ -156,7 +176,11 @@ class LiveCore:
         """The query that is to be made now, if any; handed out once."""
         asked, self._due = self._due, None
         self._open = self._open or asked is not None
-        return asked
+        T_odom_base = self.state.T_odom_base
+        if asked is None or self._keeper is None or T_odom_base is None:
+            return asked
+        near = self._keeper.near(asked.stamp, T_odom_base, self.T_base_sensor)
+        return replace(asked, near=near)
 
     def ask(
         self, asked: Asked, *, near: Prior | None = None, heard: QueryCallback | None = None
@@ -168,6 +192,7 @@ class LiveCore:
         SeglocError
             If it cannot be made.
         """
+        near = near or asked.near
         return self.tracker.ask(asked.question, self.config.deadline_ms, near=near, heard=heard)
 
     def answer(self, asked: Asked, view: View | None) -> State:
@@ -183,12 +208,27 @@ class LiveCore:
         self._asked_at, self._due = -math.inf, None
         return self._say(self.state.stamp)
 
+    def doubt(self, why: str) -> State:
+        """Take in that the odometry has lost an unknown motion, without a jump of its poses."""
+        return self._jumped(Jump(np.eye(4), why))[0]
+
     def silent(self, seconds: float) -> State:
         """Say that nothing has come in for so long, by the clock of whoever listens."""
         self._fault = f"nothing has come in for {seconds:.1f} s"
         return self._say(self.state.stamp)
 
     # --- inside --------------------------------------------------------------------------------
+
+    def _register(self, scan: Scan, stamp: float) -> list[State]:
+        """Compute the odometry of a scan."""
+        assert self._lidar_odometry is not None
+        lost = self._lidar_odometry.losses
+        said: list[State] = []
+        for time, T in self._lidar_odometry.add(scan, stamp):
+            said += self.add_odometry(time, T)
+        if self._lidar_odometry.losses > lost:
+            said.append(self.doubt(self._lidar_odometry.fault))
+        return said
 
     def _release(self, now: float) -> list[State]:
         """Take in the scans whose odometry is known by now."""
@@ -284,6 +324,10 @@ class LiveCore:
             self.tracker.travelled,
             answered,
         )
+        T_map_base = self.state.T_map_base
+        if self._keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
+            assert T_odom_base is not None
+            self._keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
         return self.state
 
     def _last_pose(self) -> Pose | None:
