@@ -21,8 +21,8 @@ namespace SEGLOC_ISA {
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
                         &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,
-                        &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
-                        &add_slices,     &cell_numbers, &near_points, &sort_lanes};
+                         &box_bounds,     &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
+                         &add_slices,     &cell_numbers, &near_points, &sort_lanes};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

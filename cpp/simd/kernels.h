@@ -69,7 +69,7 @@ struct ConvTask {
   bool rectify;
 };
 
-// Squared distances of up to 4 queries to a tile of database points, fused with the selection.
+// Squared distances of up to 4 queries to a block of database points, fused with the selection.
 struct KnnScan {
   const float* queries[4];
   float thresholds[4];
@@ -78,6 +78,9 @@ struct KnnScan {
   float* distances2[4];
   size_t counts[4];
 };
+
+// Boxes of blocks of descriptors: how many are measured together, and along how many axes.
+static constexpr size_t kBoxRun = 16, kBoxAxes = 8;
 
 // Query and map coordinates of matches, an array for each. Up to 15 values behind the last one may
 // be read.
@@ -183,7 +186,9 @@ struct Kernels {
   void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
                 float* output, size_t output_stride);
   void (*conv)(const ConvTask& task);
-  void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
+  void (*knn_scan)(const float* block, size_t dim, uint32_t first, KnnScan& scan);
+  // Squared distances from a place to kBoxRun boxes: ends (kBoxAxes, 2, kBoxRun).
+  void (*box_bounds)(const float* boxes, const float* place, float* bounds);
   // Writes the indices of the matches in [begin, end) that pass, and returns how many.
   size_t (*near_pose)(const MatchArrays& f, const PoseTest& test, size_t begin, size_t end,
                       uint32_t* found);

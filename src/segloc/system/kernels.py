@@ -1,5 +1,6 @@
 """The native kernels that training, peers and benchmarks use, by public names."""
 
+from .._native import DescriptorIndex as DescriptorIndex
 from .._native import Network as Network
 from .._native import PointIndex as PointIndex
 from .._native import Surface as Surface
