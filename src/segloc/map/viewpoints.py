@@ -36,13 +36,13 @@ _LEVELS = 5  # of direction bins, each twice as wide
 _BEHIND_M, _OFF_PLANE_M = 0.5, 0.3
 
 
-def tops(points: Float32, headroom_m: float) -> Float64:
-    """Tops of what stands in each cell with room above them.
+def tops(points: Float32, sensor_height_m: float) -> Float64:
+    """Tops of what stands in each cell with room for a sensor above them.
 
     Parameters
     ----------
     points : (N, 3) float32
-    headroom_m : float
+    sensor_height_m : float
 
     Returns
     -------
@@ -53,7 +53,7 @@ def tops(points: Float32, headroom_m: float) -> Float64:
     order = np.lexsort((points[:, 2], cells[:, 0], cells[:, 1]))
     cells, z = cells[order], points[order, 2].astype(np.float64)
     ends = (np.diff(cells, axis=0, append=cells[-1:] + 1) != 0).any(axis=1)
-    room = ends | (np.diff(z, append=np.inf) > headroom_m)
+    room = ends | (np.diff(z, append=np.inf) > sensor_height_m + _HEADROOM_M)
     return np.column_stack([(cells[room] + 0.5) * CELL_M, z[room]])
 
 
