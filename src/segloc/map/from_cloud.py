@@ -130,8 +130,8 @@ class ThinCloud:
         """The points within a horizontal distance."""
         parts = [self._columns[key][0] for key in self._keys(at, radius)]
         points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
-        offsets = points[:, :2] - at[:2].astype(np.float32)
-        return np.asarray(points[(offsets**2).sum(axis=1) < radius**2])
+        x, y = (points[:, :2] - at[:2].astype(np.float32)).T
+        return np.asarray(points[x * x + y * y < radius * radius])
 
     def seen_from(self, eye: Float64, radius: float) -> Seen:
         """A viewpoint, with what is visible from there."""

@@ -8,7 +8,6 @@ hide each other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,7 +107,7 @@ class Sight:
     def __init__(self, eye: Float64, occluders: Occluders) -> None:
         self._eye = eye
         self._rays = (occluders.points - eye).astype(np.float32)
-        self._ranges = np.linalg.norm(self._rays, axis=1)
+        self._ranges = _lengths(self._rays)
         self._normals = occluders.normals
         nearest_last = np.argsort(-self._ranges, kind="stable")
         with np.errstate(divide="ignore"):
@@ -119,37 +118,46 @@ class Sight:
             rows = nearest_last[levels == level]
             width = _BIN_RAD * 2**level
             image = np.full(_shape(width), -1, np.int64)
-            image[_bins(self._rays[rows], self._ranges[rows], width)] = rows
+            image[_bins(*_angles(self._rays[rows], self._ranges[rows]), width)] = rows
             self._images.append((width, image))
 
     def sees(self, points: NDArray[np.floating]) -> Bools:
         """Which of (N, 3) points are not hidden, (N,)."""
         rays = (points - self._eye).astype(np.float32)
-        ranges = np.linalg.norm(rays, axis=1)
-        seen = np.ones(len(points), bool)
+        ranges = _lengths(rays)
+        azimuth, elevation = _angles(rays, ranges)
+        left = np.arange(len(points))
         for width, image in self._images:
-            nearest = image[_bins(rays, ranges, width)]
-            rows = np.flatnonzero(nearest >= 0)
-            by = nearest[rows]
-            rows, by = _chosen(ranges[rows] > self._ranges[by] + _BEHIND_M, rows, by)
-            n = self._normals[by]
-            off = np.abs(((rays[rows] - self._rays[by]) * n).sum(axis=1))
-            seen[rows[(off > _OFF_PLANE_M) | ~n.any(axis=1)]] = False
+            by = image[_bins(azimuth[left], elevation[left], width)]
+            before = np.flatnonzero((by >= 0) & (ranges[left] > self._ranges[by] + _BEHIND_M))
+            by, rows = by[before], left[before]
+            normals = self._normals[by]
+            off = np.abs(np.einsum("ij,ij->i", rays[rows] - self._rays[by], normals))
+            no_plane = ~normals.any(axis=1)
+            left = np.delete(left, before[(off > _OFF_PLANE_M) | no_plane])
+        seen = np.zeros(len(points), bool)
+        seen[left] = True
         return seen
 
 
-def _chosen(mask: Bools, *arrays: Int64) -> Iterator[Int64]:
-    return (array[mask] for array in arrays)
+def _lengths(rays: Float32) -> Float32:
+    lengths: Float32 = np.sqrt(np.einsum("ij,ij->i", rays, rays))
+    return lengths
+
+
+def _angles(rays: Float32, ranges: Float32) -> tuple[Float32, Float32]:
+    """Azimuth and elevation of each ray, from 0 on [rad]."""
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + np.float32(np.pi)
+    elevation = np.arcsin(np.clip(rays[:, 2] / np.maximum(ranges, 1e-6), -1, 1))
+    return azimuth, elevation + np.float32(np.pi / 2)
 
 
 def _shape(width: float) -> tuple[int, int]:
     return int(2 * np.pi / width) + 2, int(np.pi / width) + 2
 
 
-def _bins(rays: Float32, ranges: Float32, width: float) -> tuple[Int64, Int64]:
+def _bins(azimuth: Float32, elevation: Float32, width: float) -> tuple[Int64, Int64]:
     """The direction bin of each ray."""
-    azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + np.pi
-    elevation = np.arcsin(np.clip(rays[:, 2] / np.maximum(ranges, 1e-6), -1, 1)) + np.pi / 2
     return (azimuth / width).astype(np.int64), (elevation / width).astype(np.int64)
 
 
