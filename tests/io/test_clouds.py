@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.e57 import e57_file
 
 from segloc import DatasetError, geometry
 from segloc.io import clouds, text, write_scan
@@ -73,11 +74,17 @@ def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
     assert np.abs(np.concatenate(parts) - there).max() < 1.1e-3
 
 
-def test_e57(tmp_path: Path) -> None:
+def test_scans_of_an_e57_file_are_read_where_they_stand(tmp_path: Path, points: Float64) -> None:
     pytest.importorskip("e57")
-    (tmp_path / "a.e57").write_bytes(b"ASTM-E57" + bytes(100))
-    with pytest.raises(DatasetError, match=r"a\.e57: cannot read the E57 file"):
-        read(tmp_path / "a.e57")
+    quarter_turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+    T = geometry.yaw_transform(np.pi / 2, UTM)
+    inside = geometry.transform(geometry.inverse(T), points[100:])
+    scans = (points[:100], (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (inside, quarter_turn, (*UTM,))
+    (tmp_path / "a.e57").write_bytes(e57_file(*scans))
+    assert np.abs(read(tmp_path / "a.e57") - points).max() < 1e-6
+    (tmp_path / "b.e57").write_bytes(b"ASTM-E57" + bytes(100))
+    with pytest.raises(DatasetError, match=r"b\.e57: cannot read the E57 file"):
+        read(tmp_path / "b.e57")
 
 
 def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:
