@@ -77,7 +77,7 @@ def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
 def test_scans_of_an_e57_file_are_read_where_they_stand(tmp_path: Path, points: Float64) -> None:
     pytest.importorskip("e57")
     quarter_turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-    T = geometry.yaw_transform(np.pi / 2, UTM)
+    T = geometry.yaw_transform(np.pi / 2, (UTM[0], UTM[1], UTM[2]))
     inside = geometry.transform(geometry.inverse(T), points[100:])
     scans = (points[:100], (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (inside, quarter_turn, (*UTM,))
     (tmp_path / "a.e57").write_bytes(e57_file(*scans))

@@ -23,7 +23,7 @@ from .build import View, add_view, empty_map, tilt_text
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
 from .segment_map import LATTICE, VIEWPOINTS, SegmentMap
-from .viewpoints import Ground, Occluders, Sight, Uncovered, tops
+from .viewpoints import SPACING_M, Ground, Occluders, Sight, Uncovered, tops
 from .voxel_cloud import thin
 
 SENSOR_HEIGHT_M = 1.0
@@ -34,8 +34,7 @@ SOURCE, SPACING = "source", "cloud_spacing_m"
 VOXEL_M, OCCLUDER_M = 0.1, 0.3
 """Voxels that the cloud is thinned to, and those of the surfaces that hide others [m]."""
 _COLUMN_M, _MAX_PENDING = 16.0, 4_000_000
-_EVERY_M = 8.0  # between viewpoints on a trajectory or a lattice
-_MIN_LATTICE_POINTS, _LOW_PERCENT = 100, 10.0
+_LOW_PERCENT = 10.0  # of the heights in a square of the lattice
 _MARGIN_M = 10.0  # around a column whose ground is sought
 _LEAN_VIEWS, _LEAN_RADIUS_M = 12, 20.0
 
@@ -286,7 +285,7 @@ def _from_path(
     cloud: ThinCloud, path: Float64, radius: float, progress: Progress | None
 ) -> Iterator[Seen]:
     """Stations of a trajectory."""
-    stations = geometry.stations(geometry.arc_length(path), _EVERY_M)
+    stations = geometry.stations(geometry.arc_length(path), SPACING_M)
     for done, eye in enumerate(path[stations]):
         yield cloud.seen_from(eye, radius)
         if progress:
@@ -312,12 +311,10 @@ def _from_ground(
 
 def _from_lattice(cloud: ThinCloud, sensor_height: float, radius: float) -> Iterator[Seen]:
     """Viewpoints over the lowest points of each square."""
-    cells = [np.unique(np.floor(c[:, :2] / _EVERY_M), axis=0) for c in cloud.columns()]
-    for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * _EVERY_M:
-        near = cloud.near(xy, _EVERY_M)
-        if len(near) >= _MIN_LATTICE_POINTS:
-            low = np.percentile(near[:, 2], _LOW_PERCENT)
-            yield cloud.seen_from(np.append(xy, low + sensor_height), radius)
+    cells = [np.unique(np.floor(c[:, :2] / SPACING_M), axis=0) for c in cloud.columns()]
+    for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * SPACING_M:
+        low = np.percentile(cloud.near(xy, SPACING_M)[:, 2], _LOW_PERCENT)
+        yield cloud.seen_from(np.append(xy, low + sensor_height), radius)
 
 
 def _frame(cloud: ThinCloud, poses: list[Float64], config: BuildConfig) -> dict[str, str]:

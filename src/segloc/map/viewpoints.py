@@ -22,14 +22,15 @@ Bools = NDArray[np.bool_]
 
 CELL_M, STEP_M = 0.5, 0.3
 """Cells of the ground, and the step between two of them that a sensor can take [m]."""
+SPACING_M = 8.0
+"""Distance between viewpoints in sight of each other [m]."""
 _HEADROOM_M = 0.4  # above the sensor
 _MIN_AREA_M2, _MAX_MIN_AREA_M2, _MIN_AREA_SHARE = 6.0, 30.0, 0.05  # of connected ground
 _MAX_CLEARANCE_M = 8.0
 _MIN_NEIGHBOURS = 7  # of 8, around a cell of ground that has room
-_SPACING_M, _SAME_M = 8.0, 2.0  # ground in sight nearer than this needs no viewpoint of its own
+_SAME_M = 2.0  # ground nearer than this needs no viewpoint of its own, even if it is out of sight
 _STOREY_M = 1.5
 _AROUND_M, _BAND_M, _SPARE_CELLS = 8.0, (1.0, 2.0), 8
-_MIN_PLANE_CELLS = 6
 _BIN_RAD = np.radians(1.0)
 _LEVELS = 5  # of direction bins, each twice as wide
 _BEHIND_M, _OFF_PLANE_M = 0.5, 0.3
@@ -214,9 +215,7 @@ class Uncovered:
     def _slope(self, place: int) -> Float64:
         """How the ground about a place rises along x and y."""
         offsets = self._eyes[self._around(place, _AROUND_M)] - self._eyes[place]
-        if len(offsets) < _MIN_PLANE_CELLS:
-            return np.zeros(2)
-        # a ridge keeps the slope of a narrow strip, across which nothing is known, near zero
+        # a ridge keeps the slope of few cells, or across a narrow strip, near zero
         xy, z = offsets[:, :2], offsets[:, 2]
         slope: Float64 = np.linalg.solve(xy.T @ xy + len(xy) * np.eye(2), xy.T @ z)
         return slope
@@ -224,7 +223,7 @@ class Uncovered:
     def cover(self, place: int, sight: Sight) -> None:
         """Take out what a viewpoint at a place shows as well as another would."""
         eye = self._eyes[place]
-        reach = max(_SPACING_M, float(self._ground.clearance[place]))
+        reach = max(SPACING_M, float(self._ground.clearance[place]))
         near = self._around(place, reach)
         near = near[self._open[near]]
         close = np.linalg.norm(self._eyes[near] - eye, axis=1) < _SAME_M
