@@ -64,7 +64,7 @@ def reference_normals(points: Float64, radius: float, least: int, thickness: flo
 
 def flat_normals(points: Float32, radius: float, least: int, most: int) -> Float32:
     """Of points that each have a voxel of their own."""
-    return _native.flat_normals(points, 100.0, 1e-4, radius, least, 0.05, most)
+    return _native.flat_normals(points, 20.0, 1e-4, radius, least, 0.05, most)
 
 
 TOLERANCES = np.radians([10.0, 7.0, 5.0, 3.0, 3.0])
