@@ -12,7 +12,7 @@ from ..system.text import counted
 if TYPE_CHECKING:
     from ..map.segment_map import SegmentMap
 
-_MOST_TEXT = 200
+_MAX_TEXT = 200
 
 
 def info(
@@ -49,9 +49,9 @@ def show(prior_map: SegmentMap, title: str) -> None:
     ]
     if "cloud" in prior_map.metadata.get("source", ""):
         spacing = prior_map.metadata.get("cloud_spacing_m", "unknown")
-        rows.append(("made from", f"a cloud, points {spacing[:_MOST_TEXT]} m apart"))
+        rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
     if frame := prior_map.metadata.get("frame"):
-        rows.append(("frame", frame[:_MOST_TEXT]))
+        rows.append(("frame", frame[:_MAX_TEXT]))
     if (where := Georeference.of(prior_map.metadata)) is not None:
         rows.append(("on the globe", str(where)))
     table(title, ("", ""), rows)

@@ -20,7 +20,7 @@ ESF_WEIGHT = 30.0
 """Shape functions sum to one: their largest values then weigh as much as an eigenvalue feature."""
 
 ESF_BINS = 64
-_LEAST_RATIO = 1e-6
+_MIN_RATIO = 1e-6
 
 _NEIGHBOURS = {"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}}
 
@@ -66,7 +66,7 @@ def eth_features(segments: Segments, threads: int = 0) -> Float64:
     -------
     (P, 8) float64
     """
-    e = np.maximum(_shares(segments, threads)[:, ::-1], _LEAST_RATIO)
+    e = np.maximum(_shares(segments, threads)[:, ::-1], _MIN_RATIO)
     e1, e2, e3 = e.T
     terms = e * _log(e)
     features = np.stack(

@@ -159,13 +159,13 @@ MILLIMETRES = next(
 )
 
 
-_APART_M, _FARTHEST_M = 2.0, 8.0
-_MOST_SCANS_APART = 25
+_APART_M, _MAX_M = 2.0, 8.0
+_MAX_SCANS_APART = 25
 _METRES = 60.0  # a sensor that moves farther from scan to scan has poses in something smaller
 _SPREAD, _TURNING = 6, 6  # pairs all along the path, and those that turn most
 _RANGE_M, _VOXEL_M, _NEAR_M = 35.0, 0.3, 0.4
 _SAMPLE, _FEWEST = 1500, 100
-_FEWEST_PAIRS = 3
+_MIN_PAIRS = 3
 _SHARED_VIEW = 0.25
 """Scans of a narrow sensor are compared if turned by at most this share of its field of view."""
 _ASIDE_M = ((4.0, 0.0), (-4.0, 0.0), (0.0, 4.0), (0.0, -4.0))
@@ -202,7 +202,7 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
         How the sensor is mounted.
     """
     fits = measured(recording, config)
-    if len(fits) < _FEWEST_PAIRS:
+    if len(fits) < _MIN_PAIRS:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
     read = np.mean([fit.read for fit in fits], axis=0)
@@ -302,11 +302,11 @@ def _pairs(poses: Float64, unit: float, most_deg: float) -> list[tuple[int, int]
     """
     path = geometry.travelled(poses) / unit
     ends = np.searchsorted(path, path + _APART_M)
-    ends = np.minimum(ends, np.arange(len(path)) + _MOST_SCANS_APART)
+    ends = np.minimum(ends, np.arange(len(path)) + _MAX_SCANS_APART)
     starts = np.flatnonzero(ends < len(path))
     ends = _facing_alike(poses[:, :3, :3], starts, ends[starts], most_deg)
     apart = path[ends] - path[starts]
-    near = (apart < _FARTHEST_M) & (apart > 0.1)
+    near = (apart < _MAX_M) & (apart > 0.1)
     starts, ends = starts[near], ends[near]
     if not len(starts):
         return []

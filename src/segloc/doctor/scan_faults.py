@@ -19,7 +19,7 @@ from ..types import Float32, Float64, Scan
 from .finding import Fault, Finding
 
 _NEAR_M, _VOXEL_M = 25.0, 0.4
-_FEWEST_PLACES = 50
+_MIN_PLACES = 50
 _NEIGHBOURS, _SUPPORT_M = 12, 2.5
 _FLAT = 0.05  # variance across a flat place, as a share of that along its narrower direction
 _BROAD = 0.1  # likewise of its two directions: the points of one beam are a line
@@ -41,11 +41,11 @@ def floors(points: Float32) -> Floors | None:
     """What is flat in a scan, (N, 3), sensor frame; None where that is too little."""
     near = points[np.einsum("ij,ij->i", points, points) < _NEAR_M**2]
     places = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M).astype(np.float64)
-    if len(places) < _FEWEST_PLACES:
+    if len(places) < _MIN_PLACES:
         return None
     normals, flat = _normals(places)
     places, normals = places[flat], normals[flat]
-    if len(places) < _FEWEST_PLACES:
+    if len(places) < _MIN_PLACES:
         return None
     shares, metres = np.zeros((3, 2)), np.full((3, 2), np.nan)
     for axis, side in np.ndindex(3, 2):
@@ -67,7 +67,7 @@ def _normals(places: Float64) -> tuple[Float64, NDArray[np.bool_]]:
     return axes[:, :, 0], flat
 
 
-_FEWEST_POINTS = 200  # of a scan that is judged
+_MIN_POINTS = 200  # of a scan that is judged
 _GROUND, _LITTLE = 0.3, 0.3
 """So much of what is flat is one floor; and so little, beside it, lies where ground would."""
 _LOW_M = 3.5  # sensors on vehicles and in hands are no higher above ground; ceilings are
@@ -77,7 +77,7 @@ _USUAL_RANGE_MM = 2500.0
 _STEEP_DEG = 35.0
 _MOUNT = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
 _FEW_BEAMS = 16
-_FEWEST_SEGMENTS, _STANDING = 2, 0.02
+_MIN_SEGMENTS, _STANDING = 2, 0.02
 
 
 def scan_findings(
@@ -97,7 +97,7 @@ def scan_findings(
         Whether the scans' poses are known, so that queries are gathered from several.
     """
     config = config or LocalCloudConfig()
-    whole = [scan for scan in scans if len(scan) >= _FEWEST_POINTS]
+    whole = [scan for scan in scans if len(scan) >= _MIN_POINTS]
     if not whole or geometry.in_one_plane(max((scan.points for scan in whole), key=len)):
         return []
     for find in (_unit_or_frame, _axes):
@@ -228,7 +228,7 @@ def _nothing_stands(scans: Sequence[Scan], config: LocalCloudConfig) -> Finding 
     scenes = [segmenter.segment(accumulator.gather(scan)) for scan in scans[:: 1 + len(scans) // 6]]
     count = median(len(scene.segments) for scene in scenes)
     standing = median(_standing(scene) for scene in scenes)
-    if count >= _FEWEST_SEGMENTS or standing > _STANDING:
+    if count >= _MIN_SEGMENTS or standing > _STANDING:
         return None
     return Finding(
         Fault.ONLY_GROUND,

@@ -23,7 +23,7 @@ COLOURS = {
     "localized": rgb(GREEN),
 }
 _ABOVE_M = 1.0
-_MOST_POINTS = 100_000
+_MAX_POINTS = 100_000
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def newest_points(folder: Path) -> Float64 | None:
         points = np.load(folder / NEWEST, allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) > _MOST_POINTS:
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) > _MAX_POINTS:
         return None
     return np.asarray(points, dtype=np.float64)
 

@@ -22,7 +22,7 @@ DEBUG = "debug"
 """The folder in it of what ``--debug`` keeps, one file a query."""
 _VOXEL_M = 0.3
 _STEP_M = 0.01  # positions are kept as whole numbers of it
-_MOST_BYTES = 64_000_000
+_MAX_BYTES = 64_000_000
 _SIGNS = ("+", "-")
 _DAMAGE = (
     ValueError,
@@ -221,7 +221,7 @@ def unpacked(data: bytes, where: str) -> Seen:
     """
     try:
         with ZipFile(io.BytesIO(data)) as listed:
-            if sum(each.file_size for each in listed.infolist()) > _MOST_BYTES:
+            if sum(each.file_size for each in listed.infolist()) > _MAX_BYTES:
                 raise ValueError("too large")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

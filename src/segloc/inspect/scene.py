@@ -28,7 +28,7 @@ OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-
 """Layers that can be hidden: of the map, of a map with a robot, of the query that is looked at."""
 _GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
 _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
-_MOST_POINTS = 400_000
+_MAX_POINTS = 400_000
 _BREAK_M = 35.0  # poses farther apart are not joined
 _MARKER_M = 0.4  # points larger than this mark something
 _ABOVE_M = 3.0  # of markers over the path
@@ -74,7 +74,7 @@ class MapScene:
 
     def draw_map(self) -> None:
         """The cloud by height, the segments' centroids, and the path."""
-        cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MOST_POINTS]
+        cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MAX_POINTS]
         if len(cloud):
             self.points("map", "/map/cloud", cloud, _by_height(cloud), 0.12)
         path = (self._map.trajectory[:, :3, 3] - self._map.origin).astype(np.float32)

@@ -17,14 +17,14 @@ from ..types import Scan
 TIME_NAMES = frozenset({"t", "time", "timestamp", "time_stamp"})
 """Fields that hold a point's time."""
 
-_LONGEST_HEADER = 1 << 20
-_MOST_DIGITS = 18  # any such number fits an int64
+_MAX_HEADER = 1 << 20
+_MAX_DIGITS = 18  # any such number fits an int64
 
 
 def header_lines(data: bytes) -> Iterator[tuple[list[str], int]]:
     """The words of each line, and where the next line starts; ends after 1 MiB."""
     start = 0
-    while (end := data.find(b"\n", start, _LONGEST_HEADER)) >= 0:
+    while (end := data.find(b"\n", start, _MAX_HEADER)) >= 0:
         yield data[start:end].decode("ascii", "replace").split(), end + 1
         start = end + 1
 
@@ -52,7 +52,7 @@ def parse_count(word: str, what: str) -> int:
 
     Raise DatasetError if it is not a whole number of 0 or more, or one beyond all reason.
     """
-    if not (word.isascii() and word.isdigit() and len(word) <= _MOST_DIGITS):
+    if not (word.isascii() and word.isdigit() and len(word) <= _MAX_DIGITS):
         raise DatasetError(f"{what} is {word[:40]!r}, not a whole number")
     return int(word)
 

@@ -10,11 +10,11 @@ from ..system.checks import MOST_METRES
 from ..types import Float32, Scan
 
 _WIDTHS = (4, 3, 5)  # KITTI's own first
-_FEWEST_ROWS = 100
+_MIN_ROWS = 100
 _MANY_ROWS = 30_000
 _STEP = 61  # prime to all widths, so that sampled rows of a wrong width still mix all columns
-_LEAST_RATIO = 1.5
-_MOST_BEYOND = 0.01  # share of rows
+_MIN_RATIO = 1.5
+_MAX_BEYOND = 0.01  # share of rows
 _RECORDS = {19: "Avia", 22: "Velodyne", 25: "early Aeva", 26: "Ouster", 29: "Aeva"}
 """Bytes of a point in HeLiPR's files, which are called .bin, too."""
 
@@ -38,7 +38,7 @@ def parse_kitti(data: bytes) -> Scan:
         raise DatasetError(f"{len(data)} bytes are not rows of 4 float32")
     rows = values.reshape(-1, widths[0])
     check_points(len(rows))
-    if _beyond(rows) > _MOST_BEYOND:
+    if _beyond(rows) > _MAX_BEYOND:
         raise DatasetError(
             f"rows of {widths[0]} float32 lie farther than {MOST_METRES:.0e} m off: they are "
             f"something else{_other_records(len(data))}"
@@ -80,11 +80,11 @@ def _columns_differ(rows: Float32) -> bool:
     sample = rows[:: _STEP if len(rows) > _MANY_ROWS else 1]
     with np.errstate(all="ignore"):
         sample = sample[np.isfinite(sample).all(axis=1)]
-        if len(sample) < _FEWEST_ROWS:
+        if len(sample) < _MIN_ROWS:
             return False
         low, high = np.percentile(sample.astype(np.float64), [10, 90], axis=0)
     spreads = high - low
-    return bool(spreads.max() > _LEAST_RATIO * spreads.min())
+    return bool(spreads.max() > _MIN_RATIO * spreads.min())
 
 
 def format_kitti(points: Float32) -> bytes:

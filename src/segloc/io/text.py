@@ -15,7 +15,7 @@ from ..types import Float32, Float64, Scan
 from .fields import one_line, scan_from_columns, wanted_columns
 
 _BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as many
-_LONGEST_LINE = 1 << 16
+_MAX_LINE = 1 << 16
 _COMMENTS = ("#", "//")
 _BOM = b"\xef\xbb\xbf"
 _NOT_A_NUMBER = re.compile(r"[-+]?(?:nan\([^)\s]*\)|1\.#(?:q?nan|snan|ind|inf)\w*)", re.I)
@@ -64,9 +64,9 @@ def _blocks(data: bytes, comments: tuple[str, ...] = ()) -> Iterator[list[str]]:
     while start < len(data):
         end = len(data)
         if end - start > _BLOCK:
-            end = data.find(b"\n", start + _BLOCK, start + _BLOCK + _LONGEST_LINE) + 1
-            if not end and start + _BLOCK + _LONGEST_LINE < len(data):
-                raise DatasetError(f"a line of more than {_LONGEST_LINE} bytes")
+            end = data.find(b"\n", start + _BLOCK, start + _BLOCK + _MAX_LINE) + 1
+            if not end and start + _BLOCK + _MAX_LINE < len(data):
+                raise DatasetError(f"a line of more than {_MAX_LINE} bytes")
             end = end or len(data)
         lines = data[start:end].decode("utf-8", "replace").split("\n")
         yield [
@@ -134,8 +134,8 @@ def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> 
 
 
 def _words(line: str, delimiter: str | None) -> list[str]:
-    if len(line) > _LONGEST_LINE:
-        raise DatasetError(f"a line of {len(line)} characters: more than {_LONGEST_LINE}")
+    if len(line) > _MAX_LINE:
+        raise DatasetError(f"a line of {len(line)} characters: more than {_MAX_LINE}")
     return line.split(delimiter)
 
 
@@ -175,7 +175,7 @@ def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
 
 def _is_count(line: str) -> bool:
     """Whether a line is one whole number, as .pts files begin."""
-    return len(line) <= _LONGEST_LINE and line.strip().isdecimal()
+    return len(line) <= _MAX_LINE and line.strip().isdecimal()
 
 
 def _is_number(word: str) -> bool:

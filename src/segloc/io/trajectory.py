@@ -21,7 +21,7 @@ from .scans import read_file
 
 TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 """Of a TUM file, in this order."""
-_MOST_COLUMNS = 200
+_MAX_COLUMNS = 200
 _UNIT = re.compile(r"(\S)\s+(?=[\[(])")  # a unit belongs to the name before it
 _TIME_WORDS = frozenset({"t", "time", "timestamp", "timestamps", "stamp", "ts", "sec", "secs"})
 _TURN_WORDS = frozenset({"q", "quat", "quaternion", "orientation", "ori", "rot", "rotation"})
@@ -55,7 +55,7 @@ def named_columns(line: str) -> tuple[list[int] | None, float]:
     content = line.strip().lstrip("#%").strip()
     mark = delimiter(content)
     names = content.split(mark) if mark else _UNIT.sub(r"\1", content).split()
-    roles = [_role(name) for name in names[:_MOST_COLUMNS]]
+    roles = [_role(name) for name in names[:_MAX_COLUMNS]]
     if any(role not in roles for role in TUM):
         return None, 1.0
     stamped = [k for k, name in enumerate(names) if roles[k] == "time" and "stamp" in name.lower()]

@@ -23,9 +23,9 @@ from .config import LiveConfig
 from .core import Asked, LiveCore, State
 from .odometry import known_stamp
 
-_MOST_POSES, _MOST_SCANS = 4096, 2
+_MAX_POSES, _MAX_SCANS = 4096, 2
 """Odometry and scans that wait for the worker; the newest win."""
-_MOST_ARRIVALS = 256
+_MAX_ARRIVALS = 256
 
 
 @dataclass(frozen=True)
@@ -206,14 +206,14 @@ class LiveLocalizer:
         with self._changed:
             if self._closed:
                 raise LiveError("live localization was closed")
-            most = _MOST_SCANS if isinstance(event, _Taken) else _MOST_POSES
+            most = _MAX_SCANS if isinstance(event, _Taken) else _MAX_POSES
             alike = [e for e in self._inbox if type(e) is type(event)] if self._inbox else []
             if len(alike) >= most:
                 self._inbox.remove(alike[0])
                 self._overrun += isinstance(event, _Taken)
             if isinstance(event, _Taken):
                 self._arrived[event.stamp] = time.perf_counter()
-                if len(self._arrived) > _MOST_ARRIVALS:
+                if len(self._arrived) > _MAX_ARRIVALS:
                     self._arrived.pop(next(iter(self._arrived)))
             self._inbox.append(event)
             self._changed.notify_all()

@@ -16,7 +16,7 @@ from ..system.checks import checked_stamp
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 
-_MOST_POSES = 4096
+_MAX_POSES = 4096
 
 
 class Cover(Enum):
@@ -54,7 +54,7 @@ class Odometry:
 
     def __init__(self, config: LiveConfig) -> None:
         self._config = config
-        self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MOST_POSES)
+        self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MAX_POSES)
         self.late = 0
 
     def __len__(self) -> int:

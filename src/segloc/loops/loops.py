@@ -22,7 +22,7 @@ from .graph import Edges
 from .submaps import Session, Submap
 
 Progress = Callable[[int, int], None]
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 _SAMPLE = 2000
 _PREPARED = 64
 
@@ -234,14 +234,14 @@ class SubmapRegistration:
     def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
         """Align two submaps from an initial guess; None if ICP fails."""
         there, back = self._prepared(target), self._prepared(source)
-        if min(len(there.surface), len(back.surface)) < _LEAST_POINTS:
+        if min(len(there.surface), len(back.surface)) < _MIN_POINTS:
             return None
         radius = self._config.near_m
         found = self._aligner.register(there.target, back, T_target_source, radius)
         if found is None:
             return None
         T, shared = found.T_target_source, 0.0
-        if min(there.count, back.count) >= _LEAST_POINTS:
+        if min(there.count, back.count) >= _MIN_POINTS:
             other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
             shared = max(found.overlap, other)
         # Lower bound of a loop's standard deviations.

@@ -29,8 +29,8 @@ MOST_GROWTH, ALWAYS_BYTES = 200, 1 << 20
 """A map may unpack to so many times its packed size, and so many bytes more."""
 
 _PART_BITS = (0, 1, 2, 4)
-_MOST_CODE = 1 << 52  # float64 tells whole numbers apart up to here
-_MOST_CELL = 1 << 50
+_MAX_CODE = 1 << 52  # float64 tells whole numbers apart up to here
+_MAX_CELL = 1 << 50
 _Length = Annotated[int, Field(ge=0, le=1 << 40)]
 _Width = Literal[1, 2, 4, 8]
 WIDTHS = (1, 2, 4, 8)
@@ -45,7 +45,7 @@ class LatticeRecipe(Section):
     shape: tuple[_Length, ...]
     width: _Width
     exponents: tuple[Annotated[int, Field(ge=-200, le=200)], ...]
-    low: tuple[Annotated[int, Field(ge=-_MOST_CODE, le=_MOST_CODE)], ...]
+    low: tuple[Annotated[int, Field(ge=-_MAX_CODE, le=_MAX_CODE)], ...]
 
 
 class PaletteRecipe(Section):
@@ -65,7 +65,7 @@ class OctreeRecipe(Section):
     levels: int = Field(ge=1, le=21)
     nodes: _Length
     bits: Literal[0, 1, 2, 4]
-    low: tuple[Annotated[int, Field(ge=-_MOST_CELL, le=_MOST_CELL)], ...] = Field(
+    low: tuple[Annotated[int, Field(ge=-_MAX_CELL, le=_MAX_CELL)], ...] = Field(
         min_length=3, max_length=3
     )
 
@@ -153,7 +153,7 @@ def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
     exponents = exponents_of(rows)
     with np.errstate(over="ignore"):
         numbers = np.ldexp(rows.astype(np.float64), -exponents)
-    if not (np.abs(numbers) < _MOST_CODE).all() or (np.abs(exponents) > 200).any():
+    if not (np.abs(numbers) < _MAX_CODE).all() or (np.abs(exponents) > 200).any():
         return None
     if np.signbit(rows[rows == 0]).any():  # whole numbers know no negative zero
         return None
@@ -211,7 +211,7 @@ def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, Octr
     low = cells.min(axis=0) if len(cells) else np.zeros(3)
     indices = (cells - low).astype(np.int64)
     most = int(indices.max(initial=0))
-    if most >= MAX_VOXELS or (np.abs(low) > _MOST_CELL).any():
+    if most >= MAX_VOXELS or (np.abs(low) > _MAX_CELL).any():
         return None
     levels = max(most.bit_length(), 1)
     codes = _native.octree_encode(indices.astype(np.int32), levels)

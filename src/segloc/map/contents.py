@@ -25,7 +25,7 @@ MAX_VOXELS = 1 << 21
 
 MAX_DIM = 1 << 20
 _LARGEST = float(np.finfo(np.float64).max)
-_MOST_TEXT = 1000  # characters of a name
+_MAX_TEXT = 1000  # characters of a name
 
 RANGES: dict[str, tuple[float, float]] = {
     "origin": (-MOST_METRES, MOST_METRES),
@@ -100,7 +100,7 @@ def column_fault(name: str, array: Array, extremes: Extremes | None = None) -> s
 def texts_fault(descriptor: Any, fingerprint: Any, metadata: Mapping[Any, Any]) -> str | None:
     """What is wrong with the texts of a map; None if nothing is."""
     for name, text in (("descriptor", descriptor), ("fingerprint", fingerprint)):
-        if not (isinstance(text, str) and len(text) <= _MOST_TEXT and text.isprintable()):
+        if not (isinstance(text, str) and len(text) <= _MAX_TEXT and text.isprintable()):
             return f"{name}: not a line of text"
     for key, text in metadata.items():
         if not (_is_text(key) and _is_text(text)):

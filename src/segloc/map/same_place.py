@@ -32,9 +32,9 @@ _NEAR_M = 1.0  # positions of two passes agree to about a metre
 _SHIFTS_M = (4.0, 6.0)
 _TURNS_DEG = (-15.0, -10.0, -5.0, 5.0, 10.0, 15.0)
 _OPPOSITE = tuple(1 + _TURNS_DEG.index(-turn) for turn in _TURNS_DEG)
-_MOST_POINTS = 20_000
-_LEAST_POINTS = 200
-_MOST_MEETINGS = 300
+_MAX_POINTS = 20_000
+_MIN_POINTS = 200
+_MAX_MEETINGS = 300
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,10 @@ def meeting(mine: SegmentMap, theirs: SegmentMap) -> Meeting:
     places = _places(mine, theirs)
     if not len(places):
         return Meeting(0, 0, None)
-    chosen = places[:: len(places) // _MOST_MEETINGS + 1]
+    chosen = places[:: len(places) // _MAX_MEETINGS + 1]
     clouds = [_around(part.cloud + (part.origin - origin), chosen) for part in (mine, theirs)]
     fewest = min(map(len, clouds))
-    if fewest < _LEAST_POINTS:
+    if fewest < _MIN_POINTS:
         return Meeting(len(places), fewest, None)
     a, b = (cloud - chosen.mean(axis=0) for cloud in clouds)
     as_they_are, *turned = (_agreements(a, b) + _agreements(b, a)[[0, *_OPPOSITE]]) / 2
@@ -163,7 +163,7 @@ def _around(points: Float64, places: Float64) -> Float64:
 def _agreements(points: Float64, others: Float64) -> Float64:
     """Of points as they are, and turned about the origin by ``_TURNS_DEG``."""
     tree = cKDTree(others)
-    some = points[:: len(points) // _MOST_POINTS + 1]
+    some = points[:: len(points) // _MAX_POINTS + 1]
 
     def share(points: Float64) -> float:
         distances, _ = tree.query(points, distance_upper_bound=_NEAR_M)

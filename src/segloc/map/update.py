@@ -26,7 +26,7 @@ Int32 = NDArray[np.int32]
 TO_THE_FRAME = "`map update --align` (segloc.align_to_map) brings poses into the map's frame"
 _POINT_AREA_M2 = 0.04  # that a point of a segment stands for: voxels of 0.2 m
 _RADII_M = (0.5, 2.5)
-_LEAST_POINTS = 4
+_MIN_POINTS = 4
 
 
 class UpdateConfig(Section):
@@ -178,7 +178,7 @@ def _judged_segments(
     members = tree.query_ball_point(prior_map.centroids, _radii(prior_map))
     counts = np.array([len(each) for each in members])
     lost = np.array([np.count_nonzero(judged.gone[rows[each]]) for each in members])
-    in_view = counts >= _LEAST_POINTS
+    in_view = counts >= _MIN_POINTS
     gone = in_view & (lost >= gone_share * counts)
     return gone, in_view & ~gone
 

@@ -29,7 +29,7 @@ _DTYPES = {
 }
 _PART = 1 << 15  # numbers
 _CUT_SHORT = "it was cut short while it was read"
-_MOST_DIMENSIONS, _MOST_DIGITS, _MOST_SIZE = 8, 19, 1 << 62
+_MAX_DIMENSIONS, _MAX_DIGITS, _MAX_SIZE = 8, 19, 1 << 62
 
 
 class TensorFileError(Exception):
@@ -143,7 +143,7 @@ def _parsed(text: bytes) -> dict[str, Any]:
 
 
 def _int(digits: str) -> int:
-    return int(digits) if len(digits) <= _MOST_DIGITS else _MOST_SIZE  # which no file has
+    return int(digits) if len(digits) <= _MAX_DIGITS else _MAX_SIZE  # which no file has
 
 
 def _refuse(constant: str) -> NoReturn:
@@ -159,11 +159,11 @@ def _texts(metadata: Any) -> dict[str, str]:
 def _tensor(name: str, entry: Any) -> Tensor:
     try:
         dtype, shape, (begin, end) = entry["dtype"], tuple(entry["shape"]), entry["data_offsets"]
-        known = len(entry) == 3 and dtype in _DTYPES and len(shape) <= _MOST_DIMENSIONS
+        known = len(entry) == 3 and dtype in _DTYPES and len(shape) <= _MAX_DIMENSIONS
     except (KeyError, TypeError, ValueError) as error:
         raise TensorFileError(f"the header's entry of {name[:40]!r} is damaged") from error
     numbers = (*shape, begin, end)
-    whole = all(type(n) is int and 0 <= n < _MOST_SIZE for n in numbers)
+    whole = all(type(n) is int and 0 <= n < _MAX_SIZE for n in numbers)
     if not (known and whole):
         raise TensorFileError(f"the header's entry of {name[:40]!r} is damaged")
     if prod(shape) * np.dtype(_DTYPES[dtype]).itemsize != end - begin:

@@ -21,7 +21,7 @@ FORMAT_VERSION = 1
 """Raised whenever an older reader would misread a newer file."""
 
 MOST_INDEX_BYTES = 64_000_000
-_MOST_FILE_BYTES = 1 << 36
+_MAX_FILE_BYTES = 1 << 36
 _DIGEST = r"^[0-9a-f]{32}$"
 _NAME = r"^[a-z0-9_.-]{1,100}$"  # one file beside the index, whatever a stranger wrote
 
@@ -42,7 +42,7 @@ class TileFile(Section):
     """
 
     file: str = Field(pattern=_NAME)
-    bytes: int = Field(ge=0, le=_MOST_FILE_BYTES)
+    bytes: int = Field(ge=0, le=_MAX_FILE_BYTES)
     digest: str = Field(pattern=_DIGEST)
     segments: int = Field(ge=0)
 

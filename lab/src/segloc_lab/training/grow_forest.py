@@ -29,7 +29,7 @@ from .dataset import SegmentDataset
 
 Progress = Callable[[str], None]
 
-_MOST_ODDS, _BISECTIONS = 4.0, 12
+_MAX_ODDS, _BISECTIONS = 4.0, 12
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def _keeping(
     in all leaves grow by one factor, found by bisection.
     """
     right = judged.only(judged.same)
-    low, high = -_MOST_ODDS, _MOST_ODDS
+    low, high = -_MAX_ODDS, _MAX_ODDS
     for _ in range(_BISECTIONS if len(right.rows) else 0):
         middle = (low + high) / 2
         forest = PairForest(_weighed(trees, middle), layout, vectors.shape[1])

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from segloc.system.section import Section
 from segloc.types import Float64, Int64
 
-_LEAST_EXTENT_M = 0.4
+_MIN_EXTENT_M = 0.4
 
 
 class LabelConfig(Section):
@@ -61,7 +61,7 @@ def label_objects(centroids: Float64, extents: Float64, config: LabelConfig) -> 
 
 
 def _agree(a: Float64, b: Float64, share: float) -> NDArray[np.bool_]:
-    larger = np.maximum(np.maximum(a, b), _LEAST_EXTENT_M)
+    larger = np.maximum(np.maximum(a, b), _MIN_EXTENT_M)
     return np.asarray((np.abs(a - b) <= share * larger).all(axis=-1))
 
 

@@ -14,7 +14,7 @@ from segloc.system import kernels
 from segloc.system.section import Section
 from segloc.types import Float32, Pose
 
-_LEAST_POINTS = 200
+_MIN_POINTS = 200
 _SAMPLE = 2000
 LEAST_MET = 0.2
 """Local clouds that meet less of the structure saw a place that no earlier session knows."""
@@ -77,12 +77,12 @@ class Registration:
 
     def _met(self, T: Pose, source: _Source, radius: float) -> float:
         """Share of the points with some of the structure within a radius."""
-        if len(source.sample) < _LEAST_POINTS:
+        if len(source.sample) < _MIN_POINTS:
             return 0.0
         return self._target.overlap(source.sample, T, radius)[0]
 
     def _registered(self, T: Pose, source: _Source) -> Registered | None:
-        if min(len(self._target.surface), len(source.surface)) < _LEAST_POINTS:
+        if min(len(self._target.surface), len(source.surface)) < _MIN_POINTS:
             return None
         return self._aligner.register(self._target, source, T, self.config.near_m)
 
@@ -94,7 +94,7 @@ class Registration:
             or turn > self.config.max_turn_deg
         ):
             return False
-        met = found.overlap if len(source.sample) >= _LEAST_POINTS else 0.0
+        met = found.overlap if len(source.sample) >= _MIN_POINTS else 0.0
         earlier = self._met(before, source, self.config.near_m)
         return met >= self.config.min_shared and met >= earlier - 0.02
 
