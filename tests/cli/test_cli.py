@@ -230,7 +230,7 @@ def test_recordings_that_cannot_be_used(
         (r"0001\.npy", short, []),
         (r"none\.tum: no such file", toy.run_2, ["--poses", "none.tum"]),
         ("selects none", toy.run_2, ["--select", "500:"]),
-        ("no range", toy.run_2, ["--select", "a:b"]),
+        ("neither a number nor a range", toy.run_2, ["--select", "a:b"]),
         ("--every must be a positive", toy.run_2, ["--every", "0"]),
         ("--every must be a positive", toy.run_2, ["--every", "nan"]),
         ("--every needs --poses", toy.run_2, ["--every", "5"]),

@@ -118,7 +118,7 @@ def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("scan.e57", "export E57"), ("run.zip", "unpack it"), ("a.doc", "known are")]
+    ("name", "hint"), [("scan.e57", "export E57"), ("run.zip", "unpack it"), ("a.doc", "supported:")]
 )
 def test_what_cannot_be_read_is_named_with_what_can(name: str, hint: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"x")

@@ -188,7 +188,7 @@ def _recipe(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
     ("change", "fault"),
     [
         (lambda h: h["__metadata__"].pop("coding"), "unreadable coding"),
-        (lambda h: h["__metadata__"].update(coding="{}"), "is to be packed"),
+        (lambda h: h["__metadata__"].update(coding="{}"), "must be packed"),
         (lambda h: h["__metadata__"].update(coding="[" * 99_999), "unreadable coding"),
         (lambda h: h["__metadata__"].update(segmap_version="1"), "is U8"),
         (_recipe("cloud", shape=[2**40, 3]), "cannot hold"),

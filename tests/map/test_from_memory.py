@@ -72,7 +72,7 @@ Wrong = Callable[[list[Any], Float64], Any]
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda c, _: build_map(c), "none of 6 has one: T_odom_sensor"),
+        (lambda c, _: build_map(c), "none of the 6 has one: set T_odom_sensor"),
         (lambda c, T: build_map(c, poses=T[:4]), "4 for 6 scans"),
         (lambda c, T: build_map(c, T), "config must be .* not ndarray: poses go by poses="),
         (lambda c, T: build_map(c, poses=2 * T), r"poses\[0\] .* R R\^T differs .* by 3"),

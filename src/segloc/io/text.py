@@ -1,4 +1,4 @@
-"""Numbers as text: ``.csv`` (libpointmatcher's among them), ``.txt``, ``.xyz`` and their like."""
+"""Read and write numbers as text: ``.csv`` (also libpointmatcher's), ``.txt``, ``.xyz`` etc."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
 from .fields import one_line, scan_from_columns, wanted_columns
 
-_BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as many
+_BLOCK = 1 << 23  # bytes parsed at a time; as lines they take several times the memory
 _MAX_LINE = 1 << 16
 _COMMENTS = ("#", "//")
 _BOM = b"\xef\xbb\xbf"
 _NOT_A_NUMBER = re.compile(r"[-+]?(?:nan\([^)\s]*\)|1\.#(?:q?nan|snan|ind|inf)\w*)", re.I)
-"""As Microsoft's and other C libraries print values that are not finite."""
+"""Non-finite values as Microsoft's and other C libraries print them."""
 
 
 def plain_nan(text: str) -> str:
-    """The text with ``nan`` for other spellings of what is not finite."""
+    """Return the text with ``nan`` for other spellings of non-finite values."""
     return _NOT_A_NUMBER.sub("nan", text)
 
 
@@ -36,17 +36,14 @@ def parse_table(
     skipped: int = 0,
     more: bool = False,
 ) -> Float64:
-    """Some columns of a table of numbers between white space.
+    """Parse columns of a table of numbers between white space, (N, len(columns)) float64.
 
-    data: the lines; blank ones do not count
-    columns: which columns to parse; what stands in the others may be any text
-    width: how many columns there are; checked on the last line, where a cut would show. None where
-      rows differ
-    rows: how many rows there should be
+    data: lines; blank ones are skipped
+    columns: columns to parse; others may hold any text
+    width: number of columns, checked on the last line, where truncation shows; None if rows differ
+    rows: expected number of rows
     skipped: lines before them
-    more: whether there may be lines behind them
-
-    Return (N, len(columns)) float64.
+    more: True if lines may follow
 
     Raise DatasetError if a number cannot be parsed, or there are too few rows or columns.
     """
@@ -54,19 +51,19 @@ def parse_table(
     found = _selected(_blocks(data), skipped, rows if more else None)
     table = _parse_blocks(found, columns, width, None)
     if len(table) != rows:
-        raise DatasetError(f"the header says {rows} points, but there are {len(table)} rows")
+        raise DatasetError(f"the header declares {rows} points, the file has {len(table)} rows")
     return table
 
 
 def _blocks(data: bytes, comments: tuple[str, ...] = ()) -> Iterator[list[str]]:
-    """The lines that are neither blank nor comments, some megabytes of them at a time."""
+    """Yield lines that are neither blank nor comments, some megabytes at a time."""
     start = len(_BOM) if data.startswith(_BOM) else 0
     while start < len(data):
         end = len(data)
         if end - start > _BLOCK:
             end = data.find(b"\n", start + _BLOCK, start + _BLOCK + _MAX_LINE) + 1
             if not end and start + _BLOCK + _MAX_LINE < len(data):
-                raise DatasetError(f"a line of more than {_MAX_LINE} bytes")
+                raise DatasetError(f"a line longer than {_MAX_LINE} bytes")
             end = end or len(data)
         lines = data[start:end].decode("utf-8", "replace").split("\n")
         yield [
@@ -82,7 +79,7 @@ def _is_comment(line: str, marks: tuple[str, ...]) -> bool:
 
 
 def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> Iterator[list[str]]:
-    """The lines behind the first ``skipped``, at most ``rows`` of them."""
+    """Yield the lines after the first ``skipped``, at most ``rows``."""
     for lines in blocks:
         kept = lines[skipped:] if skipped else lines
         skipped -= len(lines) - len(kept)
@@ -106,18 +103,18 @@ def _parse_blocks(
         try:
             tables.append(_loaded(lines, columns, delimiter))
         except ValueError as error:
-            behind = f" behind row {count}" if count else ""
-            raise DatasetError(f"cannot parse the points{behind}: {one_line(error)}") from error
+            after = f" after row {count}" if count else ""
+            raise DatasetError(f"cannot parse the points{after}: {one_line(error)}") from error
         count, last = count + len(lines), lines[-1]
     if not tables:
         return np.empty((0, len(columns)))
     if width is not None and (found := len(_words(last, delimiter))) != width:
-        raise DatasetError(f"the last row has {found} columns, not {width}")
+        raise DatasetError(f"the last row has {found} columns, not {width}: cut off?")
     return tables[0] if len(tables) == 1 else np.concatenate(tables)
 
 
 def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> Float64:
-    """Columns of lines of numbers; other spellings of NaN are sought where there may be some."""
+    """Parse columns of lines of numbers, with any spelling of NaN."""
 
     def load(rows: list[str]) -> Float64:
         return np.loadtxt(
@@ -135,12 +132,12 @@ def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> 
 
 def _words(line: str, delimiter: str | None) -> list[str]:
     if len(line) > _MAX_LINE:
-        raise DatasetError(f"a line of {len(line)} characters: more than {_MAX_LINE}")
+        raise DatasetError(f"a line of {len(line)} characters, at most {_MAX_LINE}")
     return line.split(delimiter)
 
 
 def parse_csv(data: bytes) -> Scan:
-    """Columns named x, y, z in any order (and a time, if any); without names the first three."""
+    """Parse columns named x, y, z in any order (and a time, if any), else the first three."""
     scan = _parse_text(_blocks(data))
     if scan is None:
         raise DatasetError("empty file")
@@ -148,13 +145,13 @@ def parse_csv(data: bytes) -> Scan:
 
 
 def parse_txt(data: bytes) -> Scan:
-    """As ``parse_csv``; lines that start with # or // are comments, and no lines are no points."""
+    """Parse like ``parse_csv``, with comments after # or //; an empty file has no points."""
     scan = _parse_text(_blocks(data, _COMMENTS))
     return Scan(np.empty((0, 3), dtype=np.float32)) if scan is None else scan
 
 
 def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
-    """A scan, or None where there are no lines."""
+    """Parse a scan; None if there are no lines."""
     lines = next(filter(None, blocks), None)
     if lines is None:
         return None
@@ -174,7 +171,7 @@ def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
 
 
 def _is_count(line: str) -> bool:
-    """Whether a line is one whole number, as .pts files begin."""
+    """Return whether a line is one whole number, the first line of .pts files."""
     return len(line) <= _MAX_LINE and line.strip().isdecimal()
 
 
@@ -187,7 +184,7 @@ def _is_number(word: str) -> bool:
 
 
 def format_csv(points: Float32) -> bytes:
-    """The header x,y,z and rows with the nine digits that tell any two float32 apart."""
+    """Format the header x,y,z and rows with nine digits, which keep every float32 distinct."""
     buffer = io.StringIO()
     np.savetxt(buffer, points, fmt="%.9g", delimiter=",", header="x,y,z", comments="")
     return buffer.getvalue().encode("ascii")

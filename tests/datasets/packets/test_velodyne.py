@@ -58,7 +58,7 @@ def test_a_vlp16_that_names_itself_another_sensor(tmp_path: Path) -> None:
     told = open_sequence(early, topic="HDL32E").scan(0)
     low = np.degrees(np.arcsin(told.points[:, 2] / np.linalg.norm(told.points, axis=1))).min()
     assert low < -30.0
-    with pytest.raises(DatasetError, match="no model 'VLP17'; known are HDL32E, VLP16"):
+    with pytest.raises(DatasetError, match="no model 'VLP17'; supported: HDL32E, VLP16"):
         open_sequence(early, topic="VLP17")
 
 
