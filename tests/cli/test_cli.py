@@ -257,8 +257,8 @@ def test_poses_for_some_of_the_scans(
     posed, out = [toy.run_2, "--poses", some], tmp_path / "out"
     there = ["--map", toy.map, "--out", out]
     cases: list[tuple[list[Any], str]] = [
-        (["doctor", *posed], "note: 15 of 30 scans left out"),
-        (["map", "build", *posed, "--out", tmp_path / "some.segmap"], "15 of 30 scans left out"),
+        (["doctor", *posed], "note: 15 of 30 scans dropped"),
+        (["map", "build", *posed, "--out", tmp_path / "some.segmap"], "15 of 30 scans dropped"),
         (["localize", *posed, *there, "--truth", few], "11 of 15 scans are not scored"),
         (["localize", toy.run_2, *there, "--truth", some], "15 of 30 scans are not scored"),
     ]

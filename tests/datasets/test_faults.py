@@ -162,7 +162,7 @@ def test_info_shows_pose_files_and_scans_without_points(
     with pytest.raises(SystemExit):
         main()
     said = capsys.readouterr().out
-    assert "problem: no point in any of the 3 scans that were read" in said
+    assert "problem: no points in any of the 3 scans" in said
     for name in ("poses.tum", "scans.odometry.tum"):
         assert f"note: {name} beside the scans may be their poses: --poses {name}" in said
 

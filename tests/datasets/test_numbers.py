@@ -94,7 +94,7 @@ def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) 
     assert sequence.poses[:, 0, 3].tolist() == list(range(COUNT))
     for times in (stamps[1:], [0.05 * k for k in range(4 * COUNT)]):  # 0, 1 s are no scans 0, 1
         poses.write_text("".join(LINE.format(repr(t), k) for k, t in enumerate(times)))
-        with pytest.raises(DatasetError, match=r"poses are by time, .* scans have no times"):
+        with pytest.raises(DatasetError, match=r"poses are stamped, .* scans have no stamps"):
             opened(scans, poses)
 
 
@@ -227,7 +227,7 @@ def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
     assert np.isfinite(sequence.poses).all()
     text = "\n".join(sequence.notes)
     for line in (
-        "/gps/odom: no poses, of 12 none is usable",
+        "/gps/odom: none of its 12 poses is usable",
         "/odom: 1 of 6 poses left out",
         "/tf: transforms of 'odom' left out: 2",
         "tf: 'camera' has two parents, 'base' and 'gps'",

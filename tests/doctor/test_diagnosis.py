@@ -32,7 +32,7 @@ def turned(axis: str, degrees: float) -> Points:
 POINTS: dict[str, tuple[Points, Fault, str]] = {
     "millimetres": (lambda p: 1000 * p, Fault.MILLIMETRES, "in millimetres: divide them by 1000"),
     "centimetres": (lambda p: 100 * p, Fault.CENTIMETRES, "in centimetres: divide them by 100"),
-    "world": (lambda p: p + [150.0, 40, 3], Fault.WORLD_COORDINATES, "at no plausible place"),
+    "world": (lambda p: p + [150.0, 40, 3], Fault.WORLD_COORDINATES, "outside its own points"),
     "utm": (lambda p: p + [455e3, 5428e3, 110], Fault.WORLD_COORDINATES, "world coordinates"),
     "camera": (
         lambda p: geometry.transform(T_CAMERA_SENSOR, p),
@@ -91,7 +91,7 @@ POSES: dict[str, tuple[Poses, Fault, str]] = {
         Fault.MIRRORED,
         "y axis of the points is mirrored .*: change the sign of y",
     ),
-    "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not meet at their poses"),
+    "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not match at their poses"),
 }
 """Likewise of poses."""
 

@@ -66,7 +66,7 @@ def aligned(tmp_path: Path) -> tuple[Path, Alignment]:
     # Submaps are numbered through all sessions; a loop names them, and the scans they stand at.
     loops = [
         Loop(1, 4, T, covariance, "found", 9, 0.8, weight=0.9),
-        Loop(0, 5, T, covariance, "found", 4, 0.3, reason="too little shared"),
+        Loop(0, 5, T, covariance, "found", 4, 0.3, reason="too little overlap"),
     ]
     ends = np.array([[0, 1], [0, 1]]), np.array([[12, 2], [10, 3]])
     found = Alignment(

@@ -80,7 +80,7 @@ def test_a_capture_that_was_cut_off_or_is_none(tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match=r"drive\.pcap: (cut off|no turn)"):
             open_sequence(path)
     path.write_bytes(b"none" + whole)
-    with pytest.raises(DatasetError, match="not a capture in the format of libpcap"):
+    with pytest.raises(DatasetError, match="not a capture in libpcap format"):
         open_sequence(path)
     path.write_bytes(whole[:-700])
     assert [len(open_sequence(path).scan(i)) for i in range(2)] == [28_800, 28_800 - 24 * 16]

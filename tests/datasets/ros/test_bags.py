@@ -266,7 +266,7 @@ def test_stamps_that_are_missing_or_do_not_rise(tmp_path: Path) -> None:
     sequence = opened(bag.write(tmp_path / "back"))
     assert sequence.stamps is not None
     np.testing.assert_allclose(sequence.stamps - START, [0.0, 0.1, 0.3, 0.5], atol=1e-6)
-    assert sequence.notes == ("2 of 6 messages left out: stamps do not rise",)
+    assert sequence.notes == ("2 of 6 messages dropped: stamps do not rise",)
     bag = BagWriter("ros1", late_s=START)
     for k in range(3):
         bag.cloud("/points", 0.0, DRIVE.seen(k))
