@@ -101,7 +101,7 @@ def test_a_kitti_file_is_keyed_by_row_if_it_reaches_else_by_position(tmp_path: P
     assert first.indices.tolist() == [2, 4]
     assert [note.split(": ")[-1] for note in first.notes] == [
         "2 rows, used as the poses of the first 2 scans",
-        f"no pose in {tmp_path / 'poses.txt'}; using the other 2 (--select A:B,C:D uses fewer)",
+        f"no pose in {tmp_path / 'poses.txt'}; using the other 2 (--select A:B,C:D selects fewer)",
     ]
 
 
@@ -111,7 +111,7 @@ def test_scans_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
     whole = open_sequence(folder, tmp_path / "poses.tum")
     assert whole.indices.tolist() == [2, 3, 4]
     left_out = f"5 of 8 scans dropped: no pose in {tmp_path / 'poses.tum'}"
-    assert whole.notes == (f"{left_out}; using the other 3 (--select A:B,C:D uses fewer)",)
+    assert whole.notes == (f"{left_out}; using the other 3 (--select A:B,C:D selects fewer)",)
     part = open_sequence(folder, tmp_path / "poses.tum", "2:4")
     assert part.indices.tolist() == [2, 3, 4]
     assert part.notes == ()
@@ -147,7 +147,7 @@ def test_folders_that_are_no_recordings(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no scans of a known format"):
         open_sequence(empty)
     (empty / "photo.png").write_bytes(b"")
-    with pytest.raises(DatasetError, match=r"photo\.png: no recording in a known format"):
+    with pytest.raises(DatasetError, match=r"photo\.png: not a recording of a known format"):
         open_sequence(empty / "photo.png")
     with pytest.raises(DatasetError, match="no scans of a known format among its 1 files"):
         open_sequence(empty)

@@ -112,13 +112,13 @@ def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
     folder(over / "scans", ["1", "2"])
     (over / "notes.csv").write_text("battery,1\n")
     with pytest.raises(
-        DatasetError, match=r"among its 1 files \(1 \.csv\); there are some in scans"
+        DatasetError, match=r"among its 1 files \(1 \.csv\); scans found in subfolders: scans"
     ):
         opened(over)
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("scan.e57", "export E57"), ("run.zip", "unpack it"), ("a.doc", "supported:")]
+    ("name", "hint"), [("scan.e57", "export E57"), ("run.zip", "unpack it"), ("a.doc", "supported")]
 )
 def test_what_cannot_be_read_is_named_with_what_can(name: str, hint: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"x")
@@ -228,7 +228,7 @@ def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
     text = "\n".join(sequence.notes)
     for line in (
         "/gps/odom: none of its 12 poses is usable",
-        "/odom: 1 of 6 poses left out",
+        "/odom: 1 of 6 poses dropped",
         "/tf: transforms of 'odom' left out: 2",
         "tf: 'camera' has two parents, 'base' and 'gps'",
     ):

@@ -93,9 +93,9 @@ def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> 
 
 
 def _show(trace: Trace, findings: list[str]) -> None:
-    from ..inspect import steps, verdict
+    from ..inspect import steps, summarize
 
-    print(verdict(trace))
+    print(summarize(trace))
     for line in findings:
         print(line)
     print()

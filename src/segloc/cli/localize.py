@@ -182,7 +182,7 @@ def _in_detail(asked: Queries, update: Update) -> tuple[list[Localization], dict
     from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
     from ..inspect import trace
-    from ..inspect.results import DEBUG, packed, seen
+    from ..inspect.results import DEBUG, pack, stages_of
 
     localizer, recording = asked.localizer, asked.recording
     if localizer.tiles is not None:
@@ -194,7 +194,7 @@ def _in_detail(asked: Queries, update: Update) -> tuple[list[Localization], dict
     for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
         found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
         results.append(found.result)
-        kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
+        kept[f"{DEBUG}/{index}.npz"] = pack(stages_of(found))
         update(len(results), len(asked.positions))
     return results, kept
 

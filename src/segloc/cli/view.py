@@ -50,7 +50,7 @@ def view(
         prior = SegmentMap.load(prior_map)
         robot = results is not None and follows(results)
         queries = [] if results is None or robot else read_results(results)
-    if queries and not any(query.seen for query in queries):
+    if queries and not any(query.stages for query in queries):
         note("only where queries were localized is known: `segloc localize --debug` keeps more")
     if html is not None:
         with busy("Writing the page"):
