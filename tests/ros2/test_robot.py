@@ -267,4 +267,4 @@ def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
     listener.walk(plaza, 3)
     listener.robot.quiet(3.0)
     told = diagnose(listener.robot)
-    assert told.level is Level.WARN and "nothing has come in for 3.0 s" in told.message
+    assert told.level is Level.WARN and "no data received for 3.0 s" in told.message

@@ -19,7 +19,7 @@ def info(
     path: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show what a map holds, and check the file for damage."""
+    """Show the contents of a map, and check the file for damage."""
     from ..map.segment_map import SegmentMap
 
     prior_map = SegmentMap.load(path)
@@ -32,7 +32,7 @@ def info(
 
 
 def show(prior_map: SegmentMap, title: str) -> None:
-    """Print a table of what a map holds."""
+    """Print a table of a map's contents."""
     from ..map.georeference import Georeference
     from .console import table
 
@@ -43,7 +43,7 @@ def show(prior_map: SegmentMap, title: str) -> None:
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),
         ("segments", f"{facts['segments']}"),
         ("poses", f"{facts['poses']} in {sessions}"),
-        ("cloud", f"{facts['cloud_points']} points, one in {facts['cloud_voxel_m']:g} m"),
+        ("cloud", f"{facts['cloud_points']} points, one per {facts['cloud_voxel_m']:g} m"),
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
     ]
@@ -53,5 +53,5 @@ def show(prior_map: SegmentMap, title: str) -> None:
     if frame := prior_map.metadata.get("frame"):
         rows.append(("frame", frame[:_MAX_TEXT]))
     if (where := Georeference.of(prior_map.metadata)) is not None:
-        rows.append(("on the globe", str(where)))
+        rows.append(("georeference", str(where)))
     table(title, ("", ""), rows)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..errors import MapFormatError, SeglocError
 from ..io.clouds import is_cloud
 from ..system.files import replacing
-from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
+from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, open_tensor_file
 from .coding import (
     CodingError,
     Recipes,
@@ -156,7 +156,7 @@ def read(path: str | Path) -> Contents:
                 raise MapFormatError(f"{path}: a folder, not a .segmap file")
             kind = "not a regular file" if Path(path).exists() else "no such file"
             raise MapFormatError(f"{path}: {kind}")
-        with opened(path) as file:
+        with open_tensor_file(path) as file:
             return _read_checked(path, file)
     except TensorFileError as error:
         raise MapFormatError(f"{path}: unreadable as a map ({error})") from error

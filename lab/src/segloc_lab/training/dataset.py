@@ -229,7 +229,7 @@ def read_arrays(
     They are read, not mapped into memory: a file may shrink while others write it.
     """
     try:
-        with tensor_file.opened(path) as file:
+        with tensor_file.open_tensor_file(path) as file:
             wanted = file.tensors if names is None else names
             return {name: file.read(name) for name in wanted}, file.metadata
     except KeyError as error:

@@ -73,7 +73,7 @@ def _in_order(data: bytes) -> bytes:
 def finished(folder: Path, session: Session, options: str) -> bool:
     """Whether a session's shard is there, made with these options."""
     try:
-        with tensor_file.opened(folder / session.file) as file:
+        with tensor_file.open_tensor_file(folder / session.file) as file:
             return file.metadata.get("options") == options
     except (OSError, TensorFileError):
         return False
