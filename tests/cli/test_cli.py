@@ -294,14 +294,14 @@ def test_several_recordings_make_one_map_whoever_does_it(
     capsys.readouterr()
     assert run("map", "info", here) == 0
     assert "EPSG:25832" in capsys.readouterr().out
-    refused("--level turns", *build, "--level", "--out", there)
+    refused("--level applies", *build, "--level", "--out", there)
     refused("--origin needs --epsg", *build, "--origin", "1,2", "--out", there)
-    refused("--origin is E,N", *build, "--epsg", 25832, "--origin", "1", "--out", there)
-    refused("no bag", "localize", toy.run_2, "--map", here, "--gnss")
-    refused("--gnss needs a map", "localize", toy.run_2, "--map", toy.map, "--gnss")
+    refused("--origin expects E,N", *build, "--epsg", 25832, "--origin", "1", "--out", there)
+    refused("not a bag", "localize", toy.run_2, "--map", here, "--gnss")
+    refused("--gnss needs a georeferenced map", "localize", toy.run_2, "--map", toy.map, "--gnss")
     assert run("map", "tile", toy.map, "--size", 50, "--out", tiles) == 0
     update = ["map", "update", tiles, toy.run_2, "--poses", toy.run_2 / "poses.tum", "--out"]
-    refused("tiles change where they lie", *update, tmp_path / "other")
+    refused("tiles are changed in place", *update, tmp_path / "other")
     assert run(*update, tiles) == 0
     assert run("map", "merge", tiles, here, "--out", tiles) == 0
     assert "tiles changed" in capsys.readouterr().out

@@ -164,7 +164,7 @@ def test_info_shows_pose_files_and_scans_without_points(
     said = capsys.readouterr().out
     assert "problem: no points in any of the 3 scans" in said
     for name in ("poses.tum", "scans.odometry.tum"):
-        assert f"note: {name} beside the scans may be their poses: --poses {name}" in said
+        assert f"note: {name} beside the scans may hold their poses: --poses {name}" in said
 
 
 def test_real_sensors_are_told_from_each_other_and_from_nobody_else(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def test_verbs_take_a_bag_without_poses(
     prior_map = tmp_path / "site.segmap"
     assert segloc(monkeypatch, "map", "build", path, "--out", prior_map) == 1
     said = capsys.readouterr().err
-    assert "a map needs a pose for every scan: name a file by --poses, or use --odom" in said
+    assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in said
     options = ["--method", "geo", "--every", "10", "--threads", "1"]
     assert (
         segloc(monkeypatch, "map", "build", path, "--odometry", "--out", prior_map, *options) == 0

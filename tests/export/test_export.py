@@ -113,7 +113,7 @@ def test_autoware_gets_tiles_that_hold_each_point_once(tmp_path: Path) -> None:
     everything = np.concatenate(parts)
     order, expected = np.lexsort(everything.T), np.lexsort(cloud.astype(np.float32).T)
     assert np.allclose(everything[order], cloud[expected], atol=1e-3)
-    with pytest.raises(Exception, match=r"holds .* already: name a new folder"):
+    with pytest.raises(Exception, match=r"contains .* choose a new folder"):
         export(path, "autoware", tmp_path / "out")
 
 
@@ -194,7 +194,7 @@ def test_loops_are_told_between_scans(tmp_path: Path, aligned: tuple[Path, Align
 def results(folder: Path, timed: bool) -> Path:
     folder.mkdir()
     stamps = np.arange(4.0) + (1.7e9 + 0.25 if timed else 0.0)
-    remark = "" if timed else "no times: the first column holds the scans' numbers"
+    remark = "" if timed else "no times: the first column is the scan number"
     poses = np.stack([turned(3.0 * k, 0.1 * k, 0.0) for k in range(4)])
     write_tum(folder / "poses.tum", Trajectory(stamps, poses), remark)
     (folder / "states.jsonl").write_text("{}\n")

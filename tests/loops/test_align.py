@@ -173,7 +173,7 @@ def test_the_command_writes_all_of_it(
         main()
     assert end.value.code in (0, None)
     said = capsys.readouterr()
-    assert "nothing connects session 2 (other)" in " ".join(said.err.split())
+    assert "session 2 (other) has no loops" in " ".join(said.err.split())
     facts = json.loads((out / "alignment.json").read_text())
     assert facts["components"] == [[0, 1], [2]]
     assert facts["residual_after"]["median_m"] < 0.1

@@ -111,7 +111,7 @@ def test_cutting_again_replaces_what_changed_alone(whole: SegmentMap, cut: Path)
 # --- what is missing, damaged or slow -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["missing", "flipped", "cut short", "another"])
+@pytest.mark.parametrize("how", ["missing", "flipped", "truncated", "another"])
 def test_a_tile_that_cannot_be_had_is_named(cut: Path, how: str) -> None:
     tiles = TiledMap(cut)
     first, second, *_ = tiles.index.tiles

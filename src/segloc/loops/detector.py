@@ -260,10 +260,10 @@ class LoopDetector:
         placed = [
             replace(loop, target=place[loop.target], source=place[loop.source]) for loop in loops
         ]
-        judged = supported(chain, placed, self.settings)
+        checked = supported(chain, placed, self.settings)
         return [
-            replace(loop, reason=verdict.reason)
-            for loop, verdict in zip(loops, judged, strict=True)
+            replace(loop, reason=result.reason)
+            for loop, result in zip(loops, checked, strict=True)
         ]
 
     def _closure(self, loop: Loop, confidence: float) -> LoopClosure:

@@ -126,8 +126,8 @@ def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[s
     if config.mapping.level:
         turned, T_map_odom = levelled(sequence, lean)
         angle = math.degrees(geometry.rotation_angle(T_map_odom))
-        said = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
-        return turned, {"frame": said, "T_map_odom": json.dumps(T_map_odom.tolist())}
+        text = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
+        return turned, {"frame": text, "T_map_odom": json.dumps(T_map_odom.tolist())}
     if lean is None or not lean.noticed:
         return sequence, {}
     return sequence, {"frame": tilt_text(lean)}

@@ -117,9 +117,9 @@ def update_map(
         If too much of the visible map is gone, so that the poses are probably in another frame.
     """
     update, recording = update or UpdateConfig(), as_recording(scans)
-    judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
-    _check_frame(judged, recording.name, update.max_gone)
-    gone, seen = _judged_segments(prior_map, judged, update.gone_share)
+    visible = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
+    _check_frame(visible, recording.name, update.max_gone)
+    gone, seen = _classify_segments(prior_map, visible, update.gone_share)
     missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
         np.int32
     )
@@ -133,7 +133,7 @@ def update_map(
         raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
     stay = missed < update.max_missed
     waiting = stay & gone
-    points = ~judged.gone | _within_segments(prior_map, waiting)
+    points = ~visible.gone | _within_segments(prior_map, waiting)
     old = prior_map.kept(stay, points, missed)
     merged = old.merge(fresh)
     keep = _newest_views(merged, update)
@@ -150,8 +150,8 @@ def update_map(
     )
 
 
-def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:
-    gone, seen = int(judged.gone.sum()), int(judged.seen.sum())
+def _check_frame(visible: Visibility, name: str, max_gone: float) -> None:
+    gone, seen = int(visible.gone.sum()), int(visible.seen.sum())
     if gone > max_gone * (gone + seen):
         share = 100 * gone / (gone + seen)
         raise SeglocError(
@@ -167,17 +167,17 @@ def _radii(prior_map: SegmentMap) -> Float64:
     return radii
 
 
-def _judged_segments(
-    prior_map: SegmentMap, judged: Visibility, gone_share: float
+def _classify_segments(
+    prior_map: SegmentMap, visible: Visibility, gone_share: float
 ) -> tuple[Bools, Bools]:
     """Return which segments are gone and which were seen; neither if too little was in view."""
-    rows = np.flatnonzero(judged.gone | judged.seen)
+    rows = np.flatnonzero(visible.gone | visible.seen)
     if not len(rows) or not len(prior_map):
         return np.zeros(len(prior_map), dtype=bool), np.zeros(len(prior_map), dtype=bool)
     tree = cKDTree(prior_map.cloud[rows] + prior_map.origin)
     members = tree.query_ball_point(prior_map.centroids, _radii(prior_map))
     counts = np.array([len(each) for each in members])
-    lost = np.array([np.count_nonzero(judged.gone[rows[each]]) for each in members])
+    lost = np.array([np.count_nonzero(visible.gone[rows[each]]) for each in members])
     in_view = counts >= _MIN_POINTS
     gone = in_view & (lost >= gone_share * counts)
     return gone, in_view & ~gone
