@@ -24,18 +24,6 @@ from ..types import Float32, Int64, LocalCloud, Pose, Segments
 Bools = NDArray[np.bool_]
 
 _BEYOND_M = 2.0  # margin of map points around a query
-_ADVICE = {
-    Reason.NO_POINTS: "no point within range: are they in metres, in the sensor's frame?",
-    Reason.UNKNOWN_ATTITUDE: "roll and pitch are unknown: give gravity or a pose",
-    Reason.NO_SEGMENTS: "nothing above the ground is in view; drive on and accumulate scans",
-    Reason.NO_MATCHES: "the map has no segments to compare with",
-    Reason.NO_CONSISTENT_MATCHES: "no two segments lie to each other as any two of the map do: "
-    "the place is not in the map, or too little of it is in view",
-    Reason.NOT_IN_MAP: "nothing in the map fits: the scan is probably from somewhere else or sees "
-    "too little",
-    Reason.AMBIGUOUS: "two places explain the scan about as well: more scans of the way tell them "
-    "apart (poses, or a tracker), or a look from elsewhere",
-}
 
 
 @dataclass(frozen=True)
@@ -264,8 +252,9 @@ def summarize(trace: Trace) -> str:
             f"yaw {yaw:.1f} deg (confidence {result.confidence:.2f})"
         )
     assert result.reason is not None
-    advice = _ADVICE.get(result.reason) or _uncertain(trace)
-    return f"not localized, {result.message}: {advice}"
+    if result.reason is Reason.TOO_UNCERTAIN:
+        return f"not localized, {result.message}: {_uncertain(trace)}"
+    return f"not localized, {result.message}: {result.reason.likely_cause}; {result.reason.remedy}"
 
 
 def _uncertain(trace: Trace) -> str:

@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,63 @@ from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 
-NO_ODOMETRY = "no odometry at the time of the scan"
+
+class StateReason(str, Enum):
+    """Why a robot is not localized, with the likely cause and its remedy.
+
+    The value may hold fields: seconds, metres, or the size of a jump.
+
+    Attributes
+    ----------
+    likely_cause, remedy : str
+    """
+
+    _value_: str
+    likely_cause: str
+    remedy: str
+
+    def __new__(cls, value: str, likely_cause: str, remedy: str) -> StateReason:
+        member = str.__new__(cls, value)
+        member._value_, member.likely_cause, member.remedy = value, likely_cause, remedy
+        return member
+
+    NOTHING_FOUND = "nothing found", "no place is probable yet", "drive some metres"
+    NO_AGREEMENT = "no agreement yet", "no place is probable enough yet", "drive some metres"
+    SEVERAL_PLACES = "several places fit", "places look alike", "drive some metres"
+    UNSUPPORTED = (
+        "nothing supports the track since {metres:.0f} m",
+        "the robot left the map, or the place has changed",
+        "drive back into the map",
+    )
+    CONTRADICTED = (
+        "the map contradicts the track",
+        "the robot was kidnapped, or something large blocks the view",
+        "wait: the robot is searched again",
+    )
+    JUMP = (
+        "the odometry jumped by {size}",
+        "the odometry was reset, or wheels slipped",
+        "check the odometry",
+    )
+    NO_ODOMETRY = (
+        "no odometry at the time of the scan",
+        "clocks differ, or messages are late",
+        "compare stamps",
+    )
+    REJECTED = "scan rejected: {error}", "the scan is invalid, as the error says", "fix the driver"
+    NO_SCAN = (
+        "no scan for {seconds:.1f} s",
+        "scans are missing",
+        "check the sensor's driver and the network",
+    )
+    NO_DATA = (
+        "no data received for {seconds:.1f} s",
+        "scans and odometry are missing",
+        "check drivers and the network",
+    )
+
+    def __str__(self) -> str:
+        return self.value
 
 
 @dataclass(frozen=True)
@@ -115,7 +172,7 @@ class LiveCore:
         jump = self._odometry.add(time, T)
         states = self._release(time) if jump is None else self._jumped(jump)
         if self._is_silent(time):
-            self._fault = f"no scan for {time - self._newest:.1f} s"
+            self._fault = StateReason.NO_SCAN.format(seconds=time - self._newest)
             states.append(self._report(time))
         return states
 
@@ -189,7 +246,7 @@ class LiveCore:
 
     def report_silence(self, seconds: float) -> State:
         """Report that no data was received for some time, by the caller's clock."""
-        self._fault = f"no data received for {seconds:.1f} s"
+        self._fault = StateReason.NO_DATA.format(seconds=seconds)
         return self._report(self.state.stamp)
 
     # --- internal ------------------------------------------------------------------------------
@@ -208,7 +265,7 @@ class LiveCore:
                 states.append(self._place(stamp, scan))
             else:
                 self.dropped += 1
-                self._fault = NO_ODOMETRY
+                self._fault = StateReason.NO_ODOMETRY.value
                 states.append(self._report(stamp))
         return states
 
@@ -221,7 +278,7 @@ class LiveCore:
             request = self.tracker.add(still, T_odom_sensor, due=self._is_due(stamp))
         except SeglocError as error:
             self.refused += 1
-            self._fault = f"scan rejected: {error}"
+            self._fault = StateReason.REJECTED.format(error=error)
             return self._report(stamp)
         self.scans += 1
         self._fault = ""

@@ -262,8 +262,7 @@ class LoopDetector:
         ]
         checked = supported(chain, placed, self.settings)
         return [
-            replace(loop, reason=result.reason)
-            for loop, result in zip(loops, checked, strict=True)
+            replace(loop, reason=result.reason) for loop, result in zip(loops, checked, strict=True)
         ]
 
     def _closure(self, loop: Loop, confidence: float) -> LoopClosure:
