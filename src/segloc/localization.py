@@ -84,7 +84,7 @@ class Reason(str, Enum):
     )
 
     def __str__(self) -> str:
-        return self.value
+        return str.__str__(self)
 
     def below(self, value: float, least: float) -> str:
         """Format a share or probability below its limit, with enough digits to distinguish them."""

@@ -81,7 +81,7 @@ class StateReason(str, Enum):
     )
 
     def __str__(self) -> str:
-        return self.value
+        return str.__str__(self)
 
 
 @dataclass(frozen=True)
