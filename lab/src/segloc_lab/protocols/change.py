@@ -170,7 +170,7 @@ def report(answers: list[dict[str, Any]], folder: Path | None) -> None:
 
 
 def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> SpinningLidar:
-    """A sensor of so many columns; of its beams, every so many are kept that ``beams`` are left."""
+    """Return a sensor with ``columns`` columns, and every n-th beam so that ``beams`` are left."""
     sensor = SENSORS[name](columns)
     if not isinstance(sensor, SpinningLidar):
         raise ConfigError(f"{name} does not spin")
@@ -207,7 +207,7 @@ class Places:
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line says."""
+    """Parse the command line."""
     options = resumed(__doc__, "change.jsonl")
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))

@@ -133,7 +133,7 @@ def main() -> None:
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--only", default="", help="queries whose name starts so")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--ways", nargs="*", default=list(WAYS), choices=list(WAYS))
     args = options.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)

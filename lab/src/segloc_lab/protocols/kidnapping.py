@@ -211,7 +211,7 @@ class World:
         return taken, taken, "turn"
 
     def _whole(self, where: NDArray[np.bool_], metres: float) -> Int64:
-        """Positions from which on so much of the drive is there."""
+        """Return positions with a complete stretch of the drive after them."""
         count = int(metres / self.kind.spacing_m)
         return np.array(
             [k for k in range(len(where) - count + 1) if where[k : k + count].all()], dtype=np.int64

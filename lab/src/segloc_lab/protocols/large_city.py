@@ -133,7 +133,7 @@ class City:
                 try:
                     ended = process.wait(max(self.left(), 1.0))
                 except subprocess.TimeoutExpired:
-                    process.kill()  # it is asked again by the next run
+                    process.kill()  # the next run repeats it
                     continue
                 if ended:
                     raise SystemExit(f"{way}: ended with status {ended}")
@@ -271,7 +271,7 @@ def main() -> None:
     options.add_argument("--length", type=float, default=1250.0, help="metres driven in each")
     options.add_argument("--thin", type=int, default=8, help="every n-th firing of the sensor")
     options.add_argument("--tile", type=float, default=150.0, help="edge of a tile, metres")
-    options.add_argument("--queried", type=int, default=4, help="one of so many towns is queried")
+    options.add_argument("--queried", type=int, default=4, help="query every N-th town")
     options.add_argument("--queries", type=int, default=8, help="in each of these")
     options.add_argument("--elsewhere", type=int, default=6, help="towns that are not in the map")
     options.add_argument("--workers", type=int, default=16)

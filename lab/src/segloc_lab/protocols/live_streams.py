@@ -52,7 +52,7 @@ SAMPLE_SCANS = 600
 
 @dataclass(frozen=True)
 class Stream:
-    """Scans, where odometry says they were, and where they were.
+    """Scans with odometry and true poses.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def _localizer(mapped: Recording) -> Localizer:
 
 @dataclass(frozen=True)
 class Step:
-    """What was said after a scan, and what it cost; milliseconds of the processor."""
+    """State after a scan, and its processor time [ms]."""
 
     state: State
     scan_ms: float
@@ -145,7 +145,7 @@ def within_three_sigma(state: State, truth: Float64) -> bool:
 
 
 def right(metres: float, degrees: float, off_m: float) -> bool:
-    """Whether a pose is where it is said to be."""
+    """Return whether a pose is within the tolerance."""
     return metres <= off_m and degrees <= OFF_DEG
 
 
@@ -368,7 +368,9 @@ def main() -> None:
     options.add_argument("--seeds", type=int, nargs="*", default=[5200])
     options.add_argument("--length", type=float, default=500.0, help="metres of each")
     options.add_argument("--kitti", type=Path, metavar="DATA")
-    options.add_argument("--minutes", type=int, help="memory over so many minutes of stream")
+    options.add_argument(
+        "--minutes", type=int, help="minutes of stream over which memory is measured"
+    )
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
     args = options.parse_args()

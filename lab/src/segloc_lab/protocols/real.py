@@ -260,7 +260,7 @@ def main() -> None:
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--only", default="", help="queries whose name starts so")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--own", action="store_true", help="leave out the maps of other places")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
     options.add_argument("--out", type=Path)

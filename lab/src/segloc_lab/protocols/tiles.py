@@ -104,7 +104,7 @@ def main() -> None:
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--size", type=float, default=250.0, help="edge of a tile, metres")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     args.out.mkdir(parents=True, exist_ok=True)

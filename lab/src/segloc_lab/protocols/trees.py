@@ -225,7 +225,7 @@ def report(runs: list[dict[str, Any]], folder: Path | None) -> None:
 def main() -> None:
     options = resumed(__doc__, "trees.jsonl")
     options.add_argument("data", type=Path)
-    options.add_argument("--every", type=int, default=1, help="of so many queries, one")
+    options.add_argument("--every", type=int, default=1, help="use every N-th query")
     args = options.parse_args()
     done = entries(args.out) if args.out.exists() else []
     forest = Forest.load(args.data)

@@ -41,7 +41,7 @@ from ..evaluation.comparison import (
     METHODS,
     build_maps,
     fingerprint,
-    on_the_cloud_of,
+    with_map_cloud,
     published_estimator,
     shared_config,
 )
@@ -200,7 +200,7 @@ class Place:
         """Those with verification, on one cloud."""
         base = self._base
         return {
-            name: on_the_cloud_of(base, Localizer(base.prior_map, config))
+            name: with_map_cloud(base, Localizer(base.prior_map, config))
             for name, config in configs(self._method, self._draws).items()
         }
 
@@ -323,7 +323,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Piece:
-    """Some of the queries of one part, asked of one method.
+    """Some queries of one part, by one method.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ class Effort:
     def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
         """The settings of a method's training.
 
-        A forest that prunes learns from candidates that look alike, and says nothing sensible of
+        A forest that prunes learns from candidates that look alike, and is meaningless for
         pairs that do not. Here it is to judge any pair, so it sees 1000 candidates of small maps.
         """
         if method in FORESTS:

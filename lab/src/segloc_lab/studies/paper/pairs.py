@@ -42,7 +42,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Described:
-    """What a descriptor says of the segments of M pairs.
+    """Descriptors of the segments of M pairs.
 
     Attributes
     ----------

@@ -118,9 +118,9 @@ def _judges(transfer: Transfer, curves: Curves) -> Table:
             rows.append((TITLES[domain], method, *map(_area, each)))
     columns = ("set", "method", "distance", "FC4", "distance and quality")
     note = (
-        "Areas by what judges a pair. FC4 is what the paper calls feature quality. The quality "
-        "that localization orders its matches by judges a single segment: whether the nearest one "
-        "in a map will be of the same object. Of pairs that are given it says little."
+        "Areas by score of a pair. FC4 is what the paper calls feature quality. The quality "
+        "that localization orders its matches by rates a single segment: whether the nearest one "
+        "in a map will be of the same object. It says little about given pairs."
     )
     return Table("roc_judges", "What judges a pair", columns, tuple(rows), note)
 

@@ -66,7 +66,7 @@ class Workspace(workspace.Workspace):
         return {"trees": code()}
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
-        """What a study says of itself: enough to repeat it."""
+        """Return the facts that repeat a study."""
         data = None if self.data is None else self.data.name
         only = None if self.only is None else [test.name for test in self.sets]
         own = {"suite": self.suite, "scale": self.scale, "only": only, "data": data}
