@@ -272,8 +272,9 @@ within 3 m: the others come from unmapped streets, and should be rejected.
 
 All methods use the same segments and the same thresholds, those of the package: fitted on
 simulated worlds and on real scans in wrong maps; a few were set by hand with KITTI 00 in view.
-Each query is localized twice, with our pose estimator (consensus) and with the published one, and,
-if available, in the map of another place by the same kind of sensor, where every answer is false."""
+Each query is localized twice, with our pose estimator (consensus) and with the published one,
+and, if available, in the map of another place by the same kind of sensor: there every answer is
+false."""
 ALONE = """
 
 Here segments are the only proposer. By default segloc also searches by stems and occupancy, which

@@ -32,7 +32,7 @@ COLUMNS = ("world", "map", "found within coverage", "false", "false elsewhere", 
 
 @dataclass
 class Answers:
-    """What the queries of a world were answered in one map."""
+    """Results of the queries of a world in one map."""
 
     found: int = 0
     covered: int = 0
@@ -57,7 +57,7 @@ class Answers:
 
 
 def drives(kind: str, seed: int) -> tuple[list[SimulatedSequence], list[SimulatedSequence]]:
-    """The sessions to map, and those to localize; of a building one for each storey."""
+    """Return the sessions to map, and those to localize; of a building one per storey."""
     if kind != BUILDING:
         world = simulated(kind, seed)
         return [world.mapped], list(world.queries.values())
@@ -70,7 +70,7 @@ def drives(kind: str, seed: int) -> tuple[list[SimulatedSequence], list[Simulate
 
 
 def queries(later: list[SimulatedSequence]) -> Iterator[tuple[Scan, Pose]]:
-    """Single scans without poses, and where they were taken."""
+    """Return single scans without poses, and their true poses."""
     for drive in later:
         for i in query_positions(drive.truth, EVERY_M, 10.0):
             yield Scan(drive.scan(int(i)).points), drive.truth[i]
@@ -79,7 +79,7 @@ def queries(later: list[SimulatedSequence]) -> Iterator[tuple[Scan, Pose]]:
 def measure(
     kind: str, seed: int, before: Localizer | None
 ) -> tuple[list[tuple[str, ...]], Localizer]:
-    """Rows of a world, and the localizer in its cloud."""
+    """Return rows of a world, and the localizer in its cloud."""
     config = Config(threads=1)
     mapped, later = drives(kind, seed)
     scans = [
