@@ -158,7 +158,7 @@ class _Answer:
         Share of the query cloud, up to the height that the map reaches there, that lies on the map
         at it, in [0, 1].
     seen : float or None
-        Share of the judged map points that the query sees there, in [0, 1]; the others are
+        Share of the compared map points that the query sees there, in [0, 1]; the others are
         free-space violations. None where nothing of the map is in view.
     proposer : str or None
         What found the pose: "segments" (their matches), "stems", "occupancy", or a proposer of
@@ -215,7 +215,7 @@ class _Answer:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Localized(_Answer):
-    """A believed pose; ``str`` gives it in one line.
+    """An accepted pose; ``str`` formats it in one line.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class Localized(_Answer):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class NotLocalized(_Answer):
-    """No pose is believed; ``str`` says why in one line.
+    """No accepted pose; ``str`` gives the reason in one line.
 
     Attributes
     ----------

@@ -120,12 +120,12 @@ def localize(
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(mount))
     positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
     priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
-    asked = Queries(localizer, prior_map, recording, positions, priors)
+    queries = Queries(localizer, prior_map, recording, positions, priors)
     with progress("Localizing") as update, executing(workers, cluster) as executor:
-        results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
+        results, kept = _in_detail(queries, update) if debug else (queries.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
-    evaluation = asked.scored(results, prior.trajectory, truths, tolerance)
-    _tell(asked, evaluation, name, out, kept, json)
+    evaluation = queries.scored(results, prior.trajectory, truths, tolerance)
+    _tell(queries, evaluation, name, out, kept, json)
 
 
 def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
@@ -175,30 +175,30 @@ class Queries:
         return Evaluation(indices, results, path, known, tolerance)
 
 
-def _in_detail(asked: Queries, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
+def _in_detail(queries: Queries, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
     """Localize the queries; return the results, and files of their stages."""
     from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
     from ..inspect import trace
     from ..inspect.results import DEBUG, pack, stages_of
 
-    localizer, recording = asked.localizer, asked.recording
+    localizer, recording = queries.localizer, queries.recording
     if localizer.tiles is not None:
         raise ConfigError("--debug needs a map file: it does not support tiles")
     results, kept = [], {}
-    clouds = query_clouds(recording, asked.positions, localizer.config, localizer.clock)
-    priors = each_prior(asked.near, len(asked.positions))
-    indices = recording.indices[asked.positions]
+    clouds = query_clouds(recording, queries.positions, localizer.config, localizer.clock)
+    priors = each_prior(queries.near, len(queries.positions))
+    indices = recording.indices[queries.positions]
     for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
         found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
         results.append(found.result)
         kept[f"{DEBUG}/{index}.npz"] = pack(stages_of(found))
-        update(len(results), len(asked.positions))
+        update(len(results), len(queries.positions))
     return results, kept
 
 
 def _tell(
-    asked: Queries,
+    queries: Queries,
     evaluation: Evaluation,
     name: str,
     out: Path | None,
@@ -210,7 +210,7 @@ def _tell(
     from .console import busy, note
     from .results import write_results
 
-    recording, localizer, written = asked.recording, asked.localizer, list[str]()
+    recording, localizer, written = queries.recording, queries.localizer, list[str]()
     if out is not None:
         title = f"{recording.name} in {Path(name).stem}"
         with busy("Drawing"):
@@ -224,7 +224,7 @@ def _tell(
             evaluation.results,
             localizer.config.local_cloud,
             prior_map=localizer.prior_map,
-            known=_excluded(asked, evaluation.results),
+            known=_excluded(queries, evaluation.results),
         )
     if line:
         note(line)
@@ -348,10 +348,10 @@ def worst_first(evaluation: Evaluation) -> Sequence[int]:
 
 def _row(evaluation: Evaluation, i: int) -> tuple[str, str, str]:
     result = evaluation.results[i]
-    said = result.message if not result.localized else pose_text(result.T_map_sensor)
+    text = result.message if not result.localized else pose_text(result.T_map_sensor)
     if evaluation.false[i]:
-        said = f"FALSE, {evaluation.translation_error[i]:.1f} m off: {said}"
-    return str(int(evaluation.indices[i])), f"{result.confidence:.2f}", said
+        text = f"FALSE, {evaluation.translation_error[i]:.1f} m off: {text}"
+    return str(int(evaluation.indices[i])), f"{result.confidence:.2f}", text
 
 
 def gnss_priors(

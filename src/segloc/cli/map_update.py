@@ -83,7 +83,7 @@ def update(
     from .console import table
 
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
-    asked = _Asked(
+    session = _SessionInput(
         sequence=sequence,
         poses=poses,
         align=align,
@@ -97,14 +97,14 @@ def update(
         elsewhere=elsewhere,
     )
     if holds_tiles(prior_map):
-        rows = asked.into_tiles(prior_map, out, settings)
+        rows = session.into_tiles(prior_map, out, settings)
     else:
-        rows = asked.into_map(Path(prior_map), Path(out), settings)
+        rows = session.into_map(Path(prior_map), Path(out), settings)
     table(out, ("", ""), rows)
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _SessionInput:
     """A session, and the options for reading it."""
 
     sequence: Path
@@ -132,7 +132,7 @@ class _Asked:
         """Return the settings of a map, and the session in its frame."""
         from ..loops import Reposed, align_to_map
         from ..map.segment_map import SegmentMap
-        from .align import told
+        from .align import rows
         from .console import note, progress
         from .recording import open_recording
 
@@ -150,7 +150,7 @@ class _Asked:
         if not self.align:
             return chosen, recording
         alignment = align_to_map(where, [recording], chosen, stage=progress)
-        for name, line in told(alignment):
+        for name, line in rows(alignment):
             note(f"{name}: {line}")
         return chosen, Reposed(recording, alignment.poses[0])
 
@@ -170,7 +170,7 @@ class _Asked:
                 )
             updated.save(out)
         now = ("segments now", str(len(updated)))
-        return [("segments before", str(len(prior))), *_told(counts), now]
+        return [("segments before", str(len(prior))), *_rows(counts), now]
 
     def into_tiles(self, where: str, out: str, settings: UpdateConfig) -> list[tuple[str, str]]:
         """Update tiles in place; return rows on what was done."""
@@ -184,7 +184,7 @@ class _Asked:
                 where, recording, chosen, settings, bar, elsewhere=self.elsewhere
             )
         tiles = f"{changed.written} of {len(changed.index.tiles)}"
-        return [("tiles that changed", tiles), *_told(counts)]
+        return [("tiles that changed", tiles), *_rows(counts)]
 
 
 def check_same_tiles(where: str, out: str) -> None:
@@ -200,7 +200,7 @@ def check_same_tiles(where: str, out: str) -> None:
         raise ConfigError(f"tiles are changed in place: use --out {where}, or copy them first")
 
 
-def _told(counts: UpdateCounts) -> list[tuple[str, str]]:
+def _rows(counts: UpdateCounts) -> list[tuple[str, str]]:
     return [
         ("  seen again", str(counts.seen)),
         ("  missed", str(counts.aged)),

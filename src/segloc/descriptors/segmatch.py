@@ -55,9 +55,9 @@ def eigen_features(segments: Segments, threads: int = 0) -> Float64:
 
 
 def eth_features(segments: Segments, threads: int = 0) -> Float64:
-    """The features as the ETH code computes them: eigenvalues rising, divided by fixed maxima.
+    """Return the features of the ETH code: eigenvalues rising, divided by fixed maxima.
 
-    Its entropy has no minus, and only the last term of it is divided. The eighth number says
+    Its entropy has no minus, and only the last term of it is divided. The eighth number is
     whether the segment is lower than it is wide along both axes of the frame, so it may change as
     the segment turns. The smallest eigenvalue, which the others are divided by, counts as at least
     a millionth of their sum.
